@@ -1,10 +1,10 @@
-"""Why a capture cannot be calibrated, or a thing not be measured."""
+"""Refusals: why a capture cannot be calibrated or an object cannot be measured."""
 
 from dataclasses import dataclass
 
 
 class RefusalError(Exception):
-    """No trustworthy calibration can be had from these matches.
+    """These matches do not determine a trustworthy calibration.
 
     `reason` is one short sentence that names the cause; `advice` says what to do about it.
     """
@@ -18,17 +18,17 @@ class RefusalError(Exception):
 
 
 class NoMeasurementError(RefusalError):
-    """No trustworthy measurement of a thing can be had from a cloud; `reason` and `advice` as above."""
+    """A cloud does not determine a trustworthy measurement of an object; `reason` and `advice` as above."""
 
     refused = "measurement"
 
 
 @dataclass(frozen=True)
 class Wording:
-    """Names of the first and the second device and of both, of what is `taken`, of the second's pixels; and advice.
+    """Words for messages: names of the two devices, of both together, of a capture, of the second's pixels; and advice.
 
-    `move`: how to get a better view. `again`: how to get a further one. `unrelated`: what else may be wrong.
-    `shape`: a suspect where images are not those of a square corner, as a sentence after others; '' if there is none.
+    `move`: how to get a better view. `again`: how to get another view. `unrelated`: what else may be wrong.
+    `shape`: a likely cause when the images do not fit a square corner, as a sentence to append; '' if there is none.
     """
 
     first: str

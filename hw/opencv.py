@@ -54,7 +54,7 @@ class OpenCVRigSettings(CameraRigSettings):
         "size at their full rate.",
     )
     average: int = Field(
-        2, ge=2, le=16, description="Frames of each picture whose mean is taken; the first two prove that it stands."
+        2, ge=2, le=16, description="Frames averaged per picture; the first two verify that the picture is stable."
     )
 
     @property
@@ -219,7 +219,7 @@ class OpenCVCamera:
         taken = self._read()
         if taken is None:
             raise DeviceError(
-                f"camera {self.name}: it opens, but delivers nothing. Check that no other program uses it, then rerun."
+                f"camera {self.name}: it opens, but delivers no frames. Check that no other program uses it; rerun."
             )
         self.identity["pixels"] = "grey" if taken[0].ndim == 2 else "colour (BGR)"
 

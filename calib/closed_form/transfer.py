@@ -20,8 +20,9 @@ class Transfer:
 
     `matrix` (n, 3, 3): K with skew and unequal focals, as the DLT gives it; `rotation` (n, 3, 3), `translation` (n, 3):
     X_second = R X_first + t, with the vertex at distance 1 from the first device; `normals` (n, 3, 3), `vertex` (n, 3):
-    the corner in the first device's frame. `inverse_depths` (n, 3, 3) as of the function, `second_depths` (n, 3, 3) the
-    same of what a point's depth in the second device is times its inverse depth in the first.
+    the corner in the first device's frame. `inverse_depths` (n, 3, 3): rows whose product with a homogeneous image
+    point of each face is its inverse depth in the first device. `second_depths` (n, 3, 3): rows whose product is the
+    point's depth in the second device times its inverse depth in the first.
     """
 
     matrix: Floats
@@ -36,12 +37,12 @@ class Transfer:
         return Transfer(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def in_front(self, points: Sequence[Floats]) -> Floats:
-        """The share (n,) of image points (N, 3) of each face, homogeneous, whose corner is in front of both devices."""
+        """Share (n,) of homogeneous image points (N, 3), per face, that lie in front of both devices."""
         return share_in_front(self.inverse_depths, self.second_depths, points)
 
 
 def share_in_front(inverse_depths: Floats, second_depths: Floats, points: Sequence[Floats]) -> Floats:
-    """As of `Transfer.in_front`, for rows (n, 3, 3) whose products with an image point need only the right sign."""
+    """Like `Transfer.in_front`, from the depth rows (n, 3, 3); only the signs of their products matter."""
     seen = [(inverse_depths[:, face] @ x.T > 0) & (second_depths[:, face] @ x.T > 0) for face, x in enumerate(points)]
     share: Floats = np.concatenate(seen, axis=1).mean(axis=1)
     return share
@@ -60,8 +61,8 @@ def image_of_corner(grams: FaceGrams) -> CornerImage:
 def transfer(grams: FaceGrams, image: CornerImage, matrices: Floats, *, nearest: bool = False) -> Transfer:
     """Transfer trial intrinsics (n, 3, 3) of the first device of `grams`; n results for each of the two corners: 2n.
 
-    The first n results belong to one solution of the corner, the others to its mirror (concave and convex). `nearest`:
-    a corner that only comes near to the image is better than none.
+    The first n results belong to one solution of the corner, the others to its mirror (concave and convex). With
+    `nearest`, trials without an exact corner use the one whose image comes nearest.
     """
     inverses = np.asarray(np.linalg.inv(matrices), np.float64)
     normals, rays = corner_planes(image, inverses, nearest=nearest)

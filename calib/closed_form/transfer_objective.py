@@ -22,7 +22,7 @@ _BRACKETS, _PROMISING = 3, 2.0
 class Objective:
     """E(f_c): equations 13 and 14, evaluated for many focals at once.
 
-    `sample`: some camera points (N, 3) of each face, homogeneous, that have to lie in front of both devices.
+    `sample`: homogeneous camera points (N, 3) of each face that must lie in front of both devices.
     """
 
     grams: FaceGrams
@@ -43,7 +43,7 @@ class Objective:
         return total.reshape(2, len(focal_px)), forward
 
     def forward(self, focal_px: Floats, *, nearest: bool = False) -> tuple[Transfer, Bools]:
-        """Focals (n,) → the 2n transfers to the projector, and which put the sample in front of both devices (2n,).
+        """Focals (n,) → the 2n transfers to the projector, and a mask (2n,): sample in front of both devices.
 
         `nearest`: as in `transfer`.
         """
@@ -55,8 +55,8 @@ class Objective:
     def terms(self, focal_px: Floats, forward: Transfer) -> Floats:
         """The seven terms E_1 … E_7 (7, 2n) of equation 14.
 
-        What is transferred back is the projector that equation 11 speaks of: one focal length and a principal point.
-        With its skew and both its focals it would lead back to the camera from every trial, and the cycle tell nothing.
+        The backward transfer uses the projector of equation 11: one focal length and a principal point. With skew and
+        two focals, every trial would lead back to its camera and the cycle would carry no information.
         """
         focal = np.concatenate([focal_px, focal_px])
         pro = forward.matrix
@@ -96,7 +96,7 @@ class PaperSolution:
 
 
 def objective_for(matches: Matches, principal_point_px: tuple[float, float]) -> Objective:
-    """Prepare the search from matches with face labels. Raises TooFewMatchesError below four on a face."""
+    """Prepare the search from matches with face labels. Raises TooFewMatchesError if a face has fewer than four."""
     grams, sample = face_grams(matches), []
     for label in FACES:
         members = np.flatnonzero(matches.labels == label)
@@ -123,7 +123,7 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
     for i in minima:
         bounds = (float(focal_px[max(i - 1, 0)]), float(focal_px[min(i + 1, len(focal_px) - 1)]))
         result = minimize_scalar(
-            # Brent's parabola cannot be drawn through infinity: a large number stands for 'no corner here'.
+            # Brent's parabola needs finite values: a large number stands for "no corner here".
             lambda focal: min(float(exact_search(objective, np.array([focal]))[0]), 1e9),
             bounds=bounds,
             method="bounded",

@@ -1,4 +1,4 @@
-"""Cameras, lenses, poses, homographies, the cuboid corner, triangulation: formulas, and nothing that is estimated."""
+"""Cameras, lenses, poses, homographies, the cuboid corner, triangulation: closed-form geometry, no estimation."""
 
 from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics, Size

@@ -1,4 +1,4 @@
-"""What a calibration is: two devices, the motion between them, and how sure of each we are."""
+"""A calibration: two devices, the motion between them, and their uncertainties."""
 
 from dataclasses import dataclass
 
@@ -39,8 +39,8 @@ class Sigmas:
 class Calibration:
     """Intrinsics of both devices and X_projector = R X_camera + t.
 
-    `rotation` (3, 3), `translation` (3,) in `unit` ('baseline' where no length is known: |t| = 1). `sigma`: how sure of
-    these numbers one is.
+    `rotation` (3, 3), `translation` (3,) in `unit` ('baseline' if no length is known: |t| = 1). `sigma`: standard
+    deviations of these numbers.
     """
 
     camera: Intrinsics

@@ -1,7 +1,7 @@
 """One camera model for both devices: a pinhole with square-ish pixels and Brown's lens distortion.
 
-Pixel centres are at integer coordinates (OpenCV); x right, y down, z forward. A projector is a camera whose rays run
-the other way.
+Pixel centres are at integer coordinates (OpenCV); x right, y down, z forward. A projector is modelled as an inverse
+camera.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _POLYNOMIAL_TOLERANCE = 1e-10
 
 
 class Size(NamedTuple):
-    """Of an image, or of a device that takes or shows one, in pixels."""
+    """Size of an image, or of a device's image, in pixels."""
 
     width: int
     height: int
@@ -38,7 +38,7 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What one device does to a ray.
+    """Intrinsic parameters of one device.
 
     `focal_px` is (f_x, f_y), `principal_point_px` is (x_0, y_0), `distortion` is (k1, k2, p1, p2, k3) in normalised
     coordinates, in OpenCV's order: x_d = x_n (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms.
@@ -102,8 +102,8 @@ class Intrinsics:
 
     @cached_property
     def _radial_inverse(self) -> tuple[Floats, float] | None:
-        """Ideal over distorted radius as a polynomial in the distorted radius squared, and up to where it holds: over
-        the whole image. None where there is none as good as Newton's method.
+        """Ideal over distorted radius as a polynomial in the squared distorted radius, and the largest squared radius,
+        which covers the image. None if no polynomial is as accurate as Newton's method.
         """
         if any(self.distortion[2:4]):
             return None
@@ -120,7 +120,7 @@ class Intrinsics:
         exact = ratio(between)
         for degree in _DEGREES:
             fitted = Chebyshev.interpolate(ratio, degree, (0.0, largest)).convert(kind=Polynomial, domain=(-1, 1))
-            # NaN, beyond which the lens has no inverse, is no small difference either.
+            # The comparison is also false for NaN, where the lens has no inverse.
             if np.max(np.abs(polyval(between, fitted.coef) - exact)) < _POLYNOMIAL_TOLERANCE:
                 return np.asarray(fitted.coef, np.float64), largest
         return None

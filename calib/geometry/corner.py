@@ -1,6 +1,6 @@
 """The cuboid corner (C2): its image, and the corner itself for given intrinsics.
 
-Three faces A, B, C meet in the right-angle vertex; leg A is the edge between the faces B and C, and so on round.
+Three faces A, B, C meet in the right-angle vertex; leg A is the edge between the faces B and C, and so on cyclically.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Corner:
     def axes(self) -> Floats:
         """Right-handed orthonormal rows (3, 3) nearest to the legs: the corner's frame.
 
-        The nearest rotation (Schönemann 1966); legs that are numbered the left-handed way round change places first.
+        The nearest rotation (Schönemann 1966); left-handed legs are swapped first.
         """
         u, _, vt = np.linalg.svd(self.legs if np.linalg.det(self.legs) > 0 else self.legs[[0, 2, 1]])
         nearest: Floats = u @ vt
@@ -62,12 +62,11 @@ class CornerImage:
 
 
 def corner_image(homographies: Floats) -> CornerImage:
-    """The image of the corner in the first view, from the faces' homographies (3, 3, 3) into the second.
+    """Compute the image of the corner in the first view from the faces' homographies (3, 3, 3) into the second.
 
-    H_B⁻¹ H_C leaves every point of the edge between B and C where it is: a planar homology whose axis is that edge
-    (the paper, section 4.2). The axis is the left eigenvector of the eigenvalue that stands alone, which noise does
-    not split as it splits the equal pair. The vertex is where the three axes meet in the least-squares sense.
-    Coordinates should be normalised for that.
+    H_B⁻¹ H_C is a planar homology that fixes every point of the edge between B and C; this edge is its axis (the paper,
+    section 4.2). The axis is the left eigenvector of the single eigenvalue, which is stable under noise, unlike the
+    equal pair. The vertex is the least-squares intersection of the three axes. Coordinates should be normalised.
     """
     lines = []
     for a in range(3):
@@ -88,10 +87,10 @@ def corner_planes(image: CornerImage, inverse_matrices: Floats, *, nearest: bool
     image. `vertex rays` (n, 3): the vertex at distance 1, z > 0. Face S is the plane normal_S · X = normal_S · vertex.
 
     With r the ray to the vertex and m_S ⟂ r the unit direction in the plane through r and leg S, the leg is
-    c_S r + m_S, and orthogonality says c_A c_B = −m_A · m_B and round; so c_A² = −(m_A·m_B)(m_C·m_A)/(m_B·m_C).
+    c_S r + m_S. Orthogonality gives c_A c_B = −m_A · m_B and cyclically, so c_A² = −(m_A·m_B)(m_C·m_A)/(m_B·m_C).
     The two signs are the paper's concave and convex solutions (its proposition 1).
 
-    `nearest`: where no real corner has this image, one that comes near to it instead of NaN.
+    `nearest`: where no real corner has this image, return one with a nearby image instead of NaN.
     """
     rays = inverse_matrices @ image.vertex
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -136,9 +135,9 @@ def inverse_depths(normals: Floats, rays: Floats, inverse_matrices: Floats) -> F
 
 
 def polar(rows: Floats) -> Floats:
-    """Unit rows (3, 3), each perpendicular to the two others' namesakes in `rows` and on the side of its own.
+    """Return unit rows (3, 3): row i is perpendicular to the other two `rows` and on the same side as row i.
 
-    Of legs they are the faces' normals, of normals the legs.
+    This maps legs to the faces' normals, and normals to legs.
     """
     across = np.cross(np.roll(rows, -1, axis=0), np.roll(rows, -2, axis=0))
     across *= np.sign(np.sum(across * rows, axis=1))[:, None]
@@ -147,7 +146,7 @@ def polar(rows: Floats) -> Floats:
 
 
 def leg_signs(legs: Floats, vertex: Floats, points: Floats) -> Floats:
-    """±1 (3,) for each leg (3, 3 rows): on which side of the vertex the points (N, 3) of its faces are."""
+    """Return ±1 (3,) for each leg (3, 3 rows): the side of the vertex on which the points (N, 3) of its faces lie."""
     # Coordinates along the legs; a point on face S has two, the third being zero.
     coordinates = np.linalg.solve(legs.T, (points - vertex).T)
     signs: Floats = np.sign(np.nanmedian(np.where(np.abs(coordinates) > 1e-9, coordinates, np.nan), axis=1))

@@ -1,7 +1,7 @@
-"""One projector coordinate and a calibration → the other: where the camera pixel's epipolar line crosses the stripe.
+"""Find the second projector coordinate from the first: intersect the camera pixel's epipolar line with the stripe.
 
-In ideal coordinates the epipolar line is straight. The projector's lens bends it, and the stripe is straight in the
-projector's own pixels, so the crossing is found along the line by Newton's method.
+In ideal coordinates the epipolar line is straight. The projector's lens bends it, while the stripe is straight in
+projector pixels, so the intersection is found along the line by Newton's method.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ _SAME_POINT = 1e-6  # in normalised coordinates
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where camera pixels' epipolar lines cross the stripes that were seen.
+    """Intersections of camera pixels' epipolar lines with the observed stripes.
 
     `projector_px` (N, 2); `sine` (N,): of the angle between line and stripe, in projector pixels: an error e of the
-    known coordinate moves the crossing by e / sine along the line. `in_front` (N,): whether the crossing exists, and is
-    the image of a point in front of both devices; where not, `projector_px` means nothing, and the angle is that
-    without the lens.
+    known coordinate moves the intersection by e / sine along the line. `in_front` (N,): whether the intersection exists
+    and is the image of a point in front of both devices; otherwise `projector_px` is invalid and the angle ignores the
+    lens.
     """
 
     projector_px: Floats
@@ -56,7 +56,7 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
                 break
             ideal = ideal + step * along
         sine = np.abs(tangent[axis]) / np.hypot(*tangent)
-        # Beyond the lens's monotonic range another point is seen at the same pixel.
+        # Beyond the lens's monotonic range another point projects to the same pixel.
         same = np.abs(projector.undistort(distorted.T).T - ideal).max(axis=0) < _SAME_POINT
         there = (step_px <= _CONVERGED_PX) & same & _in_front(ideal, rays, along, calibration.translation)
     projector_px = pixel.T.copy()
@@ -65,9 +65,9 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
 
 
 def _in_front(ideal: Floats, rays: Floats, along: Floats, translation: Floats) -> Bools:
-    """Whether the point of each ray (3, N), in the projector's frame, that is seen at `ideal` (2, N) has z > 0 twice.
+    """Whether the point of each ray (3, N), in the projector's frame, with image `ideal` (2, N) is in front of both.
 
-    With ρ one over its depth before the camera, the point is in proportion to ray + ρ translation.
+    With ρ the inverse of its depth in the camera, the point is proportional to ray + ρ translation.
     """
     offset = rays[:2] - ideal * rays[2]
     moved = ideal * translation[2] - translation[:2, None]

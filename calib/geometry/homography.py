@@ -1,7 +1,7 @@
 """Plane-induced homographies and their Gram matrices.
 
-The normal matrix of a face's homography DLT is all that the paper's algorithm needs of the matches on that face:
-it is accumulated once, and a search costs the same for a hundred matches as for a million.
+The paper's algorithm needs only the normal matrix of each face's homography DLT. It is accumulated once, so a search
+costs the same for a hundred matches as for a million.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from calib.geometry.matches import FACES, Matches
 from calib.numerics import Floats, Ints, compiled, in_pieces
 
 _FACES = len(FACES)
-# Where the product x_i x_j is among x², xy, y², x, y, 1.
+# Index of the product x_i x_j among x², xy, y², x, y, 1.
 _PRODUCT = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
 
@@ -21,7 +21,7 @@ class TooFewMatchesError(ValueError):
 
 
 def homogeneous(points: Floats) -> Floats:
-    """(..., 2) → (..., 3) with a one behind."""
+    """Append a one: (..., 2) → (..., 3)."""
     return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
 
 
@@ -52,7 +52,7 @@ def homography_between(source: Floats, target: Floats) -> Floats:
 
 
 def mapped(homography: Floats, points: Floats) -> Floats:
-    """Points (N, 2) after a homography (3, 3)."""
+    """Map points (N, 2) by a homography (3, 3)."""
     image = np.empty((len(points), 2))
     _map(np.ascontiguousarray(homography, np.float64), _as_floats(points), image)
     return image
@@ -85,7 +85,7 @@ def homography_from_gram(gram: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class FaceGrams:
-    """Everything that the transfer of intrinsics needs of the matches on three faces.
+    """Sufficient statistics of the matches on three faces for the transfer of intrinsics.
 
     `to_projector`, `to_camera`: Gram matrices (3, 9, 9) of each face's homography, in normalised coordinates;
     `camera_scale`, `projector_scale`: the normalisations (3, 3) from pixels.
@@ -97,7 +97,7 @@ class FaceGrams:
     projector_scale: Floats
 
     def reversed(self) -> "FaceGrams":
-        """The same with camera and projector exchanged."""
+        """Return the Gram matrices with camera and projector exchanged."""
         return FaceGrams(self.to_camera, self.to_projector, self.projector_scale, self.camera_scale)
 
     def homographies(self) -> Floats:
@@ -107,7 +107,7 @@ class FaceGrams:
 
 
 def face_grams(matches: Matches) -> FaceGrams:
-    """Accumulate the Gram matrices of the faces 0, 1, 2. Raises TooFewMatchesError below four each."""
+    """Accumulate the Gram matrices of faces 0, 1, 2. Raises TooFewMatchesError if a face has fewer than four."""
     face = matches.labels
     counts, camera_scale, projector_scale = _normalisations(matches, face)
     for label in FACES:
@@ -147,7 +147,7 @@ def _moments(
 ) -> Floats:
     """Means of x_i u_a x_j u_b, (labels, 3, 3, 3, 3) in the order i, a, j, b, over the matches with each label.
 
-    x, u: homogeneous points, normalised by similarities without rotation. Other labels than 0 and up are passed over.
+    x, u: homogeneous points, normalised by similarities without rotation. Negative labels are ignored.
     """
 
     def summed(at: slice) -> Floats:

@@ -1,4 +1,4 @@
-"""Which projector pixel lit which camera pixel."""
+"""Matches between camera and projector pixels."""
 
 from dataclasses import dataclass, replace
 
@@ -8,7 +8,7 @@ from calib.numerics import Bools, Floats, Ints, in_slices
 
 FACES = (0, 1, 2)
 NO_FACE = -1
-# Matches that are checked at a time: nothing lies between that would have to stay in the processor's cache.
+# Matches checked at a time; the check keeps no intermediate arrays in the processor's cache.
 _PIECE = 1 << 19
 
 
@@ -19,8 +19,8 @@ class Matches:
     `camera_px`, `projector_px`: (N, 2). `face`: (N,) labels, `NO_FACE` for points on none of them (the default);
     0, 1, 2 are the corner's faces. `sigma_px`: (N,) standard deviation of each coordinate of `projector_px`, or None.
 
-    Millions of matches may be kept in single precision, where a decoder knows no more. What is taken out of them by an
-    index is in double precision: arithmetic begins with that.
+    Millions of matches may be stored in single precision if the decoder is no more accurate. Indexing converts to
+    double precision for arithmetic.
 
     Raises ValueError if shapes differ or a number is not finite.
     """
@@ -64,14 +64,14 @@ class Matches:
 
     @property
     def labels(self) -> Ints:
-        """`face` (N,) of matches that have face labels. Raises ValueError where they have none."""
+        """Return `face` (N,). Raises ValueError if the matches have no labels."""
         if self.face is None:
             raise ValueError("these matches have no face labels")
         return self.face
 
     @property
     def on_each_face(self) -> Ints:
-        """How many matches (3,) there are on each face of the corner; none where they have no labels."""
+        """Number of matches (3,) on each face of the corner; zero without labels."""
         face = np.full(0, NO_FACE) if self.face is None else self.face
         return np.array([np.count_nonzero(face == label) for label in FACES])
 
@@ -85,7 +85,7 @@ class Matches:
 
 
 def _is_finite(values: Floats | Ints) -> bool:
-    """Whether all numbers (N, …) are, piece by piece, for there may be millions."""
+    """Return whether all numbers (N, …) are finite; checked in pieces, as there may be millions."""
     if np.issubdtype(values.dtype, np.integer):
         return True
 

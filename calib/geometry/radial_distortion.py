@@ -1,4 +1,4 @@
-"""Lens distortion: Brown's model with its inverse and exact derivatives. The formula stands here and nowhere else.
+"""Lens distortion: Brown's model with its inverse and exact derivatives. This is the only place with the formula.
 
 A lens moves the ideal image point x, in units of the focal length, to x (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms
 in p1, p2, with r = |x| (Brown 1971; signs and order k1, k2, p1, p2, k3 as in OpenCV).
@@ -14,7 +14,7 @@ from calib.numerics import Floats, by_columns, compiled
 PER_DEVICE = 8
 
 _NEWTON_STEPS = 30
-_CONVERGED, _INVERTED = 1e-13, 1e-9  # of a step, and of what a point that was found may be off
+_CONVERGED, _INVERTED = 1e-13, 1e-9  # largest last step, and largest error of an accepted inverse
 
 Distortion = tuple[float, float, float, float, float]
 
@@ -46,7 +46,7 @@ def undistort_by(polynomial: Floats, largest: float, distorted: Floats) -> Float
 
 
 def distort_steps(ideal: Floats, steps: Floats, distortion: Distortion) -> tuple[Floats, Floats]:
-    """Distorted points (2, N), and where they move for `steps` (2, N) of the ideal points (2, N)."""
+    """Distorted points (2, N), and their displacements for `steps` (2, N) of the ideal points (2, N)."""
     if not any(distortion):
         return ideal, steps
     distorted, moved = np.empty_like(ideal), np.empty_like(ideal)
@@ -112,7 +112,7 @@ def _distorted(x: float, y: float, distortion: Distortion) -> tuple[float, float
 
 @compiled
 def _ideal(u: float, v: float, distortion: Distortion) -> tuple[float, float]:
-    """Newton's method from the distorted point; where it does not converge, anything."""
+    """Newton's method from the distorted point; the result is arbitrary where it does not converge."""
     x, y = u, v
     for _ in range(_NEWTON_STEPS):
         bent_x, bent_y, a, b, d = _distorted(x, y, distortion)

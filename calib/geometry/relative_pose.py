@@ -24,7 +24,7 @@ class Motion:
         return float(np.sqrt(self.translation @ self.translation))
 
     def moved(self, step: Floats) -> "Motion":
-        """After a step (5,) of rotation and direction, or (6,) of the length's logarithm as well."""
+        """Return the motion after a step (5,) of rotation and direction, or (6,) including the log length."""
         length = self.length
         ahead = self.translation / length
         aside: Floats = ahead + tangent_basis(ahead) @ step[3:5]
@@ -33,7 +33,7 @@ class Motion:
         return Motion(rotation_about(step[:3]) @ self.rotation, aside * (length / np.sqrt(aside @ aside)))
 
     def step_to(self, other: "Motion") -> Floats:
-        """The step (6,) to another motion not too far away."""
+        """Return the step (6,) to a nearby motion."""
         ahead, there = self.translation / self.length, other.translation / other.length
         turn = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec()
         return np.concatenate([turn, tangent_basis(ahead).T @ (there - ahead), [np.log(other.length / self.length)]])

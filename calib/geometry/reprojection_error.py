@@ -1,4 +1,4 @@
-"""The reprojection error of a solution on the matches that it came from, and the signs of its legs."""
+"""The reprojection error of a solution on its own matches, and the signs of its legs."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ _SAMPLE = 50_000
 
 
 def before_the_matches(corner: Corner, calibration: Calibration, matches: Matches) -> tuple[Corner, float]:
-    """The corner with its legs pointing along its faces, and the reprojection error of the matches on them.
+    """Return the corner with its legs pointing along its faces, and the reprojection error of the matches on them.
 
-    The error is in projector pixels; a sample of the matches tells both.
+    The error is in projector pixels; both are computed from a sample of the matches.
     """
     labelled = matches[evenly(matches.labels >= 0, _SAMPLE)]
     rays = calibration.camera.unproject(labelled.camera_px)

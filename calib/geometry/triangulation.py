@@ -10,19 +10,19 @@ from calib.geometry.matches import Matches
 from calib.geometry.radial_distortion import distort_steps
 from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces
 
-# Square of the sine of an angle that is nothing but rounding.
+# Squared sine of an angle below which it is rounding error.
 _PARALLEL = (8 * 2.0**-52) ** 2
-# Of Newton's method, from the plane that an ideal lens would show: distortion is small.
+# Steps of Newton's method, from the plane that an ideal lens would show: distortion is small.
 _LENS_STEPS = 3
-_NUMBERS = 8  # that there are to a match, for pieces that fit into the cache
+_NUMBERS = 8  # numbers per match, to choose pieces that fit into the cache
 
 
 @dataclass(frozen=True)
 class Intersections:
-    """Where the two rays of each match meet.
+    """Intersections of the two rays of each match.
 
-    `points` (N, 3) in the camera's frame and the calibration's unit; `foot_px` (N, 2): where the projector sees the
-    point of the camera's ray that comes closest; `residual_px` (N,): signed distance of the projector pixel from the
+    `points` (N, 3) in the camera's frame and the calibration's unit; `foot_px` (N, 2): projector image of the closest
+    point on the camera's ray; `residual_px` (N,): signed distance of the projector pixel from the
     camera pixel's epipolar line; `in_front` (N,): in front of both devices, with every number finite.
     """
 
@@ -131,7 +131,7 @@ def _meet(
         cc, uu, vv = cx * cx + cy * cy + cz * cz, ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0
         along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) / cc
         along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) / cc
-        # From the nearest point of the camera's ray half the way to that of the projector's.
+        # Halfway between the nearest points of both rays.
         hx = 0.5 * (along_v * vx - along_u * ux - tx)
         hy = 0.5 * (along_v * vy - along_u * uy - ty)
         hz = 0.5 * (along_v - along_u * uz - tz)
@@ -156,8 +156,8 @@ def _meet_planes(camera_ideal: Floats, plane: Floats, pose: tuple[float, ...], a
 
 @compiled
 def _seen(camera_ideal: Floats, depth: Floats, pose: tuple[float, ...], ideal: Floats, step: Floats) -> None:
-    """Fill in where the projector sees points of a `depth` (N,) on the camera's rays, (2, N) at z = 1, and where these
-    images move as the points go along their rays; NaN for points behind the projector.
+    """Fill in the projector images (2, N), at z = 1, of points at `depth` (N,) on the camera's rays, and derivatives
+    of these images along the rays; NaN for points behind the projector.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
     camera_x, camera_y = camera_ideal[0], camera_ideal[1]
@@ -176,10 +176,10 @@ def _seen(camera_ideal: Floats, depth: Floats, pose: tuple[float, ...], ideal: F
 def _miss(
     foot: Floats, tangent: Floats, device: tuple[float, float, float, float], seen: Floats, residual_px: Floats
 ) -> None:
-    """Fill in the distance of what was `seen` (2, N) from the epipolar line, and turn `foot` (2, N) into pixels.
+    """Fill in the distance of the matched pixels `seen` (2, N) from the epipolar line; convert `foot` (2, N) to pixels.
 
-    `device`: focal lengths, principal point. The line has a `tangent` (2, N) at its foot, for the lens bends it: where
-    the foot moves for a step along the camera's ray.
+    `device`: focal lengths, principal point. `tangent` (2, N): direction of the line at its foot, as the lens bends it:
+    the displacement of the foot for a step along the camera's ray.
     """
     fx, fy, x0, y0 = device
     foot_x, foot_y, tangent_x, tangent_y, seen_x, seen_y = foot[0], foot[1], tangent[0], tangent[1], seen[0], seen[1]

@@ -1,4 +1,4 @@
-"""Numbers and arrays: types, compiled loops, pieces and threads, robust statistics, least squares. Not geometry."""
+"""Numerics without geometry: array types, compiled loops, chunks and threads, robust statistics, least squares."""
 
 from calib.numerics.array_types import Bools, Floats, Image, Ints
 from calib.numerics.chunks import by_columns, in_pieces

@@ -1,4 +1,4 @@
-"""Names for the array types that signatures use; shapes are given in docstrings."""
+"""Array types for signatures; docstrings give the shapes."""
 
 from typing import Any
 

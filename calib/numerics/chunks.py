@@ -1,6 +1,6 @@
-"""Long arrays, a piece at a time: what lies between stays in the processor's cache, and all processors take part.
+"""Process long arrays in pieces: intermediate results stay in the processor's cache, and all processors take part.
 
-Several times as fast as whole arrays, which wander between processor and memory for every sum and product.
+This is several times as fast as whole arrays, which pass through memory for every operation.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ Result = TypeVar("Result")
 
 
 def in_pieces(count: int, work: Callable[[slice], Result], width: int = 1) -> list[Result]:
-    """What `work` returns for slices that make up `count` elements, in order; some run at the same time.
+    """Return the results of `work` for slices that cover `count` elements, in order; slices may run in parallel.
 
-    `width`: how many numbers there are to an element, where that is many.
+    `width`: numbers per element, if there are many.
     """
     size = _PIECE if width == 1 else max(1, _NUMBERS // max(1, width))
     return in_slices(count, size, work)
 
 
 def by_columns(pixels: Floats) -> Floats:
-    """The same (N, 2) in double precision, with each column in one piece of memory."""
+    """Convert (N, 2) to double precision with contiguous columns."""
     return np.asfortranarray(pixels, dtype=np.float64)

@@ -1,9 +1,9 @@
-"""Where the machine code of compiled functions is kept: in the user's cache folder, by what it was made from.
+"""Cache for the machine code of compiled functions: in the user's cache folder, keyed by its dependencies.
 
-Never beside the sources: a package may be installed where nobody can write, and a copy of it that is removed would
-leave folders with nothing but machine code behind, which Python takes for packages.
+The cache is not next to the sources: a package may be installed in a read-only place, and removing a copy of it would
+leave folders that contain only machine code, which Python takes for packages.
 
-The folder's name is a digest of all that the machine code depends on and Numba does not look at itself: the source
+The folder's name is a digest of all dependencies of the machine code that Numba does not check itself: the source
 file, those of compiled functions of other files that it calls, its module's name, the options of compilation, the
 versions of Numba and NumPy, the processor. Copies of the same source share it; another version has a folder of its
 own, so several on one machine do not overwrite each other's.
@@ -29,14 +29,14 @@ from numba.core import caching, config, sigutils
 
 log = logging.getLogger(__name__)
 
-# Machine code that nobody has used for so long will not be missed; use is written down by the day.
+# Machine code unused for this long is deleted; use is recorded by the day.
 _KEPT_S, _DAY_S = 60 * 86400.0, 86400.0
 
 
 class MachineCode(caching.FunctionCache):  # type: ignore[misc]
-    """Numba's cache of one function, compiled with `options`; what is damaged or cannot be written is done without.
+    """Numba's cache of one function, compiled with `options`; damaged or unwritable files are ignored.
 
-    Raises OSError if there is no source or no folder to keep anything in.
+    Raises OSError if there is no source or no folder for the cache.
     """
 
     def __init__(self, function: Callable[..., object], options: str) -> None:
@@ -44,7 +44,7 @@ class MachineCode(caching.FunctionCache):  # type: ignore[misc]
         super().__init__(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was compiled for these types, or None."""
+        """Return the code compiled for these types, or None."""
         try:
             found = super().load_overload(sig, target_context)
         except Exception as error:  # unpickling damaged files may raise anything
@@ -52,15 +52,15 @@ class MachineCode(caching.FunctionCache):  # type: ignore[misc]
             with suppress(OSError):
                 self.flush()
             return None
-        # Two processes that write at the same time may have put one's code under the other's name.
+        # Two processes that write at the same time may have stored one's code under the other's name.
         fits = found is not None and tuple(found.signature.args) == tuple(sigutils.normalize_signature(sig)[0])
         return found if fits else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled."""
+        """Store compiled code."""
         try:
             super().save_overload(sig, data)
-        except OSError as error:  # a disk that is full or cannot be written: the next start takes longer, that is all
+        except OSError as error:  # disk full or read-only: only the next start takes longer
             log.debug("%s: machine code is not kept: %s", self.cache_path, error)
         _forget_unused(Path(self.cache_path).parent)
 
@@ -72,7 +72,7 @@ class _Files(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]
-    """Says where, to Numba, which asks an instance what it asks its own classes."""
+    """Tells Numba the cache's location, through the interface of Numba's own locator classes."""
 
     def __init__(self, function: Callable[..., object], options: str) -> None:
         self._line = function.__code__.co_firstlineno
@@ -95,7 +95,7 @@ class _Locator(caching._CacheLocator):  # type: ignore[misc]
 
 
 def root() -> Path:
-    """The folder of all machine code, below NUMBA_CACHE_DIR if that is set. Raises OSError for a user without home."""
+    """Return the folder of all machine code, below NUMBA_CACHE_DIR if set. Raises OSError for a user without home."""
     asked = config.CACHE_DIR
     folder = Path(asked, "roomscan").absolute() if asked else platformdirs.user_cache_path("roomscan", appauthor=False)
     if not folder.is_absolute():
@@ -104,7 +104,7 @@ def root() -> Path:
 
 
 def _sources(function: Callable[..., object]) -> tuple[Path, ...]:
-    """The file of a function, and those of the compiled functions that it calls, and these in turn."""
+    """Return the file of a function and those of the compiled functions that it calls, recursively."""
     found = {Path(inspect.getfile(function)): None}
     for name in function.__code__.co_names:
         called = getattr(function.__globals__.get(name), "py_func", None)

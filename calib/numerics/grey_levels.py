@@ -1,4 +1,4 @@
-"""Images of one channel, of what cameras deliver."""
+"""Single-channel images from camera images."""
 
 from typing import Any
 
@@ -9,6 +9,6 @@ from calib.numerics.array_types import Floats
 
 
 def grey(image: NDArray[Any]) -> Floats:
-    """(H, W) of a grey image (H, W) or one in colour (H, W, 3), in its grey levels: the mean of the channels."""
+    """Convert a grey (H, W) or colour image (H, W, 3) to (H, W): the mean of the channels, in grey levels."""
     values = np.asarray(image, np.float64)
     return values.mean(axis=2) if values.ndim == 3 else values

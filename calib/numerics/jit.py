@@ -1,11 +1,11 @@
 """Loops over pixels and matches, compiled to machine code by Numba.
 
-NumPy passes over memory once for every operation. Where dozens of operations make up the answer for one pixel or one
-match, a compiled loop does all of them at once, many times as fast.
+NumPy passes over memory once for every operation. If a result needs dozens of operations per pixel or match, a compiled
+loop does all of them in one pass and is many times as fast.
 
-The machine code is kept in the user's cache folder (`code_cache.py`), so only the first run after a change waits for
-the compiler. It is made anew when the file with the function changes, or that of a compiled function that it calls, and
-only then: all else that a compiled function uses is of its own file, or an argument (a test sees to it).
+The machine code is stored in the user's cache folder (`code_cache.py`), so only the first run after a change waits for
+the compiler. Code is recompiled only when the function's file changes, or that of a compiled function that it calls.
+Everything else that a compiled function uses must be in its own file or an argument (a test checks this).
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from calib.numerics.code_cache import MachineCode
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-# Sums may be reordered, and a product and a sum be one instruction; infinities and NaN keep their meaning.
+# Allows reordered sums and fused multiply-add; infinities and NaN keep their meaning.
 _ARITHMETIC = ("contract", "nsz", "reassoc")
 
 
@@ -50,4 +50,4 @@ class _First(event.Listener):
             tell()
 
     def on_end(self, _event: event.Event) -> None:
-        """It has been told."""
+        """Do nothing: the call was made at the start."""

@@ -1,4 +1,4 @@
-"""Nonlinear least squares: Levenberg and Marquardt's method, the one loop for every fit, plain or robust."""
+"""Nonlinear least squares by Levenberg–Marquardt: one loop for all fits, plain or robust."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Where a descent is: the `cost`, −2 log likelihood, and half its `gradient` (P,) and Gauss–Newton Hessian (P, P),
-    `information`. The cost is infinite where the parameters mean nothing.
+    """Quadratic model at one point: the `cost`, −2 log likelihood, half its `gradient` (P,) and half its Gauss–Newton
+    Hessian (P, P), `information`. The cost is infinite for invalid parameters.
     """
 
     cost: float
@@ -29,12 +29,13 @@ Place = TypeVar("Place", bound=Quadratic)
 
 @dataclass(frozen=True)
 class Damping:
-    """How the damping, a share of a Hessian scaled to unit diagonal, follows what steps gain.
+    """Schedule of the damping, which is relative to a Hessian scaled to unit diagonal.
 
-    It begins with `first` and stays above `least`; a step that fails multiplies it by `growth`, which itself grows by
-    `acceleration` with each failure in a row, and beyond `most` the descent ends. A step that succeeds multiplies it by
-    `relief`; or, if `by_gain`, by 1 − (2 ρ − 1)³ but no less than `relief`, ρ being the gain over the promised one
-    (Nielsen; Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004, algorithm 3.16).
+    It begins with `first` and stays above `least`. A failed step multiplies it by `growth`, which itself grows by
+    `acceleration` with each consecutive failure; beyond `most` the minimisation ends. A successful step multiplies it
+    by `relief`, or, if `by_gain`, by 1 − (2 ρ − 1)³ but no less than `relief`, where ρ is the ratio of actual to
+    predicted gain (Nielsen; Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004,
+    algorithm 3.16).
     """
 
     first: float
@@ -50,9 +51,9 @@ NIELSEN = Damping(1e-4, 1e-9, 1e6, growth=4.0, relief=0.1, acceleration=2.0, by_
 
 
 def newton(at: Quadratic, free: Ints, damping: float) -> tuple[Floats, float, float]:
-    """The damped Gauss–Newton step (P,) over the `free` columns.
+    """Return the damped Gauss–Newton step (P,) over the `free` columns.
 
-    With it Newton's decrement, the gain that a full step promises, and what the damping adds to that promise.
+    Also return Newton's decrement, the predicted gain of a full step, and the damping's contribution to it.
     """
     normal = at.information[free[:, None], free]
     scale = np.sqrt(normal.diagonal()) + _TINY
@@ -75,10 +76,10 @@ def descend(
     free: Ints | None = None,
     least_gain: float = 0.0,
 ) -> Place:
-    """Down to the nearest minimum over the `free` columns (all by default), in at most so many `steps`.
+    """Minimise over the `free` columns (all by default), in at most `steps` steps.
 
-    `moved`: the place after a step (P,). Ends where `enough` of cost and decrement says so, or after a step that gains
-    less than `least_gain` of the cost. Directions that change nothing (a gauge) are no harm.
+    `moved`: evaluates the point after a step (P,). Stops when `enough` of cost and decrement is true, or after a step
+    that gains less than `least_gain` of the cost. Gauge directions, which do not change the cost, are harmless.
     """
     columns = np.arange(len(at.gradient)) if free is None else free
     level, growth = damping.first, damping.growth
@@ -102,7 +103,7 @@ def descend(
 
 @dataclass(frozen=True)
 class Minimum(Quadratic):
-    """With its `parameters` (P,)."""
+    """A quadratic model with its `parameters` (P,)."""
 
     parameters: Floats
 
@@ -120,10 +121,10 @@ def minimise(
 ) -> Minimum:
     """Minimise Σ ρ(r) + Σ (parameter / `prior_sigma`)² from `start` (P,).
 
-    `evaluate` gives residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), best in Fortran's order, if
-    it likes in the same arrays every time. ρ is |r|² of each match's D residuals, or if `robust` 2 log(1 + |r|²),
-    Cauchy's loss. `prior_sigma` is infinite for a parameter that has no prior. Ends with a decrement below `converged`
-    of the cost, or a gain below `least_gain` of it.
+    `evaluate` returns residuals (N, D) in units of a tolerance and their Jacobian (N, D, P), preferably in Fortran
+    order; it may reuse the same arrays. ρ is |r|² of each match's D residuals or, if `robust`, 2 log(1 + |r|²),
+    Cauchy's loss. `prior_sigma` is infinite for a parameter without a prior. Stops at a decrement below `converged` of
+    the cost, or a gain below `least_gain` of it.
     """
     precision = prior_sigma**-2.0
 

@@ -1,4 +1,4 @@
-"""Are residuals random over the image, or do neighbours err alike? Moran's I, and the size of what they share.
+"""Test residuals for spatial autocorrelation over the image: Moran's I, and the size of the shared error.
 
 P. A. P. Moran, Notes on continuous stochastic phenomena, Biometrika 37 (1950); the moments under independence are those
 of Cliff and Ord, Spatial Processes (1981), chapter 2.
@@ -12,7 +12,7 @@ from calib.numerics.array_types import Bools, Floats
 
 _FEWEST_IN_CELL = 3
 _FEWEST_PAIRS = 20
-# One-sided: independent residuals pass for structured once in a thousand times.
+# One-sided: a false alarm rate of one in a thousand for independent residuals.
 _SIGNIFICANT_SIGMAS = 3.09
 # A pattern this small a share of the variance is found in hundreds of thousands of residuals, and changes nothing.
 _NEGLIGIBLE = 0.02
@@ -20,10 +20,11 @@ _NEGLIGIBLE = 0.02
 
 @dataclass(frozen=True)
 class SpatialCorrelation:
-    """Of residuals over an image, by square cells of `cell_px`.
+    """Autocorrelation of residuals over an image, by square cells of `cell_px`.
 
-    `correlation`: Moran's I of the cells' means with their neighbours; `expected` ± `sigma`: what independent residuals
-    would give. `total_px`: root mean square of the residuals; `shared_px`: of the part that neighbouring cells share.
+    `correlation`: Moran's I of the cells' means with their neighbours; `expected` ± `sigma`: its distribution for
+    independent residuals. `total_px`: root mean square of the residuals; `shared_px`: of the part that neighbouring
+    cells share.
     """
 
     cell_px: float
@@ -35,7 +36,7 @@ class SpatialCorrelation:
 
     @property
     def significant(self) -> bool:
-        """Whether neighbours are more alike than chance makes them."""
+        """Whether the correlation of neighbours is significant."""
         return self.correlation > self.expected + _SIGNIFICANT_SIGMAS * self.sigma
 
     @property
@@ -45,15 +46,15 @@ class SpatialCorrelation:
 
     @property
     def structured(self) -> bool:
-        """Whether there is a pattern that matters: significant, and more than a negligible share of the variance."""
+        """Whether the pattern is significant and more than a negligible share of the variance."""
         return self.significant and self.shared_variance > _NEGLIGIBLE
 
 
 def spatial_correlation(pixel: Floats, residual_px: Floats, cell_px: float) -> SpatialCorrelation | None:
     """Test residuals (N,), or (N, 2) of two coordinates, at pixels (N, 2); None if too few cells have neighbours.
 
-    The mean product of neighbouring cells' means is free of what errs independently, so its root is the size of the
-    shared part.
+    Independent errors cancel in the mean product of neighbouring cells' means, so its root is the size of the shared
+    part.
     """
     if not len(pixel):
         return None

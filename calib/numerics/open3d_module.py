@@ -1,4 +1,4 @@
-"""Open3D, imported where it is used and not before: it takes seconds, and needs libraries of the system."""
+"""Lazy import of Open3D, which takes seconds and needs system libraries."""
 
 from importlib import import_module
 from typing import Any
@@ -8,7 +8,7 @@ DEBIAN_PACKAGES = ("libgl1", "libegl1", "libx11-6", "libusb-1.0-0", "libudev1", 
 
 
 def open3d() -> Any:
-    """The module, which has no types. Raises ImportError that says what to install if it cannot be loaded."""
+    """Return the (untyped) module. Raises ImportError that says what to install if it cannot be loaded."""
     try:
         module = import_module("open3d")
     except (ImportError, OSError) as error:

@@ -1,4 +1,4 @@
-"""Work shared among the machine's processors; NumPy and OpenCV let threads run side by side."""
+"""Share work among processors by threads; NumPy and OpenCV release the GIL."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -13,27 +13,27 @@ _chosen: list[int] = []
 
 
 def use_processors(count: int) -> None:
-    """Share work among so many threads from now on, in this process: beside others, fewer than there are processors."""
+    """Set the number of threads of this process; use fewer than processors if other processes run in parallel."""
     _chosen[:] = [count]
 
 
 def processors() -> int:
-    """How many threads share work: as many as were chosen, or as there are processors."""
+    """Return the number of threads: as set, or the number of processors."""
     return _chosen[0] if _chosen else os.cpu_count() or 1
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """What a function returns for each item, in the items' order."""
+    """Return a function's result for each item, in the items' order."""
     with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(function, items))
 
 
 def in_slices(count: int, size: int, work: Callable[[slice], Result]) -> list[Result]:
-    """What `work` returns for slices of `size` that make up `count` elements, in order; at least one slice."""
+    """Return the results of `work` for slices of `size` that cover `count` elements, in order; at least one slice."""
     slices = slices_of(count, size)
     return [work(slices[0])] if len(slices) == 1 else in_parallel(work, slices)
 
 
 def slices_of(count: int, size: int) -> list[slice]:
-    """Slices of `size` that make up `count` elements, in order; at least one."""
+    """Return slices of `size` that cover `count` elements, in order; at least one."""
     return [slice(start, min(start + size, count)) for start in range(0, max(1, count), size)]

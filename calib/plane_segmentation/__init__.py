@@ -1,4 +1,4 @@
-"""Which matches lie on which plane, and which three planes are the faces of a corner."""
+"""Segment matches into planes and select the three planes that are the faces of a corner."""
 
 from calib.plane_segmentation.faces import Faces, find_faces
 from calib.plane_segmentation.plane_extraction import NO_PLANE

@@ -1,4 +1,4 @@
-"""Random sample consensus in many small cells of the image: an affine map from camera to projector for each."""
+"""RANSAC in many small image cells: one affine map from camera to projector per cell."""
 
 from dataclasses import dataclass, fields
 
@@ -13,9 +13,10 @@ _SINGULAR = 1e-15
 
 @dataclass(frozen=True)
 class CellFits:
-    """Of C cells: projector = `value` (C, 2) + `jacobian` (C, 2, 2) · (camera − `mean` (C, 2)) for `count` (C,) of the
-    matches, whose camera pixels have the `spread` (C, 2, 2) Σ (camera − mean)(camera − mean)ᵀ, and whose errors have
-    the sum of squares `square` (C,).
+    """Affine maps of C cells: projector = `value` (C, 2) + `jacobian` (C, 2, 2) · (camera − `mean` (C, 2)).
+
+    `count` (C,): number of inliers. `spread` (C, 2, 2): Σ (camera − mean)(camera − mean)ᵀ over them. `square` (C,):
+    their sum of squared errors.
     """
 
     mean: Floats
@@ -27,10 +28,10 @@ class CellFits:
 
 
 def fit_cells(camera_px: Floats, projector_px: Floats, order: Ints, start: Ints, there: Ints, picks: Ints) -> CellFits:
-    """Fit each cell's matches, `there` (C,) of them at `order[start:]`, of all matches (N, 2).
+    """Fit each cell of all matches (N, 2); a cell has `there` (C,) matches with indices at `order[start:]`.
 
-    The map through three matches is tried first, for each of some `picks` (T, 3, C) among them; then twice the least
-    squares of what the map before explains.
+    Maps through three matches each, `picks` (T, 3, C), are tried first; the best is then refitted twice to its inliers
+    by least squares.
     """
     cells, gate = len(start), (_GATE_SIGMAS / MEDIAN_LENGTH) ** 2
     two, four = (cells, 2), (cells, 2, 2)
@@ -64,9 +65,9 @@ def _fit_cells(
     square: Floats,
     count: Ints,
 ) -> None:
-    """One cell after the other: `there` matches from `start` in `order` → the map of its inliers, as in `CellFits`.
+    """Fit each cell's `there` matches from `start` in `order` to the map of their inliers, as in `CellFits`.
 
-    `gate`: an inlier's squared error in medians, at most.
+    `gate`: largest squared error of an inlier, in medians.
     """
     matches, error2 = np.empty((4, MOST_PER_CELL)), np.empty((2, MOST_PER_CELL))
     for c in range(len(start)):
@@ -93,9 +94,9 @@ def _fit_cells(
 
 @compiled
 def _best_trial(x: Floats, y: Floats, u: Floats, v: Floats, picks: Ints, best: Floats, trial: Floats) -> None:
-    """Squared errors (K,) of the best of the affine maps through three matches each, `picks` (T, 3).
+    """Fill in the squared errors (K,) of the best affine map through three matches each, `picks` (T, 3).
 
-    Best is the least sum of square roots of the errors: robust without a scale that would have to be known.
+    The best map has the least sum of square roots of the errors: robust, and needs no known scale.
     """
     lowest = np.inf
     for k in range(len(best)):
@@ -103,7 +104,7 @@ def _best_trial(x: Floats, y: Floats, u: Floats, v: Floats, picks: Ints, best: F
     for t in range(len(picks)):
         a, b, c = picks[t, 0], picks[t, 1], picks[t, 2]
         bx, by, cx, cy = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
-        area = bx * cy - by * cx  # zero, and the cost NaN, for three on a line
+        area = bx * cy - by * cx  # zero for three collinear matches; the cost is then NaN
         u_x = ((u[b] - u[a]) * cy - (u[c] - u[a]) * by) / area
         u_y = ((u[c] - u[a]) * bx - (u[b] - u[a]) * cx) / area
         v_x = ((v[b] - v[a]) * cy - (v[c] - v[a]) * by) / area
@@ -164,7 +165,7 @@ def _fit_affine(
         uy += dy * (u[k] - mean_u)
         vx += dx * (v[k] - mean_v)
         vy += dy * (v[k] - mean_v)
-    # The pseudo-inverse: matches on a line say nothing about what is across it.
+    # The pseudo-inverse: collinear matches do not determine the slope across their line.
     area = xx * yy - xy * xy
     trace2 = (xx + yy) * (xx + yy)
     across = area > _SINGULAR * trace2

@@ -1,12 +1,12 @@
-"""Which three of the planes found can be the faces of a cuboid corner.
+"""Select the triples of planes that can be the faces of a cuboid corner.
 
-For a trial focal length of the camera three planes give one corner in closed form, and with it the projector's
+For a trial focal length of the camera, three planes give one corner in closed form, and with it the projector's
 intrinsic matrix (the paper, sections 3.1 and 3.2). Three planes that are not perpendicular give a projector with
 oblong or skewed pixels, or one that sees the walls from behind, whatever the focal length.
 
-So does a picture that the projector has squeezed or corrected for keystone. Some three planes may then be a corner
-before square pixels by chance, as the sides of a box and the floor; but before pixels of the right shape the walls are,
-and many more of the planes are parallel or perpendicular to each other.
+A squeezed or keystone-corrected projector image has the same effect. With square pixels, some triple may then look like
+a corner by chance, such as two sides of a box and the floor. With the right pixel shape the walls form the corner, and
+many more of the planes are parallel or perpendicular to each other.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _SQUARE_SIGMA = 0.01
 # … of the projector's principal point (a projector's lens is shifted), and of the logarithms of both focal lengths.
 _CENTRE_SIGMA = (0.25, 0.5)
 _LOG_FOCAL, _LOG_FOCAL_SIGMA = np.log(2.2), 0.8
-# A projector whose pixels come out further from square than this was not looking at a corner …
+# A triple whose projector pixels are further from square than this is not a corner …
 _MOST_OFF_SQUARE = 0.03
 # … or shows a picture of another shape: standard deviation of logarithm of the aspect and of skew among those.
 _OBLONG_SIGMA = 0.3
@@ -44,10 +44,10 @@ _LEAST_OF_NEARER = 0.25
 
 @dataclass(frozen=True)
 class Triple:
-    """`planes`: indices of three planes; `off_square`: how far from square the projector's pixels come out (the root
-    of the sum of squares of log-aspect and skew); `direction_sigma_deg`: how well the directions of the three are
-    known, the worst of them; `score`: the larger the better. `inverse` (n, 3): unit normal over distance of every plane
-    from the camera, up to a common scale, if these three are a corner.
+    """`planes`: indices of three planes; `off_square`: deviation of the projector's pixels from square (root of the sum
+    of squares of log-aspect and skew); `direction_sigma_deg`: standard deviation of the least certain of the three
+    directions; `score`: larger is better. `inverse` (n, 3): unit normal over distance from the camera of every plane,
+    up to a common scale, if these three are a corner.
     """
 
     planes: tuple[int, int, int]
@@ -59,9 +59,9 @@ class Triple:
 
 @dataclass(frozen=True)
 class Triples:
-    """`square`: all triples that can be a corner before a projector with square pixels, best first. `off_square`: how
-    far from square the pixels are before which planes are likeliest to be a corner if they may have any shape;
-    `oblong_nats`: how much likelier that is than the best of `square`, −infinity where either is missing.
+    """`square`: all triples that can be a corner if the projector's pixels are square, best first. `off_square`:
+    deviation from square of the most likely pixels if they may have any shape; `oblong_nats`: log likelihood ratio of
+    that solution to the best of `square`, −infinity if either is missing.
     """
 
     square: list[Triple]
@@ -70,11 +70,11 @@ class Triples:
 
 
 def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, float] = (0.0, 0.0)) -> Triples:
-    """The triples of the planes that can be a corner; `camera_px` (M, 2): the surfels. `point`: the camera's principal
-    point, in ideal coordinates.
+    """Return the triples of planes that can be a corner; `camera_px` (M, 2): the surfels. `point`: the camera's
+    principal point, in ideal coordinates.
 
-    Preferred are planes with many surfels, and a triple whose calibration makes other planes parallel or perpendicular
-    to each other, too: furniture mostly is.
+    The score prefers planes with many surfels, and triples whose calibration makes other planes parallel or
+    perpendicular to each other, as furniture mostly is.
     """
     x = _sample(segments, camera_px, point)
     segments = segments.about(point)
@@ -95,16 +95,16 @@ def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, fl
         if oblong.likelihood + large > oblong_score:
             off_square, oblong_score = oblong.off_square, oblong.likelihood + large
     found.sort(key=lambda triple: -triple.score)
-    # Of the two terms' priors, which are the lower the wider they are.
+    # Densities of the two terms' priors at their peaks: a wider prior has a lower density.
     wider = 2 * np.log(_OBLONG_SIGMA / _SQUARE_SIGMA)
     return Triples(found, off_square, float(oblong_score - wider - found[0].score) if found else -np.inf)
 
 
 def outermost(triples: list[Triple], segments: Segments) -> Triple:
-    """The best triple (the first), or one with planes parallel to its own but farther from the camera.
+    """Return the best triple (the first), or one with parallel planes farther from the camera.
 
-    A room has one outermost corner, but many that the fronts of cupboards and the sides of boxes form with its walls:
-    captures from different places then agree on the corner. A farther plane counts if it is not much smaller.
+    The fronts of cupboards and the sides of boxes form many corners with the walls, but a room has one outermost
+    corner: captures from different places agree on it. A farther plane counts if it is not much smaller.
     """
     best = triples[0]
     size = np.bincount(segments.label[segments.label >= 0], minlength=len(segments.planes))
@@ -135,7 +135,7 @@ def _sample(segments: Segments, camera_px: Floats, point: tuple[float, float]) -
 
 @dataclass(frozen=True)
 class _Fit:
-    """The most likely corner for three planes: the camera's focal length, the parallax `at_infinity` (3,)."""
+    """The most likely corner for three planes: camera focal length and parallax `at_infinity` (3,)."""
 
     focal: float
     at_infinity: Floats
@@ -146,7 +146,7 @@ class _Fit:
 @dataclass(frozen=True)
 class _Trials:
     """Corners for three planes: `focal` (n,), `at_infinity` (n, 3), log aspect and skew of the projector's pixels,
-    `shape` (n, 2), and the `likelihood` (n,) of all else.
+    `shape` (n, 2), and the `likelihood` (n,) of everything else.
     """
 
     focal: Floats
@@ -155,7 +155,7 @@ class _Trials:
     likelihood: Floats
 
     def likeliest(self, sigma: float) -> _Fit:
-        """For pixels whose log aspect and skew have this standard deviation."""
+        """Return the most likely trial if log aspect and skew have this standard deviation."""
         off_square = np.hypot(*self.shape.T)
         likelihood = self.likelihood - (off_square / sigma) ** 2 / 2
         best = int(np.argmax(likelihood))
@@ -163,11 +163,11 @@ class _Trials:
 
 
 def _trials(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _Trials | None:
-    """All focals and both corners for three planes (3, 3) with image points x; None if they cannot be a corner.
+    """Evaluate all focals and both corners for three planes (3, 3) with image points x; None if none is a corner.
 
     `others` (n, 3): planes of the same scene.
     """
-    # Where two planes have the same parallax is the image of their edge; the three edges meet by construction.
+    # The image of an edge is where its two planes have the same parallax; the three edges meet by construction.
     lines = np.roll(planes, -1, axis=0) - np.roll(planes, -2, axis=0)
     lines = lines / np.linalg.norm(lines, axis=1, keepdims=True)
     image = CornerImage(np.linalg.svd(lines)[2][2], lines)
@@ -205,8 +205,8 @@ def _direction_sigma_deg(fit: _Fit, plane: Floats, covariance: Floats) -> float:
 
 
 def _regularity(at_infinity: Floats, focal: Floats, planes: Floats) -> Floats:
-    """Log-likelihood (n,) of the angles between planes (m, 3), each of 0° or 90° or else anything, in cameras of focal
-    length `focal` (n,) with the plane at infinity (n, 3).
+    """Return the log likelihood (n,) of the angles between planes (m, 3) under a mixture of 0°, 90° and uniform angles,
+    for cameras of focal length `focal` (n,) with the plane at infinity (n, 3).
     """
     normals = (planes - at_infinity[:, None]) * np.stack([focal, focal, np.ones_like(focal)], axis=1)[:, None]
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
@@ -222,9 +222,10 @@ def _regularity(at_infinity: Floats, focal: Floats, planes: Floats) -> Floats:
 def _transfer(
     view: TwoView, planes: Floats, weights: Floats, matrices: Floats, x: list[Floats]
 ) -> tuple[Floats, Floats, Floats]:
-    """From corners with inverse depths `weights` (n, 3, 3) in cameras `matrices` (n, 3, 3): the parallax v∞ of the
-    plane at infinity (n, 3), the projector's K (n, 3, 3), and the share (n,) of the faces' points x that both devices
-    have in front of them.
+    """Transfer corners with inverse depths `weights` (n, 3, 3) in cameras `matrices` (n, 3, 3) to the projector.
+
+    Return the parallax v∞ of the plane at infinity (n, 3), the projector's K (n, 3, 3), and the share (n,) of the
+    faces' points x that lie in front of both devices.
 
     v_S = v∞ + s · weights_S with one s for all faces, and the homography A + e v∞ᵀ at infinity is K_p R K⁻¹.
     """

@@ -1,4 +1,4 @@
-"""Multi-plane segmentation of dense matches, and which three planes form the corner. No calibration, no masks."""
+"""Segment dense matches into planes and select the three that form the corner, without calibration or masks."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ _FEWEST_MATCHES = 1500
 _FEWEST_SURFELS = 60
 _LEAST_SMOOTH = 0.1
 _NOTABLE_PX = 0.3
-# Stated as if surfels erred independently; errors of neighbours are alike, so the true one is several times larger.
+# Assumes independent errors of surfels; neighbours have similar errors, so the true sigma is several times larger.
 _MOST_DIRECTION_SIGMA_DEG = 0.2
-# Log of the odds of a picture that the projector distorts, −7 to −4 in undistorted ones. Walls and furniture a degree
-# or two askew, or a principal point off the centre, may look like the little that is not notable.
+# Log odds that the projector distorts its image; −7 to −4 for undistorted images. Walls and furniture a degree or two
+# off square, or an off-centre principal point, can look like a small distortion.
 _CLEARLY_OBLONG, _NOTABLY_OBLONG = 5.0, 0.05
 
 
@@ -39,8 +39,8 @@ class Plane:
 
 @dataclass(frozen=True)
 class Faces:
-    """`matches`: labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere. `planes`: every plane found,
-    largest first. `plane` (N,): which of these each match lies on, −1 for none.
+    """`matches`: labelled 0, 1, 2 on the corner's faces (0 the largest) and −1 elsewhere. `planes`: all planes found,
+    largest first. `plane` (N,): index of each match's plane, −1 for none.
     """
 
     matches: Matches
@@ -81,7 +81,7 @@ def find_faces(
 def _with_corner(
     tried: Iterable[Segments], camera_px: Floats, point: tuple[float, float]
 ) -> tuple[Segments, list[Triple]]:
-    """The first planes of which three can be a corner, as far as they tell, and all such triples, best first."""
+    """Return the first segmentation in which three planes can be a corner, and all such triples, best first."""
     refusal: RefusalError | None = None
     for segments in tried:
         triples = corner_triples(segments, camera_px, point)

@@ -1,4 +1,4 @@
-"""Epipolar geometry and lens distortion from surfels, before any plane but the largest is known."""
+"""Estimate epipolar geometry and lens distortion from surfels, when only the largest plane is known."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -14,15 +14,15 @@ _SAMPLES = 400
 _SURFELS = 1500
 _BALANCING_ROUNDS = 10
 _BLOCK = 100  # surfels after which a candidate may be given up
-# Surfels that are off by more lose influence: first in a fit that may still be far out, then in the final one.
+# Surfels with larger residuals lose influence: first in a fit that may still be far off, then in the final one.
 _TOLERANCES_PX = (3.0, 0.3)
 _PRIOR_SIGMA = np.array([*CAMERA_SIGMA, *PROJECTOR_SIGMA] + [np.inf] * 9)
 
 
 @dataclass(frozen=True)
 class LargestPlane:
-    """The homography (3, 3) in ideal coordinates that explains most surfels, the lenses that go with it, and how far
-    each surfel (M,) is from what they predict, in projector pixels.
+    """The homography (3, 3) in ideal coordinates that explains most surfels, its lenses, and the residual of each
+    surfel (M,) in projector pixels.
     """
 
     camera: Lens
@@ -33,7 +33,7 @@ class LargestPlane:
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Corresponding pixels (N, 2) and what turns them into ideal coordinates."""
+    """Corresponding pixels (N, 2) and the lenses that map them to ideal coordinates."""
 
     camera_px: Floats
     projector_px: Floats
@@ -60,7 +60,7 @@ class _Pairs:
         return self.camera.ideal(self.camera_px), self.projector.ideal(self.projector_px)
 
     def bent(self, parameters: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Ideal coordinates (N, 2) in both devices with other lenses (8), and their derivatives (N, 2, 4) by those."""
+        """Return ideal coordinates (N, 2) in both devices for lens parameters (8), and their derivatives (N, 2, 4)."""
         trial = self.with_lenses(parameters)
         return *trial.ideal(), trial.camera.jacobian(self.camera_px), trial.projector.jacobian(self.projector_px)
 
@@ -81,10 +81,10 @@ def largest_plane(
 
 
 def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generator) -> TwoView:
-    """The fundamental matrix and both lenses that bring the surfels closest to their epipolar lines.
+    """Estimate the fundamental matrix and both lenses that minimise the distances of surfels from epipolar lines.
 
-    Dense matches over a scene with depth determine the radial terms along with it; where they do not, the priors of
-    an ordinary lens hold them. Two starts: eight surfels anywhere, and the largest plane with two surfels off it
+    Dense matches over a scene with depth also determine the radial terms; otherwise the priors of an ordinary lens
+    constrain them. There are two kinds of start: eight surfels anywhere, and the largest plane with two surfels off it
     (Hartley & Zisserman, 2nd ed., algorithm 13.2), which finds a small box on a large floor.
     """
     chosen = rng.permutation(len(surfels))[:_SURFELS]
@@ -119,7 +119,7 @@ def _plane_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> 
 
 
 def _epipolar_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> tuple[Floats, Floats]:
-    """Distances (N, 1) from the epipolar lines of F (9) with lenses (8) before it, and their Jacobian (N, 1, 17)."""
+    """Return distances (N, 1) from the epipolar lines for lenses (8) and F (9), and their Jacobian (N, 1, 17)."""
     residual, jacobian = np.empty((1, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 1, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
     _off_epipolar_line(*pairs.bent(parameters[:8]), parameters[8:].reshape(3, 3), scale, residual, jacobian)
@@ -144,7 +144,7 @@ def _sampled_homography(pairs: _Pairs, rng: np.random.Generator) -> Floats:
 
 
 def _eight_point_candidates(pairs: _Pairs, rng: np.random.Generator) -> Floats:
-    """Fundamental matrices with uᵀ F x = 0 of eight surfels each (Hartley & Zisserman, section 11.2), (S, 3, 3)."""
+    """Solve uᵀ F x = 0 for eight surfels each (Hartley & Zisserman, section 11.2), (S, 3, 3)."""
     x, u = map(homogeneous, pairs.ideal())
     rows = (u[:, :, None] * x[:, None, :]).reshape(len(x), 9)
     left, values, right = np.linalg.svd(_null_vectors(rows[rng.integers(0, len(x), (_SAMPLES, 8))]))
@@ -155,12 +155,12 @@ def _eight_point_candidates(pairs: _Pairs, rng: np.random.Generator) -> Floats:
 
 def _null_vectors(rows: Floats) -> Floats:
     """The matrices (S, 3, 3) whose nine numbers are perpendicular to eight rows each, (S, 8, 9)."""
-    # The last column of a complete QR decomposition: a third of the time that singular values take.
+    # The last column of a complete QR decomposition: takes a third of the time of an SVD.
     return np.linalg.qr(rows.transpose(0, 2, 1), mode="complete")[0][:, :, 8].reshape(-1, 3, 3)
 
 
 def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng: np.random.Generator) -> Floats:
-    """F = [e]× H with e where the parallaxes of two surfels off the plane intersect, (S, 3, 3)."""
+    """Return F = [e]× H (S, 3, 3), with e at the intersection of the parallax lines of two surfels off the plane."""
     x, u = map(homogeneous, pairs.ideal())
     lines = np.cross((x[off_plane]) @ homography.T, u[off_plane])
     picks = rng.integers(0, len(lines), (_SAMPLES, 2))
@@ -171,7 +171,7 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
 
 
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:
-    """The same geometry in the gauge in which the plane nearest to all matches has v = 0: parallaxes are small then."""
+    """Change the gauge so that the plane nearest to all matches has v = 0, which keeps parallaxes small."""
     parallax = view.parallax(camera_px, projector_px)
 
     def weigh(off_px: Floats) -> Floats:
@@ -186,7 +186,7 @@ def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView
 
 @compiled
 def _distance(m: Floats, x0: float, x1: float, u0: float, u1: float, to_line: bool) -> float:
-    """Of u from the point m x, or from the line."""
+    """Return the distance of u from the point m x, or from the line m x."""
     a = m[0, 0] * x0 + m[0, 1] * x1 + m[0, 2]
     b = m[1, 0] * x0 + m[1, 1] * x1 + m[1, 2]
     c = m[2, 0] * x0 + m[2, 1] * x1 + m[2, 2]
@@ -198,8 +198,8 @@ def _distance(m: Floats, x0: float, x1: float, u0: float, u1: float, to_line: bo
 
 @compiled
 def _best_candidate(candidates: Floats, x: Floats, u: Floats, to_lines: bool) -> int:
-    """Consensus without a scale: which of the homographies (S, 3, 3), or if `to_lines` of the fundamental matrices, has
-    the least Σ √distance over points x, u (N, 2).
+    """Select the homography (S, 3, 3), or fundamental matrix if `to_lines`, with the least Σ √distance over points x, u
+    (N, 2): a consensus without a scale.
     """
     best, lowest = 0, np.inf
     for s in range(len(candidates)):
@@ -257,7 +257,7 @@ def _off_epipolar_line(
     residual: Floats,
     jacobian: Floats,
 ) -> None:
-    """`residual` (N, 1), `jacobian` (N, 1, 17) of u on the line F x in units of 1 / `scale`: by both lenses and F."""
+    """Fill in `residual` (N, 1), distance of u from the line F x in units of 1 / `scale`, and `jacobian` (N, 1, 17)."""
     for i in range(len(x)):
         x0, x1, u0, u1 = x[i, 0], x[i, 1], u[i, 0], u[i, 1]
         a = f[0, 0] * x0 + f[0, 1] * x1 + f[0, 2]
@@ -267,7 +267,7 @@ def _off_epipolar_line(
         a, b = a * per_length, b * per_length
         distance = a * u0 + b * u1 + c * per_length
         residual[i, 0] = distance * scale
-        # By the line's three numbers; a distance does not depend on their length.
+        # Derivative by the line's three coefficients; the distance does not depend on their norm.
         by_a, by_b, by_c = (u0 - distance * a) * per_length, (u1 - distance * b) * per_length, per_length
         row = jacobian[i, 0]
         for k, by_line in enumerate((by_a, by_b, by_c)):

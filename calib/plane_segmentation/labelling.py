@@ -1,4 +1,4 @@
-"""The plane of every match, once the planes are known: one of those near it, if it fits that one and no other."""
+"""Assign every match to a known plane near it if it fits that plane and no other."""
 
 import cv2
 import numpy as np
@@ -8,8 +8,8 @@ from calib.numerics import Floats, Ints, compiled, in_pieces
 from calib.plane_segmentation.segmentation import Segments
 from calib.plane_segmentation.surfels import Surfels
 
-_GATE = 3.7  # a 2-D normal error of more sigmas than that: 1 in 940
-# A match that two planes explain is given to neither unless one is e^4.5 times as likely.
+_GATE = 3.7  # in sigmas: a 2-D normal error exceeds it once in 940
+# A match that two planes explain is assigned to neither unless one is e^4.5 times as likely.
 _CLEARER_BY = 9.0
 _SAMPLE = 100_000
 
@@ -17,8 +17,10 @@ _SAMPLE = 100_000
 def label_matches(
     matches: Matches, surfels: Surfels, segments: Segments, rng: np.random.Generator
 ) -> tuple[Ints, Ints]:
-    """The plane of each match, (N,): a plane of its surfel or of a neighbouring one, that it fits within the noise; n,
-    the number of planes, for none. And how many matches each plane has, (n,).
+    """Return the plane of each match (N,) and the number of matches on each plane (n,).
+
+    A match can be on a plane of its own surfel or of a neighbouring one if it fits within the noise; n, the number of
+    planes, means none.
     """
     view, homographies = segments.view, segments.view.homography(segments.planes)
     near = _near(surfels, segments.label, len(homographies))
@@ -46,7 +48,7 @@ def label_matches(
 
 
 def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
-    """The planes in or beside each cell, (cells, n), filled up with n."""
+    """Return the planes in or next to each cell, (cells, n), padded with n."""
     grid = surfels.grid
     image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
     on_plane = label >= 0
@@ -58,7 +60,7 @@ def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
 
 
 def _cell_sigma(surfels: Surfels) -> Floats:
-    """Scatter of a match in each cell, in pixels; the usual one where a cell has no surfel of its own."""
+    """Return the scatter of a match in each cell, in pixels; the typical one where a cell has no surfel."""
     usual = np.median(surfels.sigma_px)
     sigma = np.full(surfels.grid.rows * surfels.grid.columns, usual)
     # A cell that straddles an edge looks noisier than it is.
@@ -67,7 +69,7 @@ def _cell_sigma(surfels: Surfels) -> Floats:
 
 
 def _scale(matches: Matches, surfels: Surfels, rng: np.random.Generator) -> float:
-    """By how much matches scatter more than their own sigmas say."""
+    """Return the ratio of the scatter of matches to their stated sigmas."""
     sigma = matches.sigma_px
     if sigma is None:
         return 1.0

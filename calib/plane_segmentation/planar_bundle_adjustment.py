@@ -32,8 +32,8 @@ def refine(
 def residuals_of_planes(
     camera_px: Floats, projector_px: Floats, label: Ints, view: TwoView, planes: Floats, tolerance_px: float
 ) -> tuple[Callable[[Floats], tuple[Floats, Floats]], Floats]:
-    """What gives, for lenses, geometry and planes (P,), the residuals (N, 2) of matches (N, 2) and their Jacobian
-    (N, 2, P); and those of `view` and `planes` (n, 3). `label` (N,): the plane of each match.
+    """Return a function from lenses, geometry and planes (P,) to the residuals (N, 2) of matches and their Jacobian
+    (N, 2, P), and the parameters (P,) of `view` and `planes` (n, 3). `label` (N,): the plane of each match.
     """
     start = np.concatenate(
         [view.camera.parameters, view.projector.parameters, view.base.ravel(), view.epipole, planes.ravel()]
@@ -64,9 +64,9 @@ def _unpack(parameters: Floats, view: TwoView) -> tuple[TwoView, Floats]:
 
 @compiled
 def _by_planes(jacobian: Floats, label: Ints, epipole: Floats, planes: Floats) -> None:
-    """Fill in derivatives by e and the planes v from those by H = A + e vᵀ, in whose columns they are by A.
+    """Fill in the derivatives by e and the planes v from those by H = A + e vᵀ, which are also those by A.
 
-    What a match has with other planes than its own is left as it is, zero.
+    The derivatives by planes other than the match's own stay zero.
     """
     for i in range(len(label)):
         v, own = planes[label[i]], 20 + 3 * label[i]

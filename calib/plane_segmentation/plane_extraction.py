@@ -1,4 +1,4 @@
-"""Plane extraction: surfels → planes, one after the other, the parallax of each an affine function of the image."""
+"""Extract planes from surfels one after the other; the parallax of a plane is an affine function of the image."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from calib.plane_segmentation.surfels import Surfels
 
 NO_PLANE = -1
 _SEEDS = 80
-_GATE, _GATE_3D = 3.5, 4.5  # in sigmas: for one number, and for the length of three
+_GATE, _GATE_3D = 3.5, 4.5  # in sigmas: for one number, and for the norm of three
 _MOST_PLANES = 16
 # A plane that holds fewer surfels than this, or this share of all, is of no use to a calibration.
 _FEWEST_SURFELS, _LEAST_SHARE = 12, 0.004
@@ -20,7 +20,7 @@ _CLOSE = 15.0
 
 
 def find_planes(surfels: Surfels, evidence: Evidence, rng: np.random.Generator) -> tuple[Floats, Ints]:
-    """Planes (n, 3), largest first, and which plane each surfel lies on, (M,), NO_PLANE for none."""
+    """Return planes (n, 3), largest first, and the plane of each surfel (M,), NO_PLANE for none."""
     seeds, covariance, usable = local_planes(surfels, evidence.rows, _GATE)
     fewest = _fewest(len(surfels))
     across = np.abs(evidence.across)
@@ -46,7 +46,7 @@ def _fewest(surfels: int) -> int:
 
 
 def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Floats, Ints]:
-    """Give each surfel to the plane that fits it best, drop planes and places with too few; as `find_planes`."""
+    """Assign each surfel to its best plane; drop planes and components with too few. Returns as `find_planes`."""
     fewest, error = _fewest(len(surfels)), _errors(evidence, planes)
     while True:
         label = np.argmin(error, axis=0).astype(np.int32)
@@ -55,7 +55,7 @@ def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Float
         counts = np.bincount(label[label >= 0], minlength=len(planes))
         if counts.min() >= fewest:
             break
-        # The smallest goes first: its surfels may belong to one that is short of a few.
+        # Drop the smallest first: its surfels may complete another plane.
         smallest = np.argmin(counts)
         planes, error = np.delete(planes, smallest, axis=0), np.delete(error, smallest, axis=0)
         if len(planes) == 0:
@@ -67,9 +67,8 @@ def _assign(surfels: Surfels, evidence: Evidence, planes: Floats) -> tuple[Float
 
 
 def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Floats, Ints, float]:
-    """Drop planes whose surfels scatter over all of the tolerance: patches of a curved or bumpy surface, which end
-    where the surface leaves the tolerance and not where a plane ends. Returns also the share of the surfels in the
-    largest of those.
+    """Drop planes whose surfels scatter over the whole tolerance: patches of a curved or bumpy surface that end where
+    the surface leaves the tolerance. Also return the share of surfels on the largest dropped plane.
     """
     if len(planes) == 0:
         return planes, label, 0.0
@@ -82,7 +81,7 @@ def without_uneven(evidence: Evidence, planes: Floats, label: Ints) -> tuple[Flo
 
 
 def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
-    """Covariance of each of so many planes, (n, 3, 3), from the surfels on it."""
+    """Return the covariance of each plane (n, 3, 3) from the surfels on it."""
     information = np.zeros((planes, 3, 3))
     for plane in range(planes):
         x = evidence.rows[1:4, label == plane]
@@ -94,10 +93,9 @@ def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
 
 
 def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
-    """How many surfels lie close to the three largest planes without lying on them, relative to those that do.
+    """Return the number of surfels close to but not on the three largest planes, relative to those on them.
 
-    Next to nothing for planes; more than half if the tolerance cuts uneven surfaces into slices; infinite if there are
-    no planes.
+    Nearly zero for planes; more than half if the tolerance cuts uneven surfaces into slices; infinite without planes.
     """
     if len(planes) == 0:
         return np.inf
@@ -108,13 +106,13 @@ def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:
 
 
 def _errors(evidence: Evidence, planes: Floats) -> Floats:
-    """How far each surfel is from each plane, (n, M): the sum of squares of its three numbers over the gate's."""
+    """Return the squared error of each surfel for each plane (n, M), summed over its three numbers, over the gate's."""
     value, slope_x, slope_y = (evidence.off(planes, number) ** 2 for number in range(3))
     return (value + slope_x + slope_y) / _GATE_3D**2
 
 
 def _without_islands(surfels: Surfels, label: Ints, planes: int) -> Ints:
-    """Take away labels of connected components of fewer than four cells: chance agreements, as along a crease."""
+    """Remove labels of connected components of fewer than four cells: chance agreements, as along a crease."""
     grid = surfels.grid
     kept = label.copy()
     for plane in range(planes):

@@ -1,7 +1,7 @@
-"""Region growing: from a plane through the patch around each surfel to all surfels that are its inliers.
+"""Region growing: extend the plane through the patch around each surfel to all its inliers.
 
-A surfel is a column of `Evidence.rows` (surfel_observations.py). A symmetric matrix (3, 3) is its six numbers 00, 01,
-02, 11, 12, 22.
+A surfel is a column of `Evidence.rows` (surfel_observations.py). A symmetric matrix (3, 3) is stored as its six entries
+00, 01, 02, 11, 12, 22.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
 from calib.plane_segmentation.surfels import Surfels
 
 _GROWTH_STEPS = 6
-_PATCHES = np.array([3, 5])  # cells along the side of the patch that a seed starts from; the larger if it is one plane
+_PATCHES = np.array([3, 5])  # side of a seed's patch in cells; the larger one if it is planar
 _FEWEST_IN_PATCH = 6
 # By how much a plane's own uncertainty widens the gate for its offset while it grows, in variances of the surfel.
 _REACH = 25.0
@@ -18,7 +18,7 @@ _RIDGE = 1e-12
 
 
 def local_planes(surfels: Surfels, rows: Floats, gate: float) -> tuple[Floats, Floats, Bools]:
-    """The plane through the patch around each surfel (M, 3), its covariance (M, 6), and whether it is a plane."""
+    """Fit a plane to the patch around each surfel: planes (M, 3), covariances (M, 6), and a mask of planar patches."""
     grid, count = surfels.grid, len(surfels)
     at = np.full(grid.rows * grid.columns, -1, np.int32)
     at[surfels.cell] = np.arange(count)
@@ -28,8 +28,9 @@ def local_planes(surfels: Surfels, rows: Floats, gate: float) -> tuple[Floats, F
 
 
 def grow(rows: Floats, seeds: Floats, covariance: Floats, gate: float) -> tuple[Floats, Bools]:
-    """Refit each seed (S, 3), with covariance (S, 6), to its inliers, as far as its uncertainty reaches: the plane (3,)
-    with the most inliers in the end, and which surfels those are (M,).
+    """Grow each seed plane (S, 3), with covariance (S, 6), by refitting it to the inliers within its uncertainty.
+
+    Return the plane (3,) with the most inliers, and the mask of these (M,).
     """
     planes, covariance, explained = seeds.copy(), covariance.copy(), np.empty(len(seeds))
     in_pieces(
@@ -85,7 +86,7 @@ def _fit_patches(
 
 @compiled
 def _grow(rows: Floats, planes: Floats, covariance: Floats, gate2: float, explained: Floats) -> None:
-    """Every seed's plane and covariance, in place, and how many inliers it has in the end."""
+    """Grow every seed's plane and covariance in place, and fill in its final number of inliers."""
     weight, moments = np.empty(rows.shape[1]), np.empty(9)
     for s in range(len(planes)):
         before = np.nan
@@ -118,7 +119,7 @@ def _weigh(rows: Floats, plane: Floats, covariance: Floats, gate2: float, reach:
 
 @compiled
 def _within(value: float, x: float, y: float, z: float, plane: Floats, c: Floats, gate2: float, reach: float) -> float:
-    """1 if a number of unit variance is what the plane with covariance c makes it, else 0: no branch, but a factor."""
+    """Return 1 if a number of unit variance agrees with the plane with covariance c, else 0: a factor, not a branch."""
     off = value - plane[0] * x - plane[1] * y - plane[2] * z
     own = x * (c[0] * x + 2.0 * (c[1] * y + c[2] * z)) + y * (c[3] * y + 2.0 * c[4] * z) + z * c[5] * z
     return 1.0 if off * off < gate2 * (1.0 + (own if own < reach else reach)) else 0.0
@@ -126,7 +127,7 @@ def _within(value: float, x: float, y: float, z: float, plane: Floats, c: Floats
 
 @compiled
 def _add_up(rows: Floats, weight: Floats, moments: Floats) -> float:
-    """Σ x xᵀ and Σ x value, nine numbers, of surfels of weight 1, and how many they are."""
+    """Sum x xᵀ and x value, nine numbers, over the surfels of weight 1, and count these."""
     count = xx = xy = xz = yy = yz = zz = xv = yv = zv = 0.0
     for m in range(len(weight)):
         value, x, y, z = rows[0, m], weight[m] * rows[1, m], weight[m] * rows[2, m], weight[m] * rows[3, m]
@@ -147,9 +148,9 @@ def _add_up(rows: Floats, weight: Floats, moments: Floats) -> float:
 
 @compiled
 def _solve(moments: Floats, inverse: Floats, plane: Floats) -> None:
-    """The inverse (6,) of a normal matrix by L D Lᵀ, and the plane (3,) that it solves for.
+    """Invert a normal matrix (6,) by L D Lᵀ and solve for the plane (3,).
 
-    Large instead of infinite along what surfels in one line leave open.
+    The variance is large instead of infinite in directions that collinear surfels do not determine.
     """
     a, b, c, d, e, f = moments[0], moments[1], moments[2], moments[3], moments[4], moments[5]
     xv, yv, zv = moments[6], moments[7], moments[8]

@@ -13,8 +13,8 @@ from calib.plane_segmentation.plane_parallax import TwoView
 from calib.plane_segmentation.surfel_observations import gather_evidence
 from calib.plane_segmentation.surfels import Surfels
 
-# Standard deviation of what lens model, decoder and uneven walls leave, to begin with: the first that explains whole
-# surfaces. Afterwards it is measured.
+# Initial standard deviations of the errors of lens model, decoder and uneven walls: the first that explains whole
+# surfaces is used, and then replaced by the measured one.
 _FIRST_MODELS_PX = (0.15, 0.6, 2.4)
 _LEAST_MODEL_PX = 0.05
 _MOST_SPILL = 0.25
@@ -51,9 +51,10 @@ class Segments:
 def segmentations(
     surfels: Surfels, camera_size: tuple[int, int], projector_size: tuple[int, int], rng: np.random.Generator
 ) -> Iterator[Segments]:
-    """Planes at the tightest tolerance that does not cut surfaces into slices; if all do, at that which does least.
+    """Yield the planes at the tightest tolerance that does not cut surfaces into slices, or that does so least.
 
-    Then, in case these are no corner, at each wider one, as long as that before dropped a large plane as uneven.
+    Then, in case these form no corner, yield those at each wider tolerance, as long as the previous one dropped a large
+    plane as uneven.
     """
     view = first_geometry(surfels, largest_plane(surfels, camera_size, projector_size, rng), rng)
     found: list[Segments] = []
@@ -75,7 +76,7 @@ def _segment_within(surfels: Surfels, view: TwoView, model_px: float, rng: np.ra
     evidence = gather_evidence(surfels, view, model_px)
     planes, label = find_planes(surfels, evidence, rng)
     if len(planes) > 0:
-        # With both lenses from the planes the tolerance can be tight: nearly coplanar ones come apart.
+        # With both lenses refined on the planes, the tolerance can be tight enough to separate nearly coplanar planes.
         view, planes = refine(surfels, label, view, planes, 2 * model_px, rng)
         evidence = gather_evidence(surfels, view, model_px)
         off_px = np.abs(evidence.off_own(planes, label) * evidence.sigma)[label >= 0]

@@ -1,9 +1,9 @@
-"""Sparse matches of two photos → planar faces, and which three of them form the corner.
+"""Segment sparse matches of two photos into planes and select the three that form the corner.
 
-A few thousand matches have no neighbourhoods on a pixel grid, so planes are found one after the other: the homography
-that most of what is left agrees with (MAGSAC++, Barath et al. 2020), until no plane is left. Then all of them compete:
-every match goes to the plane that explains it and its neighbours best, every plane is fitted again to what it has got,
-and planes that explain each other's matches become one.
+A few thousand matches have no neighbourhoods on a pixel grid, so planes are found sequentially: the homography with
+most inliers among the remaining matches (MAGSAC++, Barath et al. 2020), until none is left. Then the planes compete:
+each match is assigned to the plane that explains it and its neighbours best, each plane is refitted to its matches, and
+planes that explain each other's matches are merged.
 """
 
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ _FEWEST_MATCHES = 60
 _FEWEST_ON_A_PLANE = 25
 _LEAST_SHARE = 0.03  # of all matches, on a plane
 _MOST_PLANES = 8
-_OFF_OF_WIDTH = 0.0015  # what a lens bends a plane's matches, and features are off
+_OFF_OF_WIDTH = 0.0015  # tolerance in image widths, for lens distortion and errors of features
 _RANSAC_STEPS, _CONFIDENCE = 5000, 0.9999
 _ROUNDS = 6
 _NEIGHBOURS = 9
-_ALIKE = 0.7  # of a plane's matches on another one: they are one
+_ALIKE = 0.7  # share of a plane's matches that another one explains, above which they are merged
 _GATE_SIGMAS = 5.0
 
 
@@ -55,10 +55,10 @@ def find_sparse_faces(matches: Matches, size: tuple[int, int]) -> SparseFaces:
 
 @singular_refused(PHOTOS)
 def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> SparseFaces:
-    """The planes among matches of the same first photo with another one, numbered as the faces in `labelled` are.
+    """Find the planes among matches of the same first photo with another one, numbered like the faces in `labelled`.
 
-    A plane is the face on which most matches around its own are in the first photo. Raises RefusalError if a face is
-    not found again.
+    A plane gets the face of most labelled matches near its own in the first photo. Raises RefusalError if a face is not
+    found again.
     """
     plane, count = find_sparse_planes(matches, size)
     nearest = labelled.labels[cKDTree(labelled.camera_px).query(matches.camera_px)[1]]
@@ -71,16 +71,16 @@ def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> Sp
     missing = sorted(set(range(3)) - set(face_of.tolist()))
     if missing:
         raise RefusalError(
-            f"{len(missing)} of the corner's three faces, as the first two photos show them, are not found again.",
+            f"{len(missing)} of the corner's three faces in the first two photos were not found in this one.",
             "Leave this photo out, or take another one with all three faces large in it.",
         )
     return SparseFaces(matches.with_faces(face_of[plane]), plane)
 
 
 def find_sparse_planes(matches: Matches, size: tuple[int, int]) -> tuple[Ints, int]:
-    """The plane of each match (N,), largest first and −1 for none, and how many there are.
+    """Return the plane of each match (N,), largest first and −1 for none, and the number of planes.
 
-    Raises RefusalError if there are too few matches to look.
+    Raises RefusalError if there are too few matches.
     """
     if len(matches) < _FEWEST_MATCHES:
         raise RefusalError(
@@ -125,7 +125,7 @@ def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> 
 
 
 def _contest(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Floats, Ints, Floats]:
-    """Transfer errors (n, N) of all planes, the one (N,) that suits a match and its neighbours best, its errors."""
+    """Return transfer errors (n, N) of all planes, the best plane (N,) for a match and its neighbours, its errors."""
     off = np.stack([_off(each, matches) for each in planes])
     best = np.argmin(np.minimum(off, limit_px)[:, around].mean(axis=2), axis=0).astype(np.int32)
     return off, best, off[best, np.arange(len(matches))]
@@ -142,7 +142,7 @@ def _final(matches: Matches, planes: list[Floats], around: Ints, limit_px: float
 
 
 def _without_doubles(planes: list[Floats], off: Floats, plane: Ints, limit_px: float) -> list[int]:
-    """Which planes to keep: those whose matches no larger plane explains as well."""
+    """Select the planes whose matches no larger plane explains as well."""
     counts = np.bincount(plane[plane >= 0], minlength=len(planes))
     kept: list[int] = []
     for i in map(int, np.argsort(-counts, kind="stable")):
@@ -180,9 +180,9 @@ def _off(homography: Floats, matches: Matches) -> Floats:
 
 
 def _corner(matches: Matches, plane: Ints, count: int) -> tuple[int, int, int]:
-    """The three planes that fill most of the picture, by matches and extent.
+    """Select the three planes that fill most of the picture, by matches and extent.
 
-    Whether they are square to each other is for the calibration to find out.
+    The calibration tests whether they are perpendicular.
     """
     counts = np.bincount(plane[plane >= 0], minlength=count).astype(np.float64)
     areas = np.array([_area(matches.camera_px[plane == i]) for i in range(count)])

@@ -1,4 +1,4 @@
-"""What surfels say about planes, once the epipolar geometry is known: a parallax, and how it slopes in the image."""
+"""Observations of planes by surfels, given the epipolar geometry: a parallax and its gradient in the image."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from calib.plane_segmentation.surfels import Surfels
 
 @dataclass(frozen=True)
 class Evidence:
-    """What each surfel says about the plane v (3,) it lies on, in units of its own standard deviations.
+    """Linear equations of each surfel for the plane v (3,) it lies on, in units of their standard deviations.
 
-    `rows` (12, M): three times a number, and the three of which v should make it: first the parallax, then its slope
-    along both axes of the camera. `sigma` (M,): of the parallax, in projector pixels. `across` (M,): distance from the
-    epipolar line over `sigma`.
+    `rows` (12, M): three equations, each a right-hand side followed by the three coefficients of v: first for the
+    parallax, then for its slopes along both camera axes. `sigma` (M,): of the parallax, in projector pixels. `across`
+    (M,): distance from the epipolar line over `sigma`.
     """
 
     rows: Floats
@@ -23,18 +23,18 @@ class Evidence:
     across: Floats
 
     def off(self, planes: Floats, number: int = 0) -> Floats:
-        """How far one of the three numbers is from what planes (n, 3) make it, (n, M)."""
+        """Return the residual of one of the three equations for planes (n, 3), (n, M)."""
         off: Floats = self.rows[4 * number] - planes @ self.rows[4 * number + 1 : 4 * number + 4]
         return off
 
     def off_own(self, planes: Floats, label: Ints) -> Floats:
-        """How far the parallax is from that of the plane that `label` (M,) names, (M,)."""
+        """Return the residual (M,) of the parallax for each surfel's own plane, given by `label` (M,)."""
         off: Floats = self.rows[0] - np.einsum("im,mi->m", self.rows[1:4], planes[label])
         return off
 
 
 def gather_evidence(surfels: Surfels, view: TwoView, model_px: float) -> Evidence:
-    """`model_px`: standard deviation of what the lens model and the decoder's systematic errors leave."""
+    """Gather the equations; `model_px`: standard deviation of errors of the lens model and the decoder."""
     step = surfels.grid.side_px / 2
     here = view.parallax(surfels.camera_px, surfels.projector_px)
     sigma = np.hypot(surfels.sigma_px / np.sqrt(surfels.count), model_px)
@@ -49,7 +49,7 @@ def gather_evidence(surfels: Surfels, view: TwoView, model_px: float) -> Evidenc
         ahead = view.parallax(surfels.camera_px + shift, surfels.projector_px + moved)
         behind = view.parallax(surfels.camera_px - shift, surfels.projector_px - moved)
         variance = spread[:, 1 - axis, 1 - axis] / determinant * surfels.sigma_px**2
-        # A model error that varies over the width of some cells has a slope, too.
+        # A model error that varies over a few cells also has a slope.
         slope_sigma = np.sqrt(variance + (model_px / (4 * step)) ** 2)
         slope = rows[4 + 4 * axis : 8 + 4 * axis]
         slope[0], slope[1:] = ahead.value - behind.value, (ahead.x - behind.x).T

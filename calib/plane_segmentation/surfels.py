@@ -1,6 +1,6 @@
 """Dense matches → surfels: small cells of the camera's image, each with an affine map into the projector's image.
 
-A few thousand surfels carry what millions of matches say about planes. Fitting them robustly rejects stray matches,
+A few thousand surfels carry the information of millions of matches about planes. Fitting them robustly rejects outliers
 and cells that straddle the edge of an object.
 """
 
@@ -19,7 +19,7 @@ _MOST_CELLS = 9000
 _TRIALS = 10
 _SAMPLE = 100_000
 _FEWEST_INLIERS = 0.6
-# How much noisier than usual a cell may be, and what is never too noisy.
+# Largest noise of a cell relative to the typical one, and noise that is always accepted.
 _MOST_SCATTER, _ALLOWED_SCATTER_PX = 8.0, 0.1
 
 
@@ -62,12 +62,12 @@ class Surfels:
 
 
 def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.Generator) -> Surfels:
-    """Cells are as small as the density of the matches allows, and so large that there are at most some thousands."""
+    """Fit surfels in cells as small as the density of matches allows, but at most a few thousand of them."""
     grid, density = _choose_grid(matches, camera_size)
     wanted = _MATCHES_PER_CELL[1] / (density * grid.side_px**2)
     chosen = np.arange(len(matches))
     if wanted < 1:
-        # One of each so many in a row, for every match to have the same chance.
+        # Take one of every few consecutive matches, so that all have the same chance.
         steps = np.arange(int(wanted * len(matches)))
         chosen = ((steps + rng.random(len(steps))) / wanted).astype(np.int64)
     camera_px, projector_px = (
@@ -82,7 +82,7 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
     scatter = fits.square / np.maximum(2 * fits.count - 6, 1)
     good = (fits.count >= _FEWEST_PER_CELL) & (fits.count > _FEWEST_INLIERS * there)
     good &= _least_eigenvalue(fits.spread) > fits.count * (grid.side_px / 12) ** 2
-    # Matches that scatter more than the cell is wide in the projector are not neighbours there.
+    # Matches that scatter more than the cell's width in the projector are not neighbours there.
     span = np.einsum("mij,mjk,mik->m", fits.jacobian, fits.spread, fits.jacobian) / (2 * np.maximum(fits.count, 1))
     good &= scatter < span
     # Nor does a cell that straddles an edge have one affine map.
@@ -101,7 +101,7 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
 
 
 def _least_eigenvalue(matrices: Floats) -> Floats:
-    """Of symmetric matrices (N, 2, 2)."""
+    """Return the smaller eigenvalue of symmetric matrices (N, 2, 2)."""
     a, b, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
     least: Floats = (a + d) / 2 - np.hypot((a - d) / 2, b)
     return least
@@ -109,7 +109,7 @@ def _least_eigenvalue(matrices: Floats) -> Floats:
 
 def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, float]:
     width, height = camera_size
-    # Halve the cells until the matches no longer fill them: what is then covered is where there are matches.
+    # Halve the cells until the matches no longer fill them: then the occupied cells cover the matches.
     coarse = Grid(max(width, height) / 24, 24, 24)
     some = matches.camera_px[:: max(1, len(matches) // _SAMPLE)]
     covered = np.count_nonzero(np.bincount(coarse.cell(some))) * coarse.side_px**2
@@ -120,7 +120,7 @@ def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, 
 
 
 def _by_cell(cell: Ints, cells: int) -> tuple[Ints, Ints]:
-    """The matches (N,) cell by cell, in their order, and where each cell starts, (cells + 1,)."""
+    """Return the matches (N,) sorted by cell, in stable order, and the start of each cell (cells + 1,)."""
     start = np.zeros(cells + 1, np.int32)
     np.cumsum(np.bincount(cell, minlength=cells), out=start[1:])
     order = np.empty(len(cell), np.int32)
@@ -138,7 +138,7 @@ def _cell(camera_px: Floats, side_px: float, columns: int, rows: int, cell: Ints
 
 @compiled
 def _sort(cell: Ints, place: Ints, order: Ints) -> None:
-    """`place` (cells,): where the next match of each cell goes."""
+    """Sort matches by cell; `place` (cells,): position of the next match of each cell."""
     for i in range(len(cell)):
         order[place[cell[i]]] = i
         place[cell[i]] += 1

@@ -1,4 +1,4 @@
-"""The maximum-likelihood estimate: matches in cells, the model, its Jacobian, the sweep, the profile, lens terms."""
+"""Maximum-likelihood estimation: cells of matches, the model and its Jacobian, focal sweep, profile, lens terms."""
 
 from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins

@@ -1,4 +1,4 @@
-"""Passes over all matches, compiled: how far the planes reach in the image, and sums over cells of it."""
+"""Compiled passes over all matches: the extent of each plane in the image, and sums over image cells."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from calib.geometry import Matches, mapped
 from calib.numerics import Floats, Ints, compiled, in_pieces
 from calib.refinement.image_polynomial import monomials
 
-_DEGREE = 4  # `image_polynomial.DEGREE`, told to the compiler: twice as fast as a number that it does not know
+_DEGREE = 4  # `image_polynomial.DEGREE` as a compile-time constant: twice as fast as a variable
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Of the matches on one plane: their number, and the lowest and the highest of their camera pixels, (2,)."""
+    """Number of matches on one plane and their bounding box in camera pixels, `low` and `high` (2,)."""
 
     count: int
     low: Floats
@@ -42,9 +42,9 @@ class Raster:
 
 @dataclass(frozen=True)
 class Reference:
-    """What is expected of a match on a plane: a homography and, in `coefficients` (TERMS, 2), a polynomial on top.
+    """Prediction for a match on a plane: a homography plus a polynomial with `coefficients` (TERMS, 2).
 
-    `scale`: the normalisation of camera pixels. `sigma`: scatter around it for weight 1.
+    `scale`: the normalisation of camera pixels. `sigma`: scatter around the prediction for weight 1.
     """
 
     homography: Floats
@@ -62,14 +62,14 @@ class Reference:
 
 
 def slots(labels: Sequence[int]) -> Ints:
-    """For each label from 0 to the highest of them its place among them, −1 for the others."""
+    """Map each number from 0 to the highest label to its position in `labels`, −1 if it is not one of them."""
     slot = np.full(max(labels) + 1, -1, np.int32)
     slot[list(labels)] = np.arange(len(labels))
     return slot
 
 
 def extents(camera_px: Floats, label: Ints, slot: Ints) -> list[Extent]:
-    """Of the matches with each label."""
+    """Return the extent of the matches with each label."""
 
     def of_piece(at: slice) -> Floats:
         totals = np.tile([0.0, -np.inf, -np.inf, -np.inf, -np.inf], (slot.max() + 1, 1))
@@ -90,11 +90,11 @@ def sums_over_cells(
     limits: Sequence[float],
     typical_sigma_px: float,
 ) -> list[Floats]:
-    """For each label the sums over its cells, (cells, 7).
+    """Return the sums over the cells of each label, (cells, 7).
 
-    Number of matches, their weight (that of the typical sigma being 1), weighted sums of camera pixels (2) and of
-    offsets from the reference's homography (2), weighted sum of squared deviations from homography and polynomial.
-    Matches with a larger weighted square than the `limits` are left out.
+    The columns are: number of matches, total weight (1 for a match of the typical sigma), weighted sums of camera
+    pixels (2) and of offsets from the reference's homography (2), and the weighted sum of squared deviations from
+    homography plus polynomial. Matches whose weighted square exceeds the `limits` are left out.
     """
     first = np.cumsum([0, *(len(raster) for raster in rasters)])
     grids = np.array([[*raster.low, raster.side, raster.columns] for raster in rasters])
@@ -122,12 +122,12 @@ def _as_ints(label: Ints) -> Ints:
     return np.ascontiguousarray(label, np.int32)
 
 
-# Matches come in the image's order: long runs of them have one label, and one row.
+# Matches are in image order: long runs share one label and one row.
 
 
 @compiled
 def _end_of_run(label: Ints, start: int) -> int:
-    """Where the matches with the label of the one at `start` end."""
+    """Return the end of the run of equal labels that begins at `start`."""
     end = start + 1
     while end < len(label) and label[end] == label[start]:
         end += 1
@@ -216,7 +216,7 @@ def _at(along: Floats, x: float) -> tuple[float, float]:
 
 @compiled
 def _polynomials_in_x(coefficients: Floats, y: float, along: Floats) -> None:
-    """Two polynomials in x and y, at a y, as polynomials in x alone (degrees, 2).
+    """Reduce two polynomials in x and y to polynomials in x alone, for a given y, (degrees, 2).
 
     `coefficients` (TERMS, 2) in the order of `monomials`: x^d, x^(d−1) y, … y^d for each degree d.
     """

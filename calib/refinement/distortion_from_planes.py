@@ -1,7 +1,7 @@
-"""Radial distortion of both lenses from planes alone, before anything else is known.
+"""Estimate the radial distortion of both lenses from planes alone, before anything else is known.
 
-What a homography through ideal pixels cannot explain on any of the planes is the lenses' doing. Lenses that are left in
-bend the picture of a corner so much that it may not look like one.
+A plane's matches follow a homography between ideal pixels; deviations common to all planes are lens distortion.
+Uncorrected distortion can bend the image of a corner so much that it no longer looks like one.
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from calib.numerics import Damping, Floats, minimise
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import without_lens
 
-# Beforehand, of the bend in units of an image's width: that of a lens with k1 = 0.1 and a focal length of half a width.
+# Prior sigma of the bend, in units of the image width: a lens with k1 = 0.1 and a focal length of half a width.
 _SIGMA = 0.4
 _STEPS = 30
-_DAMPING = Damping(first=1e-6, least=1e-9, most=1e12, growth=10.0, relief=0.1)  # the homographies' scales need some
-_CONVERGED = 1e-10  # of the cost
+_DAMPING = Damping(first=1e-6, least=1e-9, most=1e12, growth=10.0, relief=0.1)  # the homographies' scales are a gauge
+_CONVERGED = 1e-10  # relative to the cost
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Straightened:
 def straighten(
     cells: Cells, camera_centre_px: tuple[float, float], projector_centre_px: tuple[float, float]
 ) -> Straightened:
-    """Remove one radial term on each side, around the given centres, that makes the faces' homographies straight."""
+    """Remove one radial term per device, around the given centres, so that each face follows a homography."""
     faces = cells[cells.plane < len(FACES)]
     camera, projector = (_nominal(centre) for centre in (camera_centre_px, projector_centre_px))
     start = np.concatenate([_homographies(faces, camera, projector).ravel(), np.zeros(2)])
@@ -55,12 +55,12 @@ def straighten(
 
 
 def _nominal(centre_px: tuple[float, float]) -> Floats:
-    """A device whose focal length is its width, about twice its centre, without bend."""
+    """Return a device without distortion whose focal length is its image width, about twice its centre."""
     return without_lens(2 * centre_px[0] + 1, np.array(centre_px))
 
 
 def _homographies(cells: Cells, camera: Floats, projector: Floats) -> Floats:
-    """From ideal ray to ideal ray, (3, 3, 3), without bend."""
+    """Fit the homographies (3, 3, 3) between rays of devices without distortion."""
     homographies = []
     for face in FACES:
         on_face = cells.plane == face

@@ -1,7 +1,7 @@
-"""The profile likelihood of the camera's focal length over its whole range: at each trial everything else at its best.
+"""The profile likelihood over the whole range of the camera's focal length, all other parameters optimised.
 
-Seen along the focal length the likelihood has several minima: a twin whose focals are a quarter too long can fit almost
-as well. At each trial the paper's transfer gives a start, so that no minimum depends on a guess.
+The profile can have several minima: a wrong solution with focals a quarter too long can fit almost as well. The
+paper's transfer gives a starting state at each trial, so that finding a minimum does not depend on an initial guess.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State, without_
 from calib.refinement.profile_minimiser import relax
 
 SWEEP_CELLS = 200
-HOPELESS = 4.0  # minima with this many times the lowest cost are not followed
-_SIGMA_PX = 0.05  # what a decoder typically leaves unexplained; the measured value takes its place afterwards
+HOPELESS = 4.0  # minima with this many times the lowest cost are not refined
+_SIGMA_PX = 0.05  # typical residual error of a decoder; replaced by the measured value afterwards
 _TOLERANCE, _STEPS = 1.0, 10
 
 
 class Starts(Protocol):
-    """Where the sweep starts from."""
+    """Provides the starting states of the sweep."""
 
     def starts(self, focal_px: Floats) -> list[list[State]]:
-        """For each focal (n,) some states."""
+        """Return starting states for each focal (n,)."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Family:
     straightened: Straightened
 
     def starts(self, focal_px: Floats) -> list[list[State]]:
-        """For each camera focal (n,) the solutions, at most two, that put the matches in front of both devices."""
+        """Return for each camera focal (n,) the at most two solutions with all matches in front of both devices."""
         transfers, in_front = self.objective.forward(focal_px, nearest=True)
         usable = in_front & np.isfinite(transfers.matrix).all(axis=(1, 2))
         count = len(focal_px)
@@ -66,17 +66,17 @@ class Family:
 
 
 def family_of(cells: Cells, knowledge: Knowledge) -> Family:
-    """Prepare the family for one capture. Raises TooFewMatchesError below four cells on a face."""
+    """Prepare the family for one capture. Raises TooFewMatchesError if a face has fewer than four cells."""
     width, height = knowledge.projector_size
     straightened = straighten(cells, knowledge.principal_point_px, ((width - 1) / 2, (height - 1) / 2))
     return Family(objective_for(straightened.matches, knowledge.principal_point_px), straightened)
 
 
 def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowledge) -> list[Fit | None]:
-    """The best fit of one capture with the focal held at each trial (n,); None where there is none.
+    """Return the best fit of one capture with the focal held at each trial (n,); None where there is none.
 
-    Up to three starts for each: both of the paper's solutions, which may lie on other branches, and the fit at the
-    trial before.
+    Each trial has up to three starts: the paper's two solutions, which may lie on other branches, and the fit at the
+    previous trial.
     """
     fits: list[Fit | None] = []
     last: State | None = None
@@ -92,10 +92,10 @@ def sweep_one(cells: Cells, family: Starts, focal_px: Floats, knowledge: Knowled
 def sweep_jointly(
     captures: Sequence[Cells], alone: Sequence[Sequence[Fit | None]], focal_px: Floats, knowledge: Knowledge
 ) -> list[Fit | None]:
-    """The best joint fit at each trial (n,) from the fits of each capture alone; None where there is none.
+    """Return the best joint fit at each trial (n,), given the fits of each capture alone; None where there is none.
 
-    Together captures never fit better than each alone, so trials that are hopeless already without the bond of the
-    common rig are left out.
+    The sum of the separate costs is a lower bound of the joint cost, so trials whose separate fits are already
+    hopeless are skipped.
     """
     fits: list[Fit | None] = [None] * len(focal_px)
     bounds = np.array([sum(fit.cost if fit else np.inf for fit in trial) for trial in zip(*alone, strict=True)])
@@ -114,7 +114,7 @@ def sweep_jointly(
 
 
 def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[Fit]:
-    """Fits at the focal of a fit of one capture, from both of the paper's solutions there."""
+    """Refit one capture at the focal of `fit`, starting from both of the paper's solutions there."""
     (starts,) = family.starts(np.array([fit.state.camera[0]]))
     prior = knowledge.prior(fit.state).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2)]
@@ -122,7 +122,7 @@ def twins(cells: Cells, family: Starts, fit: Fit, knowledge: Knowledge) -> list[
 
 
 def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
-    """Local minima of a sweep along the focal length, ends included, best first, without the hopeless ones."""
+    """Return the local minima of a sweep, ends included, best first, without the hopeless ones."""
     fits = [fit for fit in sweep if fit]
     costs = np.array([np.inf, *(fit.cost for fit in fits), np.inf])
     low = [fit for i, fit in enumerate(fits) if costs[i + 1] <= costs[i] and costs[i + 1] <= costs[i + 2]]
@@ -132,7 +132,7 @@ def minima(sweep: Sequence[Fit | None]) -> list[Fit]:
 
 
 def at_focal(state: State, focal: float) -> State:
-    """A state moved to another camera focal, the projector's in proportion."""
+    """Return the state with another camera focal, the projector's scaled in proportion."""
     step = np.zeros(state.size)
     step[CAMERA.start] = step[PROJECTOR.start] = np.log(focal / state.camera[0])
     return state.moved(step)
@@ -146,9 +146,9 @@ def _best(
     knowledge: Knowledge,
     hopeless: float = np.inf,
 ) -> Fit | None:
-    """The best of the fits, with the focal held, from the starts and from the fit at another trial.
+    """Return the best fit with the focal held, from the starts and from the fit at another trial.
 
-    Rough where the cost is above `hopeless`.
+    Fits whose cost exceeds `hopeless` are not converged fully.
     """
     tried = starts + ([at_focal(last, focal)] if last else [])
     if not tried:
@@ -156,7 +156,7 @@ def _best(
     prior = knowledge.prior(tried[0]).holding(CAMERA.start)
     variances = [np.full(len(cells), _SIGMA_PX**2) for cells in captures]
     best: Fit | None = None
-    for state in reversed(tried):  # the fit at another trial is mostly the one to beat
+    for state in reversed(tried):  # the fit at another trial is usually the best
         ceiling = min(best.cost, hopeless) if best else hopeless
         fit = relax(captures, state, prior, variances, tolerance=_TOLERANCE, steps=_STEPS, ceiling=ceiling)
         if fit.cost < (best.cost if best else np.inf):
@@ -171,6 +171,6 @@ def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: K
 
 
 def _combined(shared: State, alone: Sequence[State]) -> State:
-    """All captures, each with its own corner, before the rig of one of them."""
+    """Combine all captures, each with its own corner, under the rig of one of them."""
     poses = tuple(replace(state.poses[0], corner=i) for i, state in enumerate(alone))
     return replace(shared, off_square=np.concatenate([state.off_square for state in alone]), poses=poses)

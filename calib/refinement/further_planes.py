@@ -1,9 +1,9 @@
-"""Planes beside the corner that are parallel or perpendicular to its faces: further constraints, with a test.
+"""Further planes that are parallel or perpendicular to the corner's faces: additional constraints, with tests.
 
-The top of a box is level with the floor, the front of a cupboard stands along a wall. Each such plane is square to the
-corner within half a degree or so, and its homography is one more measurement of the rig. Which planes qualify is seen
-from a solution without them; one that then pulls at the angles is left out, and so is one whose cells the rig explains
-much worse than those of the faces: where something moved during the capture, wrong matches may lie on a homography that
+The top of a box is parallel to the floor, the front of a cupboard to a wall. Such a plane is aligned with the corner
+within about half a degree, and its homography is another measurement of the rig. Candidates are selected with a
+solution that does not use them. A plane is rejected if it then strains the angles, or if the rig explains its cells
+much worse than those of the faces: where something moved during the capture, wrong matches may follow a homography that
 is no plane of the scene.
 """
 
@@ -18,21 +18,21 @@ from calib.refinement.likelihood import Fit
 from calib.refinement.match_cells import Cells, into_cells, joined
 from calib.refinement.parameters import FurtherPlane, State
 
-SIGMA_DEG = 0.5  # how square furniture stands to walls, and boxes to themselves
+SIGMA_DEG = 0.5  # alignment of furniture with walls, and squareness of boxes
 _CANDIDATE_DEG = 2.0
 _LEAST_MATCHES = 400
 _TENSION = 3.0  # sigmas of a tilt
-# Mean square of residuals in that of the faces by themselves: true planes have up to 2, wrong ones 6 and more.
+# Mean square residual relative to that of the faces alone: true planes reach up to 2, wrong ones 6 and more.
 _MOST_OFF = 4.0
 
 
 def with_further_planes(
     captures: Sequence[Cells], matches: Sequence[Matches], planes: Sequence[Ints], state: State
 ) -> tuple[list[Cells], State]:
-    """Captures with the cells of further planes, labelled 3 and up, and the state with those planes.
+    """Add the cells of further planes, labelled 3 and up, to the captures, and those planes to the state.
 
-    `planes`: for each capture, which plane each match (N,) is on, −1 for none; those that hold faces are passed over,
-    and those of a capture from the place of an earlier one, which sees the same planes again.
+    `planes`: for each capture, the plane of each match (N,), −1 for none. Planes that contain faces are skipped, and so
+    are those of a capture taken from the place of an earlier one, which sees the same planes again.
     """
     extended, poses = [], []
     for i, (cells, points, label) in enumerate(zip(captures, matches, planes, strict=True)):
@@ -51,7 +51,7 @@ def with_further_planes(
 
 
 def strained(state: State) -> list[tuple[int, int]]:
-    """(capture, number of the plane among its further ones) of planes that are not as square as they should be."""
+    """Return (capture, index among its further planes) of planes that are not parallel or perpendicular to a face."""
     return [
         (i, j)
         for i, pose in enumerate(state.poses)
@@ -63,8 +63,8 @@ def strained(state: State) -> list[tuple[int, int]]:
 def unexplained(
     captures: Sequence[Cells], fit: Fit, variances: Sequence[Floats], of_faces: float
 ) -> list[tuple[int, int]]:
-    """The same of the plane that the fit explains worst, if that is much worse than the faces by themselves, whose mean
-    square residual is `of_faces`; `variances`: (M,) for each capture, of each coordinate of each cell.
+    """Return the worst-fitting plane, as in `strained`, if it fits much worse than the faces alone, whose mean square
+    residual is `of_faces`. `variances`: (M,) for each capture, of each coordinate of each cell.
     """
     worst, found = _MOST_OFF * of_faces, []
     for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
@@ -76,12 +76,12 @@ def unexplained(
 
 
 def mean_square(residual: Floats, variance: Floats) -> float:
-    """Of residuals (M, 2), in variances (M,) of a coordinate."""
+    """Return the mean square of residuals (M, 2) relative to the variance (M,) of a coordinate."""
     return float(np.mean(residual**2 / variance[:, None]))
 
 
 def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int]]) -> tuple[list[Cells], State]:
-    """Captures and state without some of the further planes."""
+    """Remove some of the further planes from captures and state."""
     reduced, poses = [], []
     for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
         left = [j for j in range(len(pose.planes)) if (i, j) not in planes]
@@ -94,7 +94,7 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
 
 
 def _candidates(matches: Matches, plane: Ints) -> list[int]:
-    """Planes with enough matches, none of which is on a face."""
+    """Return planes with enough matches of which none is on a face."""
     counts = np.zeros((max(int(plane.max(initial=-1)), 0) + 1, 2), np.int64)
     _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.labels, np.int32), counts)
     return [int(label) for label in np.flatnonzero((counts[:, 0] >= _LEAST_MATCHES) & (counts[:, 1] == 0))]
@@ -102,7 +102,7 @@ def _candidates(matches: Matches, plane: Ints) -> list[int]:
 
 @compiled
 def _count(plane: Ints, face: Ints, counts: Ints) -> None:
-    """For each plane (P, 2) the number of matches on it, and of those that are on a face as well."""
+    """Count, for each plane (P, 2), the matches on it and those of them that are also on a face."""
     for i in range(len(plane)):
         if plane[i] >= 0:
             counts[plane[i], 0] += 1
@@ -110,7 +110,7 @@ def _count(plane: Ints, face: Ints, counts: Ints) -> None:
 
 
 def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | None:
-    """The plane through the cells' points, if it is parallel or perpendicular to a face; None if it is not."""
+    """Fit a plane to the cells' points; None unless it is parallel or perpendicular to a face."""
     pose = state.poses[capture]
     rays, _ = unproject(state.camera, cells.camera_px)
     depth = depths(state, rays, cells.projector_px)
@@ -140,6 +140,6 @@ def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | No
 
 
 def depths(state: State, rays: Floats, projector_px: Floats) -> Floats:
-    """Depths (N,) along the camera's rays (N, 3) at which they come nearest to the projector's."""
+    """Return depths (N,) along the camera's rays (N, 3) at which they come nearest to the projector's rays."""
     directions, _ = unproject(state.projector, projector_px)
     return nearest_depths(rays @ state.rotation.T, directions, state.translation)[0]

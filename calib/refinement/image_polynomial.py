@@ -8,11 +8,11 @@ from calib.numerics import Floats
 DEGREE = 4
 TERMS = (DEGREE + 1) * (DEGREE + 2) // 2
 CONIC, CUBIC = 6, 10
-_SINGULAR = 1e-13  # eigenvalues of a normal matrix, relative to its largest, that are rounding
+_SINGULAR = 1e-13  # relative eigenvalue of a normal matrix below which it is rounding error
 
 
 def monomials(pixels: Floats, scale: Floats | None = None) -> Floats:
-    """All monomials of degree up to 4, lowest first: (N, 2) → (N, TERMS).
+    """Return all monomials of degree up to 4, lowest first: (N, 2) → (N, TERMS).
 
     `scale` (3, 3): normalisation of the pixels, by default their own.
     """
@@ -30,7 +30,7 @@ def monomials(pixels: Floats, scale: Floats | None = None) -> Floats:
 
 
 def coefficients_of(terms: Floats, values: Floats, weight: Floats) -> Floats:
-    """Weighted least squares by the normal equations, of minimum norm where these are singular.
+    """Solve weighted least squares by the normal equations, with minimum norm where these are singular.
 
     Terms (TERMS, N), values (N, 2), weights (N,) → coefficients (TERMS, 2).
     """

@@ -1,7 +1,7 @@
-"""What other data say of a rig, as a Gaussian over the columns that all captures share.
+"""A Gaussian prior on a rig from other data, over the parameters that all captures share.
 
-Quadratic around its most likely state, it takes the place of those data: exact as far as their likelihood is a
-parabola within a few sigmas, which that of boards is, and that of a single corner is not.
+The quadratic approximation around the most likely state replaces those data. It is exact as far as their likelihood is
+quadratic within a few sigmas, which holds for boards but not for a single corner.
 """
 
 from dataclasses import dataclass
@@ -13,33 +13,33 @@ from calib.geometry import tangent_basis
 from calib.numerics import Floats
 from calib.refinement.parameters import ROTATION, SHARED, TRANSLATION, State
 
-# Nothing is known better than this: of a focal's logarithm, a pixel, lens terms, radians, and directions.
+# Smallest sigma of any parameter: log focal, pixels, lens terms, radians and directions.
 _LEAST_OF_DEVICE = (1e-6, 1e-3, 1e-3, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5)
 _LEAST = np.array([*_LEAST_OF_DEVICE, *_LEAST_OF_DEVICE, *[1e-7] * 5])
 
 
 @dataclass(frozen=True)
 class KnownRig:
-    """The most likely `state`, whose corners are of no meaning, and the `covariance` (21, 21) of the shared columns."""
+    """The most likely `state` (its corners are ignored) and the `covariance` (21, 21) of the shared columns."""
 
     state: State
     covariance: Floats
 
     @cached_property
     def safe_covariance(self) -> Floats:
-        """The covariance, which has an inverse even where a column was held fixed."""
+        """The covariance, made invertible where a column was held fixed."""
         safe: Floats = self.covariance + np.diag(_LEAST**2)
         return safe
 
     @cached_property
     def precision(self) -> Floats:
-        """Its inverse, (21, 21)."""
+        """Inverse of the covariance, (21, 21)."""
         scale = np.sqrt(self.safe_covariance.diagonal())
         inverse: Floats = np.linalg.inv(self.safe_covariance / np.outer(scale, scale)) / np.outer(scale, scale)
         return inverse
 
     def step_to(self, state: State) -> Floats:
-        """From here to a state, (21,)."""
+        """Return the step (21,) from the known state to `state`."""
         layout = State(
             self.state.camera,
             self.state.projector,
@@ -51,10 +51,10 @@ class KnownRig:
         return layout.step_to(state)[:SHARED]
 
     def misfit(self, state: State) -> tuple[float, Floats, Floats]:
-        """Cost of a state, half its gradient (21,) and half its Hessian (21, 21) by the state's own columns."""
+        """Return the cost of a state, half its gradient (21,) and half its Hessian (21, 21) in the state's columns."""
         step = self.step_to(state)
         by_columns = np.eye(SHARED)
-        # Of log (exp [δ] R) by a further turn: the inverse of the left Jacobian of SO(3), to second order.
+        # Derivative of log(exp[δ] R) by δ: the inverse of the left Jacobian of SO(3), to second order.
         x, y, z = step[ROTATION]
         turn = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         by_columns[ROTATION, ROTATION] -= turn / 2 - turn @ turn / 12

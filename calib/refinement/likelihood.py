@@ -1,7 +1,7 @@
-"""The likelihood of all captures for a state, with derivatives; and the prior: what is known before any match is seen.
+"""The likelihood of all captures for a state, with derivatives, and the prior.
 
-The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)², r_i being the deviation of a cell of matches in projector
-pixels and v_i the variance of each of its coordinates; Huber's loss beyond three sigmas.
+The cost is Σ |r_i|² / v_i + Σ ((p − prior) / σ_prior)². r_i is the deviation of a cell of matches in projector pixels,
+v_i the variance of each of its coordinates; Huber's loss applies beyond three sigmas.
 """
 
 from collections.abc import Sequence
@@ -18,21 +18,21 @@ from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, 
 from calib.refinement.tails import with_tails
 from calib.refusal import PHOTOS, RIG, Wording
 
-SQUARENESS_DEG = 0.3  # how far walls of ordinary rooms are from square: standard deviation of each angle
+SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°
 ROBUST_SIGMAS = 3.0
 _LEAST_IN_FRONT = 0.98
-_BEHIND = 100.0  # the cost of a cell behind a device, like one ten sigmas off
+_BEHIND = 100.0  # cost of a cell behind a device, as for a deviation of ten sigmas
 
 
 @dataclass(frozen=True)
 class Prior:
     """Prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
 
-    Gaussian but for lens terms and angles, whose prior has tails: few lenses and walls are far off, and those that are
-    may be so by many sigmas. `tailed`: the columns of these, (size,). `powers` (size,): with which power of a device's
-    focal length a term grows that bends the image alike, where that is what is known of it. `held`: a column that stays
-    where it is for now, though it is not known, so that it costs what the prior says. `rig`: what other data say of the
-    columns that all captures share, together.
+    The prior is Gaussian, except for lens terms and angles: it is heavy-tailed there, because few lenses and walls
+    deviate strongly, but those few may do so by many sigmas. `tailed` (size,): mask of these columns. `powers` (size,):
+    power of a device's focal length with which a term scales for the same image distortion, if the prior is on the
+    distortion of the image. `held`: an unknown column that is held for now; its prior still counts. `rig`: joint prior
+    from other data on the columns that all captures share.
     """
 
     mean: Floats
@@ -62,38 +62,38 @@ class Prior:
         return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
 
     def misfit(self, state: State) -> tuple[Floats, Floats, Floats]:
-        """Of each column (size,): its cost, half the cost's gradient and half its curvature, which is not negative."""
+        """Return for each column (size,) its cost, half the gradient and half the (non-negative) curvature."""
         z = (state.additive() - self.mean) * self.root_precision
         cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
         cost[self.tailed], slope[self.tailed], curvature[self.tailed] = with_tails(z[self.tailed])
         return cost, slope * self.root_precision, curvature * self.root_precision**2
 
     def radial_scale(self, state: State, other: State) -> Floats:
-        """By how much terms that bend the image alike are larger in a state than in another one, (size,)."""
+        """Return the ratio (size,) of terms that distort the image equally in `state` and in `other`."""
         ratio = np.ones(len(self.powers))
         ratio[CAMERA], ratio[PROJECTOR] = state.camera[0] / other.camera[0], state.projector[0] / other.projector[0]
         scale: Floats = ratio**self.powers
         return scale
 
     def with_known(self, column: int) -> "Prior":
-        """The same with one column held fixed."""
+        """Return a copy with one column fixed as known."""
         sigma = self.sigma.copy()
         sigma[column] = 0.0
         return replace(self, sigma=sigma)
 
     def holding(self, column: int) -> "Prior":
-        """The same for a descent that leaves one column alone."""
+        """Return a copy for a minimisation that leaves one column unchanged."""
         return replace(self, held=column)
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What is known before the matches are seen: image sizes (width, height), the camera's principal point with its
-    standard deviation (0: exactly known), and how square corners are (standard deviation of the angles; 0: exactly).
+    """Prior knowledge: image sizes (width, height), the camera's principal point with its standard deviation
+    (0: exactly known), and the standard deviation of the corners' angles around 90° (0: exactly square).
 
-    `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: the camera's focal
-    length with its standard deviation, where something is known of it. `rig`: what other data say of it. `lenses`: what
-    is known of those of camera and projector.
+    `one_camera`: both images are photos by one unchanged camera, with one radial term. `focal_px`: prior on the
+    camera's focal length as mean and standard deviation, if any. `rig`: prior on the rig from other data. `lenses`:
+    priors on the lenses of camera and projector.
     """
 
     camera_size: tuple[int, int]
@@ -112,11 +112,11 @@ class Knowledge:
         return PHOTOS if self.one_camera else RIG
 
     def prior(self, layout: State) -> Prior:
-        """As a prior on the columns of states like `layout`.
+        """Return the prior on the columns of states like `layout`.
 
-        Beside what is known of this rig and its lenses, what holds for any device that is sold: a focal of 1.2 image
-        widths within a factor of two, and a projector's principal point within half an image height of the centre
-        (1 sigma each). What other data say of the rig takes the place of all this.
+        In addition to the knowledge of this rig and its lenses, it contains what holds for any commercial device: a
+        focal of 1.2 image widths within a factor of two, and a projector's principal point within half an image height
+        of the centre (1 sigma each). A prior from other data (`rig`) replaces all this.
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
         sizes = self.camera_size, self.projector_size
@@ -158,7 +158,7 @@ class Fit(Quadratic):
 
 
 def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: Sequence[Floats]) -> Fit:
-    """The cost of a state with its derivatives; infinite where more than stray points fall behind a device.
+    """Return the cost of a state with its derivatives; infinite if more than a few points fall behind a device.
 
     `variances`: (M,) for each capture, of each coordinate of each cell.
     """
@@ -200,9 +200,9 @@ def misfit(
     gradient: Floats,
     information: Floats,
 ) -> float:
-    """Cost of one capture's cells, and their residuals; adds to half the cost's gradient and Gauss–Newton Hessian.
+    """Return cost and residuals of one capture's cells; add to half the gradient and half the Gauss–Newton Hessian.
 
-    A cell behind a device, or on the horizon, costs the same wherever it is.
+    A cell behind a device, or on the horizon, has a constant cost.
     """
     cost, behind, count = 0.0, 0, len(columns)
     slope, curvature = np.zeros(count), np.zeros((count, count))

@@ -1,8 +1,7 @@
-"""Many matches on a plane → few equivalent ones, so that the refinement costs the same for 10⁴ and 10⁷ matches.
+"""Average matches on a plane over cells, so that the refinement costs the same for 10⁴ and 10⁷ matches.
 
-Over a cell of some tens of camera pixels the mean deviation from the plane's homography carries everything that the
-cell's matches say. What a lens does beyond the homography is curved within a cell; a polynomial that follows it keeps
-the mean from being biased by that.
+In a cell of some tens of camera pixels, the mean deviation from the plane's homography carries all the information of
+the cell's matches. Lens distortion is curved within a cell and would bias the mean; a fitted polynomial corrects this.
 """
 
 from collections.abc import Sequence
@@ -32,7 +31,7 @@ class Cells:
     `camera_px`, `projector_px`: (M, 2). `plane`: (M,) the label of the matches. `sigma_px`: (M,) standard error of each
     coordinate of `projector_px` if matches err independently; `coarseness`: (M,) the stated sigma of the cell's matches
     over that of a typical match, 1 if none is stated. `noise_px`: scatter of a typical match. `rejected`: share of
-    matches that were left out as outliers.
+    outliers, which were left out.
     """
 
     camera_px: Floats
@@ -47,7 +46,7 @@ class Cells:
         return len(self.plane)
 
     def as_matches(self) -> Matches:
-        """The means on the faces as matches."""
+        """Return the cell means on the faces as matches."""
         return Matches(self.camera_px, self.projector_px, np.where(self.plane < len(FACES), self.plane, -1))
 
     def __getitem__(self, chosen: Bools | slice) -> "Cells":
@@ -64,7 +63,7 @@ class Cells:
 
 
 def joined(a: Cells, b: Cells) -> Cells:
-    """The cells of both; noise and rejected share are those of the first."""
+    """Concatenate cells; noise and rejected share are taken from `a`."""
     return replace(
         a,
         camera_px=np.concatenate([a.camera_px, b.camera_px]),
@@ -76,9 +75,9 @@ def joined(a: Cells, b: Cells) -> Cells:
 
 
 def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | None = None) -> Cells:
-    """Average the matches with each label over cells, without outliers from the others around them.
+    """Average the matches with each label over cells, leaving out those that deviate from their neighbours.
 
-    `plane` (N,): other labels than those of the faces. Raises TooFewMatchesError if a label has fewer than four.
+    `plane` (N,): labels to use instead of the faces. Raises TooFewMatchesError if a label has fewer than four matches.
     """
     label = matches.labels if plane is None else plane
     slot = slots(labels)
@@ -113,10 +112,10 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
 
 
 def follow_one_plane(matches: Matches, least_px: float) -> Bools:
-    """Which matches (N,) follow the homography, with a lens's polynomial, that most of them do; within `least_px` in
-    any case.
+    """Return the inliers (N,) of the dominant homography plus lens polynomial; deviations up to `least_px` are inliers
+    in any case.
 
-    Raises TooFewMatchesError if there are fewer than four.
+    Raises TooFewMatchesError if there are fewer than four matches.
     """
     if len(matches) < 4:
         raise TooFewMatchesError(f"a plane has {len(matches)} matches; a homography needs at least four")
@@ -131,7 +130,7 @@ def follow_one_plane(matches: Matches, least_px: float) -> Bools:
 
 
 def _typical_sigma(matches: Matches, chosen: Bools) -> float:
-    """The sigma that a match of weight 1 has: the median of what is stated for (some of) them, 1 if nothing is."""
+    """Return the sigma of a match of weight 1: the median of (a sample of) the stated sigmas, 1 if none is stated."""
     if matches.sigma_px is None:
         return 1.0
     return float(np.median(matches.sigma_px[evenly(chosen, _TYPICAL_SAMPLE)]))
@@ -139,7 +138,7 @@ def _typical_sigma(matches: Matches, chosen: Bools) -> float:
 
 @dataclass(frozen=True)
 class _Means:
-    """Of one plane, by cells (M,); `scatter`: sum of squared deviations of both coordinates, degrees of freedom."""
+    """Cell means (M,) of one plane; `scatter`: sum of squared deviations of both coordinates, degrees of freedom."""
 
     camera_px: Floats
     projector_px: Floats
@@ -151,9 +150,9 @@ class _Means:
 
 
 def _means(label: int, sums: Floats, sample: Matches, reference: Reference, raster: Raster) -> _Means:
-    """The means over the cells of one plane from the sums over them."""
+    """Compute the means over the cells of one plane from their sums."""
     count = sums[:, 0]
-    # A cell far emptier than the one that a typical match is in holds stray labels, not a piece of the plane.
+    # A cell with far fewer matches than a typical match's cell holds stray labels, not a piece of the plane.
     full = np.sort(count[count > 0])
     if not len(full):
         raise TooFewMatchesError(f"the matches of face {label} follow no homography")
@@ -174,7 +173,7 @@ def _means(label: int, sums: Floats, sample: Matches, reference: Reference, rast
 
 
 def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
-    """By how much the polynomial's mean over a cell's matches exceeds its value at their mean, (cells, 2)."""
+    """Return the polynomial's mean over a cell's matches minus its value at their mean, (cells, 2)."""
     cell, size = raster.number(sample.camera_px), len(raster)
     count = np.maximum(np.bincount(cell, minlength=size), 1)[:, None]
 
@@ -185,7 +184,7 @@ def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
 
 
 def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
-    """Homography and polynomial through the inliers among a plane's matches."""
+    """Fit homography and polynomial to the inliers of a plane."""
     weight = np.ones(len(sample)) if sample.sigma_px is None else (typical_sigma_px / sample.sigma_px) ** 2
     inside = _near_a_homography(sample)
     homography = homography_between(sample.camera_px[inside], sample.projector_px[inside])
@@ -198,7 +197,7 @@ def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
         coefficients = coefficients_of(terms, offset, weight * inside)
         deviation = offset - terms.T @ coefficients
         size = np.sqrt(weight * (deviation[:, 0] ** 2 + deviation[:, 1] ** 2))
-        # A polynomial through few matches follows them; its freedom is given back.
+        # A polynomial through few matches reduces their scatter; correct for its degrees of freedom.
         freedom = max(1.0 - np.count_nonzero(terms.any(axis=1)) / max(inside.sum(), 1), 0.1)
         sigma = max(float(np.median(size[inside])) / MEDIAN_LENGTH / np.sqrt(freedom), 1e-9)
         inside = size <= _OUTLIER_SIGMAS * sigma
@@ -206,7 +205,7 @@ def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
 
 
 def _near_a_homography(sample: Matches) -> Bools:
-    """Inliers (N,) of one homography, by the least median of squares."""
+    """Return the inliers (N,) of one homography, by the least median of squares."""
     every = np.ones(len(sample), bool)
     few = sample[:: max(1, len(sample) // _SMALL_SAMPLE)]
     homography, _ = cv2.findHomography(few.camera_px, few.projector_px, cv2.LMEDS) if len(few) > 4 else (None, None)
@@ -219,7 +218,7 @@ def _near_a_homography(sample: Matches) -> Bools:
 
 def _raster(extent: Extent) -> Raster:
     low, high = extent.low, extent.high
-    # The share of the bounding box that a face fills is unknown; half is typical of a corner's faces.
+    # The share of the bounding box that a face fills is unknown; half is typical for a corner's faces.
     side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
     columns, rows = (int(reach / side) + 1 for reach in high - low)
     return Raster(low, side, columns, rows)

@@ -1,4 +1,4 @@
-"""Variance components of the residuals: independent noise, what stays in the mean of a cell, and long waves."""
+"""Variance components of the residuals: independent noise, systematic error per cell, and long-wave errors."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.match_cells import Cells
 
 _SIGNIFICANT = 0.99
-_LEAST_CELLS = 3 * CUBIC  # on a plane, for its long waves to be told from its short ones
+_LEAST_CELLS = 3 * CUBIC  # on a plane, to separate long waves from short ones
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Of one capture: the scatter of a match; τ, what stays unexplained in the mean of a cell; the root mean square of
-    the residuals' long waves; κ, their overdispersion: variance over what cells that err independently would leave.
+    """Noise of one capture: the scatter of a match; τ, the systematic error of a cell's mean; the root mean square of
+    the residuals' long waves; κ, their overdispersion: their variance over that expected from independent cells.
 
-    Parameters are moved by long waves only, so κ is the factor by which their variances are larger. `repeats`: how many
-    captures were taken from this one's place; smooth errors are the same in all of them, so together they count as one.
+    Only long waves move the parameters, so κ is the factor by which their variances grow. `repeats`: number of captures
+    taken from the same place. They have the same smooth errors, so together they count as one.
     """
 
     match_px: float
@@ -34,7 +34,7 @@ class Noise:
 
 
 def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:
-    """Measured on the residuals (M, 2) of a fit that used up `absorbed` degrees of freedom of this capture."""
+    """Estimate the noise from residuals (M, 2) of a fit that absorbed `absorbed` degrees of freedom of this capture."""
     systematic_px = _systematic(residual / cells.coarseness[:, None], cells.sigma_px / cells.coarseness)
     independent = _independent(cells, systematic_px)
     return Noise(cells.noise_px, systematic_px, *_long_waves(cells, residual, independent, absorbed))
@@ -46,7 +46,7 @@ def _independent(cells: Cells, systematic_px: float) -> Floats:
 
 
 def _systematic(residual: Floats, sigma_px: Floats) -> float:
-    """τ such that the residuals (M, 2) have the median size that variances σ² + τ² predict (robust, in px)."""
+    """Return τ in px such that the median size of the residuals (M, 2) matches the variances σ² + τ² (robust)."""
     size, variance = np.linalg.norm(residual, axis=1), sigma_px**2
     low, high = 0.0, 2 * float(np.median(size)) + 1e-12
     for _ in range(50):
@@ -57,8 +57,8 @@ def _systematic(residual: Floats, sigma_px: Floats) -> float:
 
 
 def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Of each plane in the cells (P,), by growing label: χ² of the residuals' projection on cubic polynomials over it,
-    and the projection's sum of squares in px²; NaN for a plane with too few cells. χ² has 2 CUBIC degrees of freedom.
+    """Project the residuals of each plane on cubic polynomials over it: χ² (P,), with 2 CUBIC degrees of freedom, and
+    sum of squares (P,) in px², ordered by label; NaN for a plane with too few cells.
     """
     totals, squares = [], []
     for plane in np.unique(cells.plane):
@@ -76,12 +76,12 @@ def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats
 
 
 def overdispersion(total: float, freedom: float, significant: float = _SIGNIFICANT) -> float:
-    """κ from a χ² over its degrees of freedom; 1 where it is no more than chance."""
+    """Return κ, χ² over its degrees of freedom; 1 if it is not significant."""
     return 1.0 if freedom <= 0 or total < chi2.ppf(significant, freedom) else total / freedom
 
 
 def _long_waves(cells: Cells, residual: Floats, variance: Floats, absorbed: float) -> tuple[float, float]:
-    """Root mean square of the residuals' projection on cubic polynomials over each plane, in px, and κ."""
+    """Return the root mean square, in px, of the residuals' projection on cubic polynomials over each plane, and κ."""
     totals, squares = long_waves(cells, residual, variance)
     freedom = 2 * CUBIC * np.count_nonzero(np.isfinite(totals)) - absorbed
     return float(np.sqrt(np.nansum(squares) / len(cells))), overdispersion(float(np.nansum(totals)), freedom)

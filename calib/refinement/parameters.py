@@ -1,13 +1,13 @@
-"""Minimal parameters of a rig before corners, what they predict of each match, and the exact derivatives.
+"""Minimal parameters of a rig and the corners it sees, the prediction of each match, and the exact derivatives.
 
-A camera pixel is unprojected, its ray meets the plane that it is on, and the point is projected into the projector.
+A camera pixel is unprojected, its ray is intersected with its plane, and the point is projected into the projector.
 Lengths are in baselines: |translation| = 1.
 
 Columns of every step, gradient and Hessian: camera log f, x_0, y_0, k1, k2, p1, p2, k3; the same for the projector;
 rotation (3); direction of the translation (2); three angles off square for each corner; then, for each pose of a
 corner, its rotation (3), its vertex (3, as a share of its distance), and for each further plane two tilts and its
-height; then, for each further photo, its rotation (3), the direction of its translation (2) and the logarithm of that
-one's length.
+height; then, for each further photo, its rotation (3), the direction of its translation (2) and the logarithm of the
+translation's length.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ TANGENTIAL_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) f
 WEAK_TERMS = tuple(device.start + term for device in (CAMERA, PROJECTOR) for term in range(5, PER_DEVICE))
 PER_CORNER, PER_POSE, PER_PLANE, PER_MOTION = 3, 6, 3, 6
 
-# Of the distance to the vertex, and as an angle in radians: closer views see the same light through the same optics.
+# Relative to the distance to the vertex, and in radians: views closer than this have the same optical errors.
 _SAME_PLACE = 0.01
 
 _MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
@@ -38,7 +38,7 @@ _MOTION = np.arange(ROTATION.start, TRANSLATION.stop, dtype=np.int32)
 
 @dataclass(frozen=True)
 class FurtherPlane:
-    """A plane that is parallel or perpendicular to a face, roughly.
+    """A plane that is roughly parallel or perpendicular to a face.
 
     `axes` (3, 3): unit rows in the coordinates of the corner's frame, the plane's normal and two directions to tilt
     it towards; `tilt` (2,) small; `height`: how far the corner's vertex is behind the plane, in baselines.
@@ -52,9 +52,9 @@ class FurtherPlane:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a corner is in one capture: `frame` (3, 3), unit rows along the legs; `vertex` (3,); camera's frame.
+    """Pose of a corner in one capture, in the camera's frame: `frame` (3, 3), unit rows along the legs; `vertex` (3,).
 
-    `corner` says which of the state's corners it is. `planes` are seen beside its three faces.
+    `corner`: index among the state's corners. `planes`: further planes besides the three faces.
     """
 
     frame: Floats
@@ -73,9 +73,9 @@ class State:
     """`camera`, `projector`: (8,) f, x_0, y_0, k1, k2, p1, p2, k3. `rotation` (3, 3), `translation` (3,), unit length.
 
     `off_square` (G, 3): for each corner the angles in radians by which the faces (B, C), (C, A), (A, B) are off square.
-    `one_camera`: the second device is the first at another place. The camera's columns then move both, and those of the
-    projector say nothing. There is one pose, that of the corner before the first photo. Capture 0 pairs it with a
-    second photo, capture 1 and up with one of the `further` photos each.
+    `one_camera`: the second device is the first at another place. The camera's columns then move both devices, and the
+    projector's columns have no effect. There is one pose, that of the corner in the first photo. Capture 0 pairs the
+    first photo with the second, each later capture with one of the `further` photos.
     """
 
     camera: Floats
@@ -94,7 +94,7 @@ class State:
 
     @cached_property
     def _starts(self) -> tuple[int, ...]:
-        """First column of each pose, and the column behind the last pose."""
+        """First column of each pose, and the column after the last pose."""
         starts = [SHARED + PER_CORNER * len(self.off_square)]
         for pose in self.poses:
             starts.append(starts[-1] + pose.size)
@@ -105,7 +105,7 @@ class State:
         return slice(SHARED + PER_CORNER * corner, SHARED + PER_CORNER * (corner + 1))
 
     def pose(self, capture: int) -> Pose:
-        """Where the corner is in a capture."""
+        """Return the pose of the corner in a capture."""
         return self.poses[0 if self.one_camera else capture]
 
     def pose_columns(self, capture: int) -> slice:
@@ -114,7 +114,7 @@ class State:
         return slice(self._starts[pose], self._starts[pose + 1])
 
     def motion(self, capture: int) -> Motion:
-        """From the camera to the second device of a capture."""
+        """Return the motion from the camera to the second device of a capture."""
         if self.one_camera and capture:
             return self.further[capture - 1]
         return Motion(self.rotation, self.translation)
@@ -174,7 +174,7 @@ class State:
         return step
 
     def additive(self) -> Floats:
-        """The columns that may have a prior, as numbers that a step adds to, (size,); zero for rotations and such."""
+        """Values (size,) of the additive columns, which may have a prior; zero for rotations and directions."""
         values = np.zeros(self.size)
         for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
             values[columns] = device
@@ -188,7 +188,7 @@ class State:
 
     @property
     def followed(self) -> Ints:
-        """For each column the one that it moves with, (size,): itself, unless both devices are one camera."""
+        """For each column (size,) the column it is tied to: itself, unless both devices are one camera."""
         followed = np.arange(self.size, dtype=np.int32)
         if self.one_camera:
             followed[PROJECTOR] = followed[CAMERA]
@@ -200,7 +200,7 @@ class State:
         return face_normals(self.off_square[pose.corner], pose.frame)[0]
 
     def same_place(self, first: int, second: int) -> bool:
-        """Whether two captures see their corner from one place, as when the rig was not moved in between."""
+        """Return whether two captures see their corner from the same place: the rig was not moved in between."""
         here, there = self.pose(first).vertex, self.pose(second).vertex
         if np.linalg.norm(here - there) > _SAME_PLACE * np.linalg.norm(here):
             return False
@@ -212,23 +212,23 @@ class State:
         return polar(self.normals(capture))
 
     def points(self, camera_px: Floats, plane: Ints, capture: int = 0) -> Floats:
-        """Where the rays of camera pixels (N, 2) meet the faces (N,) that they are on, (N, 3) in the camera's frame."""
+        """Intersect the rays of camera pixels (N, 2) with their faces (N,): points (N, 3) in the camera's frame."""
         rays, _ = lens.unproject(self.camera, camera_px)
         return depths_on_planes(rays, self.normals(capture)[plane], self.pose(capture).vertex)[:, None] * rays
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:
-    """(8,) of a device, whose pixels are taken for square by their width."""
+    """Return the parameters (8,) of a device; its pixels are taken as square, with the focal length along x."""
     return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion])
 
 
 def without_lens(focal_px: float, centre_px: Floats, k1: float = 0.0) -> Floats:
-    """(8,) of a device with at most one radial term."""
+    """Return the parameters (8,) of a device with at most one radial term."""
     return np.array([focal_px, *centre_px, k1, 0.0, 0.0, 0.0, 0.0])
 
 
 def intrinsic_distance(a: State, b: State) -> Floats:
-    """(4,): differences of the logarithms of both focals, and of the projector's centre in its focals; not negative."""
+    """Return absolute differences (4,) of both log focals and of the projector's principal point over its focal."""
     focals = np.log([a.camera[0] / b.camera[0], a.projector[0] / b.projector[0]])
     centre = (a.projector[1:3] - b.projector[1:3]) / b.projector[0]
     distance: Floats = np.abs(np.concatenate([focals, centre]))
@@ -236,11 +236,11 @@ def intrinsic_distance(a: State, b: State) -> Floats:
 
 
 def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> tuple[Floats, Floats, Floats]:
-    """Where matches at camera pixels (N, 2) on planes (N,) of a capture fall in the projector, with derivatives.
+    """Predict the projector pixels of camera pixels (N, 2) on planes (N,) of a capture, with derivatives.
 
     Planes 0, 1, 2 are the corner's faces, 3 and up the pose's further planes. Returns projector pixels (N, 2), the
     Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
-    prediction means nothing).
+    prediction is invalid).
     """
     motion, vertex = state.motion(capture), state.pose(capture).vertex
     plane = np.ascontiguousarray(plane, np.int32)
@@ -258,7 +258,7 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
 
 
 def _by_translation(state: State, capture: int) -> Floats:
-    """How a capture's translation changes with its columns, (3, columns)."""
+    """Return the derivatives of a capture's translation by its columns, (3, columns)."""
     motion = state.motion(capture)
     by_columns = np.zeros((3, state.count(capture)))
     by_columns[:, TRANSLATION] = motion.length * tangent_basis(motion.translation / motion.length)
@@ -268,9 +268,9 @@ def _by_translation(state: State, capture: int) -> Floats:
 
 
 def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """The planes of a capture in the camera's frame: unit normals (P, 3) of faces and further planes, heights (P,).
+    """Return unit normals (P, 3) and heights (P,) of a capture's faces and further planes, in the camera's frame.
 
-    Then the normals' derivatives by the corner's angles (P, 3 angles, 3) and by a further plane's tilts (P, 2, 3).
+    Also return the normals' derivatives by the corner's angles (P, 3 angles, 3) and by the tilts (P, 2, 3).
     """
     pose = state.pose(capture)
     count = len(FACES) + len(pose.planes)

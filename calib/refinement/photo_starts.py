@@ -1,9 +1,9 @@
-"""Where the refinement of two photos starts: the paper's transfer, asked to give back the camera that it began with.
+"""Starting states for the refinement of two photos: the paper's transfer has to return the camera it began with.
 
 For photos by one camera the transfer of intrinsics through the corner has to be the identity. So the paper's objective
 (its equation 13) becomes E(f, x_0, y_0) = |γ'| + |f_x' − f| + |f_y' − f| + |x_0' − x_0| +
-|y_0' − y_0| for the camera (f_x', f_y', γ', x_0', y_0') that comes out, and no principal point need be known. The focal
-length is swept as ever; at each trial E picks the principal point from a grid.
+|y_0' − y_0| for the transferred camera (f_x', f_y', γ', x_0', y_0'), and the principal point need not be known. The
+focal length is swept as for a rig; at each trial E selects the principal point from a grid.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class PhotoFamily:
     points_px: Floats
 
     def starts(self, focal_px: Floats) -> list[list[State]]:
-        """For each focal (n,) the cameras and corners that come nearest to being the same in both photos."""
+        """Return for each focal (n,) the states with the smallest difference between both photos' cameras."""
         count = len(focal_px)
         costs = np.full((len(self.points_px), 2 * count), np.inf)
         states: dict[tuple[int, int], State] = {}
@@ -74,7 +74,7 @@ def objective_of_photos(matrices: Floats, focal_px: Floats, point_px: Floats) ->
 
 
 def photo_family(cells: Cells, knowledge: Knowledge) -> PhotoFamily:
-    """Prepare the family for one pair of photos. Raises TooFewMatchesError below four cells on a face."""
+    """Prepare the family for one pair of photos. Raises TooFewMatchesError if a face has fewer than four cells."""
     centre = knowledge.principal_point_px
     straightened = straighten(cells, centre, centre)
     known = knowledge.principal_point_sigma_px == 0

@@ -1,10 +1,9 @@
-"""The posterior along the camera's focal length, from the likelihood with everything else at its best: where the answer
-is uncertain.
+"""The posterior along the camera's focal length, the least determined direction, from the profile likelihood.
 
-The valley is curved, and in a view that determines little it is long. A covariance from the curvature at its lowest
-point is then too small for whatever bends away. So the valley is walked, and the covariance is that of the posterior:
-across the valley as its curvature says, along it as its cost and its width say. Along it a sigma is half the central
-68 % interval: of a Gaussian the standard deviation, and of anything else not ruled by what is improbable and far away.
+The valley of the cost is curved, and long if a view determines little. A covariance from the curvature at its minimum
+is then too small. So the valley is traced, and the covariance is that of the posterior: across the valley from the
+curvature of the cost, along it from the cost and the width of the valley. A sigma along the valley is half the central
+68 % interval: equal to the standard deviation for a Gaussian, and insensitive to far, improbable tails otherwise.
 """
 
 from collections.abc import Sequence
@@ -24,20 +23,20 @@ _STEPS = 14
 _HALVINGS = 3
 _HIGHEST = 14.0
 _GROWTH = 1.15
-_FLAT = 0.2  # in cost, of a step: the next is twice as long
-_TOLERANCE, _RELAXED = 1e-5, 100  # in cost, steps: across the valley there may be others, as narrow and as long
+_FLAT = 0.2  # change in cost over a step below which the next step is twice as long
+_TOLERANCE, _RELAXED = 1e-5, 100  # in cost; steps: there may be other narrow, long valleys across this one
 _CENTRAL = 0.1587, 0.8413
-_CENTRED = 0.1  # sigmas: closer to the middle than this is in the middle
+_CENTRED = 0.1  # sigmas: deviation from the median that counts as centred
 _FINE = 500
-_FLATTEST = 1e-15  # of a Hessian of unit diagonal: what is less is rounding
+_FLATTEST = 1e-15  # eigenvalue of a Hessian scaled to unit diagonal below which it is rounding error
 
 
 @dataclass(frozen=True)
 class Valley:
     """States along the valley, by growing focal: `focal_px` (n,), `cost` (n,) above the lowest, and the states.
 
-    `log_volume` (n,): how much of the posterior is across the valley there, its density at the floor being 1. `gain`:
-    by how much the lowest cost is below that of the fit from which the valley was walked.
+    `log_volume` (n,): log of the posterior's integral across the valley, relative to its density at the floor. `gain`:
+    cost of the fit where the trace began minus the lowest cost.
     """
 
     focal_px: Floats
@@ -59,7 +58,7 @@ class Valley:
         return above
 
     def covariance(self, best: Fit, free: Bools) -> Floats:
-        """Of all columns around the best state, (size, size); zero for columns that are not free."""
+        """Return the covariance (size, size) of all columns around the best state; zero for fixed columns."""
         across = free.copy()
         across[CAMERA.start] = False
         weight, steps = self.along(best)
@@ -74,13 +73,13 @@ class Valley:
 
     @property
     def median_px(self) -> float:
-        """The camera's focal length that is as likely too short as too long."""
+        """Posterior median of the camera's focal length."""
         return float(self._quantiles((0.5,))[0])
 
     def _quantiles(self, shares: tuple[float, ...]) -> Floats:
         at = np.log(self.focal_px)
         fine = np.linspace(at[0], at[-1], _FINE)
-        # The root of a parabola is straight, so that few states tell the shape between them.
+        # The square root of a parabola is a straight line, so that few states suffice for interpolation.
         log_weight = np.interp(fine, at, self.log_volume) - np.interp(fine, at, np.sqrt(self.cost)) ** 2 / 2
         weight = np.exp(log_weight - log_weight.max())
         below = (np.cumsum(weight) - weight / 2) / weight.sum()
@@ -88,9 +87,9 @@ class Valley:
         return quantiles
 
     def along(self, best: Fit) -> tuple[Floats, Floats]:
-        """The posterior along the valley: probabilities (n,) of its states, and the steps (n, size) to them.
+        """Return the probabilities (n,) of the states along the valley, and the steps (n, size) to them.
 
-        Steps are scaled so that the focal length's has the sigma of its central interval.
+        Steps are scaled so that the focal length has the sigma of its central interval.
         """
         steps = np.stack([best.state.step_to(state) for state in self.states])
         weight = np.exp(-self.posterior_cost / 2) * np.gradient(np.log(self.focal_px))
@@ -101,9 +100,9 @@ class Valley:
 
 
 def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
-    """Both ways from the best fit, until the cost is clearly higher.
+    """Trace the valley in both directions from the best fit until the cost is clearly higher.
 
-    Raises LinAlgError if no other focal length has an answer: nothing tells then how sure the best one is.
+    Raises LinAlgError if no other focal length has a solution: the uncertainty cannot be determined then.
     """
     anchored = prior.holding(CAMERA.start)
     sigma = float(np.sqrt(covariance_of(best.information, prior.free)[CAMERA.start, CAMERA.start]))
@@ -118,7 +117,7 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
                 fit = relax(captures, along, anchored, variances, tolerance=_TOLERANCE, steps=_RELAXED)
                 if fit.cost - last.cost < _HIGHEST:
                     break
-                step /= 2  # too long for the bend, or else a wall
+                step /= 2  # too long for the valley's curvature, or beyond the last solution
             if not np.isfinite(fit.cost):
                 break
             flat = fit.cost - last.cost < _FLAT
@@ -137,7 +136,7 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
 
 
 def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, variances: Sequence[Floats]) -> Fit:
-    """The fit in the middle of the posterior along a long valley, whose lowest cost is often not near it."""
+    """Return the fit at the posterior median; in a long valley the lowest cost is often far from it."""
     middle = valley.median_px
     low, high = valley.interval_px
     shift = np.log(middle / best.state.camera[0])
@@ -151,11 +150,11 @@ def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, 
 
 
 def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
-    """How much of the posterior is across the valley at a fit: Laplace's approximation, −½ log det of the Hessian.
+    """Return the log volume of the posterior across the valley at a fit: Laplace's approximation, −½ log det Hessian.
 
-    Radial terms bend the image in proportion to k1 / f², k2 / f⁴ and k3 / f⁶, and short and long lenses bend theirs
-    alike. So the prior of those terms grows with the focal length as they do; one of fixed width would take a longer
-    lens for likelier, only because its terms are larger numbers.
+    Radial terms distort the image in proportion to k1 / f², k2 / f⁴ and k3 / f⁶, and short and long lenses distort
+    their images equally. So the prior width of these terms scales with the focal length; a fixed width would make
+    longer lenses more likely only because their terms are larger numbers.
     """
     scale = prior.radial_scale(fit.state, best)
     grown = replace(prior, sigma=prior.sigma * scale)
@@ -172,7 +171,7 @@ def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
 
 
 def covariance_of(information: Floats, free: Bools) -> Floats:
-    """Inverse of the information on the free columns, (size, size), zero elsewhere."""
+    """Invert the information on the free columns, (size, size); zero elsewhere."""
     covariance = np.zeros_like(information)
     chosen = np.ix_(free, free)
     covariance[chosen] = inverse_of(information[chosen])
@@ -180,7 +179,7 @@ def covariance_of(information: Floats, free: Bools) -> Floats:
 
 
 def inverse_of(matrix: Floats) -> Floats:
-    """Pseudo-inverse of a symmetric matrix (n, n) whose columns have very different scales."""
+    """Return the pseudo-inverse of a symmetric matrix (n, n) whose columns have very different scales."""
     scale = np.sqrt(np.diag(matrix))
     inverse: Floats = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     return inverse

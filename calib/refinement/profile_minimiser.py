@@ -1,4 +1,4 @@
-"""The nearest minimum of the cost, down the profile likelihood of the camera's focal length."""
+"""Minimise the cost along the profile of the camera's focal length."""
 
 from collections.abc import Sequence
 
@@ -26,14 +26,13 @@ def minimise(
     tolerance: float = CONVERGED,
     ceiling: float = np.inf,
 ) -> Fit:
-    """The nearest minimum, down the profile along the camera's focal length.
+    """Find the nearest minimum by descending the profile along the camera's focal length.
 
-    Ends when a further step promises to lower the cost by less than `tolerance`; given up where the cost would stay
-    above `ceiling`.
+    Stops when the predicted decrease of the cost is below `tolerance`, or when the cost would stay above `ceiling`.
 
-    The valley is curved: a joint step soon leaves it, and the many small ones that stay in it look like convergence.
-    So after each joint Newton step everything but the focal is relaxed back to the valley's floor, along which the
-    cost is nearly a parabola.
+    The valley is curved: a long joint step leaves it, and a series of short ones looks like convergence. So after each
+    joint Newton step everything but the focal is relaxed back to the valley's floor, along which the cost is nearly a
+    parabola.
     """
     anchored = prior.holding(CAMERA.start)
     fit = relax(captures, state, anchored, variances, tolerance=tolerance)
@@ -63,10 +62,10 @@ def relax(
     steps: int = _STEPS,
     ceiling: float = np.inf,
 ) -> Fit:
-    """Levenberg–Marquardt over the free columns of the prior.
+    """Minimise over the free columns of the prior by Levenberg–Marquardt.
 
-    Ends when Newton's decrement, the cost that a full step promises to gain, falls below `tolerance`, or that share
-    of a hundredth of the cost; or when the cost, once it goes down slowly, would stay above `ceiling`.
+    Stops when Newton's decrement, the predicted decrease of a full step, falls below `tolerance`, or below that share
+    of a hundredth of the cost; or when the cost decreases slowly and would stay above `ceiling`.
     """
 
     def moved(fit: Fit, step: Floats) -> Fit:

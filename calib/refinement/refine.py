@@ -1,8 +1,8 @@
 """Maximum-likelihood refinement of one rig from one or more captures, started from the paper's one-dimensional family.
 
-At each focal of a sweep the paper's transfer gives a start and everything else converges in a few steps. Every minimum
-of that profile is then refined with the focal free, and all of them are compared. How noisy the matches are is measured
-on the way.
+At each focal of a sweep the paper's transfer gives a start, and all other parameters converge in a few steps. Every
+minimum of that profile is then refined with the focal free, and the minima are compared. The noise of the matches is
+estimated from the residuals.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,24 +25,24 @@ from calib.refinement.shared_corner import Sameness, oriented, tie
 # Cells of all captures and a state → the same with further planes.
 Further = Callable[[Sequence[Cells], State], tuple[list[Cells], State]]
 
-_SAME_SOLUTION = 0.01  # of both focals and, relative to them, the projector's centre: minima this close are one
+_SAME_SOLUTION = 0.01  # relative difference of focals and projector centre below which minima are the same
 _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
 CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
-_STRAINED = 9.0  # what an assumption on the angles may cost before it is asked where they would be without
-_WALKS, _GAINED = 3, 0.3  # walks of a valley; what one has to gain in cost for another one
+_STRAINED = 9.0  # cost of the assumption on the angles above which a fit without it is tried as well
+_WALKS, _GAINED = 3, 0.3  # traces of a valley; gain in cost that justifies another one
 _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """The refined solution and what is known of it.
+    """The refined solution with its diagnostics.
 
-    `captures`: the cells, labelled alike where they show one corner, with the `noise` of each. `prior`: of the final
-    fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best first.
-    `valley`: the cost along the camera's focal length. `tension`: what the assumption on the corner's angles costs.
-    `sameness`: whether the captures show one corner. `apart`: the fit near by of these captures by themselves, where
-    other data say something of the rig.
+    `captures`: the cells, with consistent labels if they show one corner, and the `noise` of each. `prior`: of the
+    final fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best
+    first. `valley`: the cost along the camera's focal length. `tension`: cost of the prior on the corner's angles.
+    `sameness`: whether the captures show one corner. `apart`: the nearby fit of these captures alone, if there is a
+    prior on the rig from other data.
     """
 
     captures: tuple[Cells, ...]
@@ -70,10 +70,10 @@ def refine(
     same: bool,
     further: Further | None = None,
 ) -> Refinement | None:
-    """Sweep the trial focals (n,), refine every minimum, compare. None where no trial gives real corners.
+    """Sweep the trial focals (n,), refine every minimum and compare them. None if no trial gives real corners.
 
-    `same`: several captures are taken to show one corner, unless their residuals tell otherwise. `further`: adds planes
-    beside the corners to captures and state.
+    `same`: assume that all captures show one corner, unless their residuals contradict it. `further`: adds planes
+    other than the corners' faces to captures and state.
     """
     thinned = [thin(cells) for cells in captures]
     alone = [sweep_one(*pair, focal_px, knowledge) for pair in zip(thinned, families, strict=True)]
@@ -82,7 +82,7 @@ def refine(
     if not starts:
         return None
     if len(captures) == 1:
-        # Beside the best, the sweep knows nothing of a second solution at the same focal: the corner turned inside out.
+        # The sweep keeps only the best solution at each focal; the other one is the corner turned inside out.
         starts += twins(thinned[0], families[0], starts[0], knowledge)
     fits = [oriented(thinned, fit) for fit in explore(thinned, starts, knowledge)]
     sameness = None
@@ -92,7 +92,7 @@ def refine(
 
 
 def thin(cells: Cells) -> Cells:
-    """As few cells as a sweep needs."""
+    """Return as few cells as a sweep needs."""
     return cells[:: max(1, len(cells) // SWEEP_CELLS)]
 
 
@@ -104,11 +104,11 @@ def settle(
     sameness: Sameness | None = None,
     further: Further | None = None,
 ) -> Refinement | None:
-    """The solution with its uncertainty, from different minima (best first) of some or all of the cells.
+    """Return the solution with its uncertainty, given different minima (best first) of some or all of the cells.
 
-    None where none of them is left with all cells.
+    None if no minimum remains with all cells.
     """
-    # Nor what other data say of the rig: what contradicts them may not pass for noise either.
+    # The noise is measured without the prior from other data: a contradiction to it must not count as noise.
     unassuming = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG, rig=None).prior(fits[0].state)
     noise = _measured(captures, fits[0], unassuming)
     variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
@@ -118,7 +118,7 @@ def settle(
         return None
     with_angles = replace(knowledge, squareness_deg=_ANY_ANGLE_DEG).prior(fits[0].state)
     loose = minimise(captures, fits[0].state, with_angles, variances, tolerance=_ROUGH)
-    # From where the angles have led, their prior may be met at another minimum.
+    # Starting from the fit with free angles, the prior on them may lead to another minimum.
     square = _squared(loose.state) if knowledge.squareness_deg == 0 else loose.state
     if fits[0].cost - loose.cost > _STRAINED:
         fits = _distinct([*fits, minimise(captures, square, prior, variances)])
@@ -140,7 +140,7 @@ def settle(
     if knowledge.rig is not None:
         usual = replace(knowledge, rig=None).prior(best.state)
         apart = minimise(captures, best.state, usual, variances)
-        # What holds for any lens is no part of what the captures say.
+        # The general prior on lenses is not information from the captures.
         apart = replace(apart, cost=apart.cost - float(np.sum(usual.misfit(apart.state)[0][:SHARED])))
     return Refinement(
         tuple(captures),
@@ -157,9 +157,9 @@ def settle(
 
 
 def _walked(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> tuple[Fit, Valley]:
-    """The lowest fit of a valley, and the valley, walked from there.
+    """Return the lowest fit of a valley, and the valley traced from there.
 
-    Where it is nearly flat a descent ends early; whoever walks on finds where it goes down again.
+    A minimisation stops early where the valley is nearly flat; tracing it further finds where it descends again.
     """
     for _ in range(_WALKS):
         valley = walk(captures, best, prior, variances)
@@ -171,12 +171,12 @@ def _walked(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Seque
 
 
 def _squared(state: State) -> State:
-    """A state with exactly square corners."""
+    """Return the state with exactly square corners."""
     return replace(state, off_square=np.zeros_like(state.off_square))
 
 
 def _of_all_columns(covariance: Floats, state: State) -> Floats:
-    """The covariance (size, size), columns that move with others having theirs."""
+    """Fill in the covariance (size, size) of tied columns from the columns they are tied to."""
     followed = state.followed
     every: Floats = covariance[np.ix_(followed, followed)]
     return every
@@ -185,7 +185,7 @@ def _of_all_columns(covariance: Floats, state: State) -> Floats:
 def _with_planes(
     captures: Sequence[Cells], best: Fit, knowledge: Knowledge, noise: Sequence[Noise], further: Further
 ) -> tuple[Sequence[Cells], Fit, Prior]:
-    """Captures, fit and prior with those further planes that turn out as square, and as plane, as they should be."""
+    """Return captures, fit and prior with the further planes that pass the tests of squareness and flatness."""
     of_faces = mean_square(
         np.concatenate(best.residuals),
         np.concatenate([level.variances(each) for each, level in zip(captures, noise, strict=True)]),
@@ -202,7 +202,7 @@ def _with_planes(
 
 
 def explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) -> list[Fit]:
-    """The different minima, best first, that the starts (best first) lead to and that deserve a closer look."""
+    """Refine the starts (best first); return the distinct minima worth considering, best first."""
     prior = knowledge.prior(starts[0].state)
     variances = _levels(starts[0])
     best = minimise(captures, starts[0].state, prior, variances)
@@ -212,7 +212,8 @@ def explore(captures: Sequence[Cells], starts: list[Fit], knowledge: Knowledge) 
 
 
 def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise, ...]:
-    """The noise of each capture, by a prior that leaves the angles open: no assumption on them may pass for noise.
+    """Estimate the noise of each capture with a prior that leaves the angles free: a violated assumption on them must
+    not count as noise.
 
     `fit`: to some or all of the cells.
     """
@@ -230,14 +231,14 @@ def _measured(captures: Sequence[Cells], fit: Fit, prior: Prior) -> tuple[Noise,
 
 
 def _repeats(state: State, count: int) -> tuple[int, ...]:
-    """How many of so many captures were taken from the place of each; photos, which share one pose, never are."""
+    """Count, for each capture, the captures taken from the same place; 1 for photos, which share one pose."""
     if state.one_camera:
         return (1,) * count
     return tuple(sum(state.same_place(i, j) for j in range(count)) for i in range(count))
 
 
 def _levels(fit: Fit) -> list[Floats]:
-    """For each capture one variance (M,) for all cells: that of the residuals."""
+    """Return for each capture the variance of its residuals, the same for all cells (M,)."""
     return [np.full(len(residual), max(float(np.mean(residual**2)), 1e-12)) for residual in fit.residuals]
 
 

@@ -1,4 +1,4 @@
-"""From a ray of the camera to a point before the second device, with derivatives, in compiled steps.
+"""Compiled steps from a camera ray to a point in the second device's frame, with derivatives.
 
 Each step takes N points at once, on the faces 0, 1, 2 of a corner or on further planes, 3 and up.
 """
@@ -14,8 +14,8 @@ _FACES, _PER_POSE, _PER_PLANE = 3, 6, 3
 def face_normals(off_square: Floats, frame: Floats) -> tuple[Floats, Floats]:
     """Unit normals (3, 3) of a corner's faces in the camera's frame, and derivatives (3, 3 angles, 3) by its angles.
 
-    In the corner's frame they are the rows of a symmetric matrix, scaled to unit length: ones on the diagonal, and half
-    the angle by which the faces i and j are off square, which is numbered like the third face, in row i, column j.
+    In the corner's frame they are the rows of a symmetric matrix, scaled to unit length. Its diagonal is one; entry
+    (i, j) is half the angle by which faces i and j are off square. The angle has the number of the third face.
     """
     normals, by_angles = np.empty((3, 3)), np.zeros((3, 3, 3))
     for i in range(3):
@@ -48,8 +48,8 @@ def meet(
 
     dX = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − X) + n·dvertex + dheight)
 
-    Filled in, zero before, are derivatives by the camera (8), the corner's angles (3), its rotation (3) and vertex (3,
-    as a share of its distance) and, for each plane behind the three faces, two tilts and the height.
+    Fills in the (zero-initialised) derivatives by the camera (8), the corner's angles (3), its rotation (3) and vertex
+    (3, as a share of its distance) and, for each further plane, two tilts and the height.
     """
     points, depths = np.empty((len(rays), 3)), np.empty(len(rays))
     distance = np.sqrt(_dot(vertex, vertex))
@@ -95,7 +95,7 @@ def move(
     translation_by_columns: Floats,
     first: int,
 ) -> tuple[Floats, Floats]:
-    """R X + t (N, 3) with derivatives R dX + ω × R X + dt, (N, 3, columns); `first`: the column of the first of ω."""
+    """R X + t (N, 3) with derivatives R dX + ω × R X + dt, (N, 3, columns); `first`: the first column of ω."""
     moved, by_columns = np.empty_like(points), np.empty_like(points_by_columns)
     turned = np.empty(3)
     for i in range(len(points)):

@@ -1,8 +1,7 @@
-"""Several captures of one corner share its angles, whatever order their faces were found in.
+"""Tie the angles of several captures of one corner, whatever order their faces were found in.
 
-Each capture's faces are numbered clockwise around the vertex; which of the three comes first is then all that is open
-between captures. It is found from the angles themselves, and that they are shared at all is tested by what sharing
-costs.
+Each capture's faces are numbered clockwise around the vertex, so only the first face is ambiguous between captures. It
+is found from the angles. The increase in cost tests whether the captures share their angles at all.
 """
 
 from collections.abc import Sequence
@@ -25,17 +24,17 @@ from calib.refusal import RefusalError
 _MOST_CAPTURES = 8
 _CLOSER_LOOKS = 9
 _SIGNIFICANT = 0.999
-_CLOSE = 12.0  # in cost of a part of the cells; orders that cost more than that are out
+_CLOSE = 12.0  # in cost of a sample of the cells; orders above the best by more are dropped
 
 
 @dataclass(frozen=True)
 class Sameness:
     """Whether captures show one corner.
 
-    `same`: the verdict. `shifts`: for each capture, the number of its face s is (s + shift) mod 3 in the others' order.
-    `cost`: by how much the cost rises when the angles are shared; `limit`: what it may. `lead`: by how much the next
-    best order of the faces costs more; small where the corner is too square to tell. `spread` (SHARED, SHARED): the
-    covariance that the other orders' answers add to what all captures share.
+    `same`: the verdict. `shifts`: for each capture, its face s has the number (s + shift) mod 3 in the common order.
+    `cost`: increase of the cost when the angles are shared; `limit`: the largest acceptable increase. `lead`: extra
+    cost of the next best order of the faces; small if the corner is too square to decide. `spread` (SHARED, SHARED):
+    covariance that the solutions for the other orders add to the shared parameters.
     """
 
     same: bool
@@ -49,17 +48,17 @@ class Sameness:
 def tie(
     captures: Sequence[Cells], thinned: Sequence[Cells], fits: list[Fit], knowledge: Knowledge
 ) -> tuple[Sequence[Cells], list[Fit], Sameness | None]:
-    """Captures relabelled alike, fits with one shared corner, best first, and how well that explains the matches.
+    """Return consistently labelled captures, fits with one shared corner (best first), and the test of sharing.
 
-    `fits`: of the thinned captures, each with a corner of its own, best first. Where sharing is refuted, captures and
-    fits come back as they were. With exactly square corners there is nothing to share, nor to be told.
+    `fits`: of the thinned captures, each with a corner of its own, best first. If sharing is refuted, captures and fits
+    are returned unchanged. With exactly square corners there is nothing to share and nothing to test.
     """
     if knowledge.squareness_deg == 0:
         return captures, fits, None
     if len(captures) > _MOST_CAPTURES:
         raise RefusalError(
             f"{len(captures)} captures of one corner were given; at most {_MOST_CAPTURES} can be put in order.",
-            "Calibrate from fewer of them, or say corner.same: false.",
+            "Calibrate from fewer of them, or set corner.same: false.",
         )
     levels = [max(float(np.mean(r**2)), 1e-12) for r in fits[0].residuals]
     trials = [
@@ -71,7 +70,7 @@ def tie(
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
     limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
-    # All cells tell orders apart that a part of them does not.
+    # All cells may distinguish orders that a sample of them does not.
     close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
     whole = sorted(
         (_in_order(captures, trial.fit.state, trial.shifts, knowledge, levels) for trial in close),
@@ -93,7 +92,7 @@ def tie(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """The fit of captures whose faces are numbered on by `shifts`."""
+    """The fit of captures whose face numbers are shifted cyclically by `shifts`."""
 
     fit: Fit
     shifts: tuple[int, ...]
@@ -121,12 +120,12 @@ def _spread(trials: Sequence[_Trial]) -> Floats:
 
 
 def relabel(cells: Cells, shift: int) -> Cells:
-    """The same cells, faces numbered on by `shift`."""
+    """Return the cells with face numbers shifted cyclically by `shift`."""
     return replace(cells, plane=np.where(cells.plane < len(FACES), (cells.plane + shift) % 3, cells.plane))
 
 
 def is_anticlockwise(cells: Cells, vertex: Floats) -> bool:
-    """Whether the faces 0, 1, 2 follow each other anticlockwise around the `vertex` (3,) in the camera's image."""
+    """Return whether faces 0, 1, 2 run anticlockwise around the `vertex` (3,) in the camera's image."""
     around = [cells.camera_px[cells.plane == face].mean(axis=0) * vertex[2] - vertex[:2] for face in FACES]
     angles = np.array([np.arctan2(y, x) for x, y in around])
     # y points down, so angles grow clockwise.
@@ -134,12 +133,12 @@ def is_anticlockwise(cells: Cells, vertex: Floats) -> bool:
 
 
 def reflected(cells: Cells) -> Cells:
-    """The same cells, the faces 1 and 2 exchanged."""
+    """Return the cells with faces 1 and 2 exchanged."""
     return replace(cells, plane=np.where((cells.plane == 1) | (cells.plane == 2), 3 - cells.plane, cells.plane))
 
 
 def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
-    """The same fit, every leg pointing along its faces: only then do angles mean the same in all captures."""
+    """Orient every leg along its faces: only then are angles comparable between captures."""
     state = fit.state
     flips = np.ones(state.size)
     off_square, poses = state.off_square.copy(), []
@@ -147,7 +146,7 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
         on_faces = cells.plane < len(FACES)
         points = state.points(cells.camera_px[on_faces], cells.plane[on_faces], i)
         signs = leg_signs(state.legs(i), pose.vertex, points)
-        # Turning one leg round turns the signs of both angles that its face has with the others.
+        # Reversing a leg changes the sign of both angles between its face and the others.
         turned = np.prod(signs) * signs
         off_square[pose.corner] *= turned
         flips[state.angle_columns(pose.corner)] = turned
@@ -159,10 +158,10 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
 
 
 def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
-    """Orders of the faces, at most `_CLOSER_LOOKS`, that agree best with the angles of each capture alone.
+    """Return the at most `_CLOSER_LOOKS` orders of the faces that agree best with the angles of each capture alone.
 
-    Holding the angles equal costs dᵀ (D Σ Dᵀ)⁻¹ d, d = D a being their differences and Σ the covariance of the angles a
-    without the prior.
+    Tying the angles a costs dᵀ (D Σ Dᵀ)⁻¹ d, where d = D a are their differences and Σ is their covariance without the
+    prior.
     """
     count = len(fit.state.poses)
     free = knowledge.prior(fit.state).free
@@ -190,7 +189,7 @@ def _differences(shifts: tuple[int, ...]) -> Floats:
 
 
 def _shared(state: State, shifts: tuple[int, ...]) -> State:
-    """A state whose captures show one corner, with the mean of their angles."""
+    """Return the state with one corner for all captures, with the mean of their angles."""
     angles = [np.roll(off, shift) for off, shift in zip(state.off_square, shifts, strict=True)]
     poses = tuple(
         replace(pose, frame=np.roll(pose.frame, shift, axis=0), corner=0)

@@ -1,4 +1,4 @@
-"""What matches that are shifted, all of them by a smooth field, do to the solution: to first order, without a new fit.
+"""The first-order effect of a smooth shift field of the matches on the solution, without a new fit.
 
 With half the Hessian H of the cost, cells' Jacobians J and variances v, a field of shifts s moves the minimum by
 H⁻¹ Σ Jᵀ s / v. The parameters absorb most of such a field, so that the residuals do not show it.
@@ -15,8 +15,8 @@ from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PROJECTOR, State, predict
 from calib.refinement.refine import Refinement
 
-# Camera pixels (N, 2), projector pixels (N, 2), and the gradient (N, 2, 2) of these (rows) by the camera's x and y → by
-# how much the projector pixels are shifted, (N, 2).
+# Camera pixels (N, 2), projector pixels (N, 2), and their gradient (N, 2, 2) (rows) by the camera's x and y → the shift
+# (N, 2) of the projector pixels.
 Shift = Callable[[Floats, Floats, Floats], Floats]
 
 _STEP_PX = 0.5
@@ -24,10 +24,10 @@ _STEP_PX = 0.5
 
 @dataclass(frozen=True)
 class Shifts:
-    """By what the matches of a capture may be shifted, by fields of one standard deviation each: `likely` ones, and
-    `possible` ones, which nothing tells of. `smooth_px`: by what a decoder errs smoothly over each plane, along either
-    axis: the standard deviation of the amplitude of every polynomial up to the cubic ones, orthonormal in the mean.
-    `decoding`: what else it errs by, whether anything moved or not.
+    """Possible shift fields of a capture's matches, of one standard deviation each: `likely` ones, and undetectable
+    `possible` ones. `smooth_px`: smooth decoding error over each plane along either axis, as the standard deviation of
+    the amplitude of every polynomial up to cubic, orthonormal in the mean. `decoding`: other decoding errors, which
+    occur with or without motion.
     """
 
     likely: tuple[Shift, ...] = ()
@@ -37,16 +37,16 @@ class Shifts:
 
 
 def response_to_shift(refinement: Refinement, shift: Shift, capture: int) -> Floats:
-    """By how much the solution (size,) changes if the matches of a capture are shifted so."""
+    """Return the change (size,) of the solution if the matches of a capture are shifted by `shift`."""
     state, cells = refinement.fit.state, refinement.captures[capture]
     shifts = shift(cells.camera_px, cells.projector_px, _gradient(state, cells, capture))
     return _responses(refinement, shifts[..., None], capture)[:, 0]
 
 
 def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, capture: int) -> Floats:
-    """The covariance (size, size) that errors as of `Shifts.smooth_px` give the solution.
+    """Return the covariance (size, size) of the solution due to smooth errors, see `Shifts.smooth_px`.
 
-    They are the same in all captures from one place, so that together these are moved as one is.
+    The errors are equal in all captures from one place, so averaging those captures does not reduce them.
     """
     cells, times = refinement.captures[capture], refinement.noise[capture].repeats
     fields = []
@@ -63,7 +63,7 @@ def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, captur
 
 
 def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
-    """By how much the solution changes, (size, K), if the cells of a capture are shifted by fields (M, 2, K)."""
+    """Return the changes (size, K) of the solution if the cells of a capture are shifted by fields (M, 2, K)."""
     state, cells = refinement.fit.state, refinement.captures[capture]
     _, jacobian, _ = predict(state, cells.camera_px, cells.plane, capture)
     weighted = jacobian / refinement.noise[capture].variances(cells)[:, None, None]
@@ -76,14 +76,14 @@ def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
 
 
 def percent_of_intrinsics(state: State, step: Floats) -> float:
-    """How far a step (size,) moves both focal lengths and the projector's principal point, on average, in per cent."""
+    """Return the average change in per cent of both focals and the projector's principal point by a step (size,)."""
     point = slice(PROJECTOR.start + 1, PROJECTOR.start + 3)
     focals = step[[CAMERA.start, PROJECTOR.start]]  # logarithms
     return float(100 * np.mean(np.abs([*focals, *(step[point] / state.additive()[point])])))
 
 
 def together(responses: Sequence[Floats], size: int) -> Floats:
-    """The covariance (size, size) of independent shifts of one standard deviation each, from what each does."""
+    """Return the covariance (size, size) of independent shifts of one standard deviation, given their responses."""
     rows = np.reshape(responses, (-1, size))
     covariance: Floats = rows.T @ rows
     return covariance

@@ -1,4 +1,4 @@
-"""From matches to a calibration with its uncertainty: of a rig, and of one camera by its photos."""
+"""Calibrate a rig from matches, or one camera from photos, with uncertainty."""
 
 from calib.self_calibration.known_calibration import KnownCalibration
 from calib.self_calibration.photos import anywhere, calibrate_photos

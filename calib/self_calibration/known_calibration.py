@@ -1,4 +1,4 @@
-"""A calibration that other data gave, of boards say, to be joined with captures of a corner."""
+"""A calibration from other data, such as boards, to be combined with captures of a corner."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,10 +13,10 @@ from calib.refinement import SHARED, KnownRig
 
 @dataclass(frozen=True)
 class KnownCalibration:
-    """A Gaussian summary: the most likely `calibration`, and the covariance of its columns and its length.
+    """A Gaussian summary: the most likely `calibration`, and the covariance of its parameters and its baseline.
 
-    The shape of the pixels stays as it is. How unsure it is has to be in the covariance, as what the columns would do
-    in its place.
+    The pixel aspect ratio is held fixed. Its uncertainty must be included in the covariance, as the equivalent
+    uncertainty of the parameters.
     """
 
     calibration: Calibration
@@ -24,11 +24,11 @@ class KnownCalibration:
 
     @cached_property
     def rig(self) -> KnownRig:
-        """As a prior on what all captures share, for matches `with_square_pixels`."""
+        """Return it as a prior on the parameters shared by all captures, for matches `with_square_pixels`."""
         return KnownRig(self.uncertainty.rig, self.uncertainty.covariance)
 
     def with_square_pixels(self, matches: Matches) -> Matches:
-        """The matches as devices with square pixels would have them."""
+        """Return the matches as devices with square pixels would see them."""
         return replace(
             matches,
             camera_px=_squared(self.calibration.camera, matches.camera_px),
@@ -36,7 +36,7 @@ class KnownCalibration:
         )
 
     def with_own_pixels(self, found: Calibration) -> Calibration:
-        """What was found from such matches, for the matches as they are."""
+        """Convert a calibration found from `with_square_pixels` matches back to the devices' own pixels."""
         return replace(
             found,
             camera=with_pixels_of(found.camera, self.calibration.camera),
@@ -44,15 +44,15 @@ class KnownCalibration:
         )
 
     def with_log_baseline(self, covariance: Floats) -> Floats:
-        """The covariance of the baseline's logarithm with the columns, (21,), where theirs is now this one, (21, 21).
+        """Return the covariance (21,) of the log baseline with the parameters, given their new covariance (21, 21).
 
-        Captures of a corner say nothing of lengths but through the columns.
+        Captures of a corner have no scale: they change the baseline only through its correlation with the parameters.
         """
         moved: Floats = covariance[:SHARED, :SHARED] @ self.uncertainty.by_log_baseline
         return moved
 
     def metric(self, found: Calibration, uncertainty: Uncertainty) -> Calibration:
-        """A calibration that was found together with this one, in baselines → in this one's unit, with its sigma."""
+        """Convert a calibration combined with this one from baselines to this one's unit, with its sigma."""
         known = self.calibration.sigma.known_baseline
         if known is None:
             return found

@@ -1,8 +1,8 @@
 """Photos of one corner by one unchanged camera → its intrinsics, or a refusal with a reason (the paper's section 5.3).
 
-The model is that of a rig whose two devices are the same camera (`State.one_camera`): the likelihood, its profile along
-the focal length, the order of the lens, the covariance and the refusals are those of the rig. Nothing but the start is
-different, and that the principal point need not be known: two photos measure ten numbers for eight unknowns.
+The model is a rig whose two devices are the same camera (`State.one_camera`). The likelihood, its profile along the
+focal length, the lens terms, the covariance and the refusals are those of a rig. Two things differ: the starting
+values, and that the principal point may be unknown, because two photos give ten measurements for eight unknowns.
 """
 
 from collections.abc import Sequence
@@ -48,13 +48,13 @@ from calib.refinement import (
 from calib.refusal import PHOTOS, RefusalError
 from calib.self_calibration.rig import PrincipalPoint, Profile, SelfCalibration, sweep_trials
 
-# A photo may be a crop: its principal point is known to be somewhere in it, and that is all.
+# A photo may be a crop: its principal point may be anywhere in it.
 _CROP_SIGMA_OF_WIDTH = 0.2
-_HIDDEN = 16  # fits of the sweep that are followed beside its minima
+_HIDDEN = 16  # fits of the sweep that are refined in addition to its minima
 
 
 def anywhere(size: tuple[int, int]) -> PrincipalPoint:
-    """What is known of the principal point of a photo (width, height) that may have been cropped."""
+    """Return the prior on the principal point of a photo (width, height) that may have been cropped."""
     width, height = size
     return PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CROP_SIGMA_OF_WIDTH * width)
 
@@ -72,11 +72,11 @@ def calibrate_photos(
     """Calibrate the camera of photos of (width, height) from the matches of the first with each of the others.
 
     `pairs`: with faces 0, 1, 2 of one corner, `camera_px` in the first photo and `projector_px` in the other one.
-    `principal_point`: `anywhere` by default. `lenses`: what is known of the camera's, twice. `focal_px`: focal length
-    and its standard deviation, where it is to be used as a prior. Returns one solution for each pair, the camera being
-    both of its devices, in that pair's own baselines.
+    `principal_point`: `anywhere` by default. `lenses`: the prior on the camera's lens, given twice. `focal_px`: a prior
+    on the focal length, as mean and standard deviation. Returns one solution for each pair, in units of that pair's
+    baseline; both of its devices are the camera.
 
-    Raises RefusalError where no trustworthy answer can be had.
+    Raises RefusalError if the matches determine no trustworthy calibration.
     """
     point = principal_point or anywhere(size)
     knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, True, focal_px, lenses=lenses)
@@ -90,7 +90,7 @@ def calibrate_photos(
     sweep = sweep_one(thinned[0], families[0], sweep_trials(size), knowledge)
     starts = minima(sweep)
     if starts:
-        # A true valley narrower than the trials' spacing loses to a broad wrong one at every trial.
+        # A correct valley narrower than the spacing of the trials costs more than a broad wrong one at every trial.
         hidden = [fit for at in sweep if at for fit in twins(thinned[0], families[0], at, knowledge)]
         starts += sorted(hidden, key=lambda fit: fit.cost)[:_HIDDEN]
         level = max(float(np.mean(starts[0].residuals[0] ** 2)), 1e-12)
@@ -123,7 +123,7 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
 
 
 def _one_pair(refinement: Refinement, pair: int) -> tuple[State, Floats]:
-    """A pair's own two-photo state, in its own baselines, with the covariance of its columns."""
+    """Return the two-photo state of one pair, in units of its own baseline, with its covariance."""
     state = refinement.fit.state
     motion, pose = state.motion(pair), state.poses[0]
     alone = replace(
@@ -138,18 +138,18 @@ def _one_pair(refinement: Refinement, pair: int) -> tuple[State, Floats]:
 
 
 def _columns_of_pair(state: State, pair: int) -> Ints:
-    """The columns of the joint state that stand for those of a pair's own; a further photo's distance is none."""
+    """Return the columns of the joint state that correspond to a pair's own; a further photo's distance has none."""
     return state.columns(pair)[: SHARED + PER_CORNER + PER_POSE]
 
 
 def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: float) -> Fit:
-    """A fit of the first pair with the places of all further photos, from the points that it gives."""
+    """Extend a fit of the first pair by the poses of all further photos, resected from its points."""
     state = replace(fit.state, further=tuple(_placed(cells, fit.state) for cells in pairs[1:]))
     return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), variance) for cells in pairs])
 
 
 def _placed(cells: Cells, state: State) -> Motion:
-    """Where a further photo was taken from, by its matches with the first and the planes that those are on."""
+    """Estimate the pose of a further photo from its matches with the first and the planes they lie on."""
     points = state.points(cells.camera_px, cells.plane)
     seen, _ = unproject(state.camera, cells.projector_px)
     placed, rotation, translation = cv2.solvePnP(

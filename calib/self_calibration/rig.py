@@ -51,14 +51,14 @@ Method = Literal["refined", "paper"]
 # Trial focals, in units of the longer side of the camera's image: from a 120° to a 14° field of view.
 _SHORTEST, _LONGEST = 0.3, 4.0
 _PAPER_TRIALS, _SWEEP_TRIALS = 64, 24
-_KNOWN_TRIALS, _AROUND_KNOWN, _AROUND_SIGMAS = 5, 0.05, 5.0  # of the camera's focal, where other data tell it
+_KNOWN_TRIALS, _AROUND_KNOWN, _AROUND_SIGMAS = 5, 0.05, 5.0  # camera focals, where other data determine it
 
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
 
 
 @dataclass(frozen=True)
 class PrincipalPoint:
-    """What is known of the camera's principal point: `px` (x, y) with a standard deviation; 0 means exactly."""
+    """Prior on the camera's principal point: `px` (x, y) with a standard deviation; 0 means exactly known."""
 
     px: tuple[float, float]
     sigma_px: float
@@ -66,7 +66,7 @@ class PrincipalPoint:
 
 @dataclass(frozen=True)
 class Profile:
-    """The curve over the camera's focal length that was searched: `focal_px`, `cost` (n,); what `cost` is in words."""
+    """The curve searched over the camera's focal length: `focal_px`, `cost` (n,), and a description of `cost`."""
 
     focal_px: Floats
     cost: Floats
@@ -78,13 +78,13 @@ class SelfCalibration:
     """A calibration found from the corner alone, in units of the baseline (|t| = 1).
 
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
-    reprojection error of a match in the projector, `notes` are things that a person should know. `uncertainty` is None
-    for a method that knows none. `order_nats`: of captures of one corner, by how much its angles make the order in
-    which the faces are numbered likelier than any other; 0 where they do not tell. How far the intrinsics may be off,
-    one standard deviation: `at_rest_percent` without any shifts of the matches, `likely_percent` by likely shifts
-    alone, `possible_percent` by those that nothing tells of; all are part of the sigmas. `known`: what it was joined
-    with, if it was. `next_view`: from where a further capture would help most; None where none would see the corner,
-    or the method does not know.
+    reprojection error of a match in the projector, `notes` are messages for the user. `uncertainty` is None for a
+    method that estimates none. `order_nats`: for captures of one corner, the log likelihood ratio between the numbering
+    of the faces and the next best one, given the corner's angles; 0 where the angles do not distinguish them.
+    Standard deviations of the intrinsics: `at_rest_percent` without shifts of the matches, `likely_percent` from
+    likely shifts alone, `possible_percent` from undetectable shifts; all are part of the sigmas. `known`: the
+    calibration it was combined with, if any. `next_view`: where another capture would help most; None if no view sees
+    the corner or the method does not compute it.
     """
 
     calibration: Calibration
@@ -104,7 +104,7 @@ class SelfCalibration:
 
     @property
     def metric(self) -> Calibration:
-        """The calibration in the unit of what it was joined with; in baselines if that has none, or there is none."""
+        """The calibration in the unit of the known calibration; in baselines if there is none or it has no unit."""
         if self.known is None or self.uncertainty is None:
             return self.calibration
         return self.known.metric(self.calibration, self.uncertainty)
@@ -127,11 +127,11 @@ def self_calibrate(
     """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
 
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
-    square and knows no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
-    standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): which plane each
-    match is on, `shifts` by what they may all be shifted, `decentering` and `lenses` as at `self_calibrate_jointly`.
+    square and estimates no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
+    standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): the plane of each
+    match. `shifts`, `decentering` and `lenses`: see `self_calibrate_jointly`.
 
-    Raises RefusalError where no trustworthy answer can be had.
+    Raises RefusalError if the matches determine no trustworthy calibration.
     """
     if method == "paper":
         try:
@@ -167,23 +167,23 @@ def self_calibrate_jointly(
     shifts: Sequence[Shifts] = (),
     known: KnownCalibration | None = None,
 ) -> tuple[SelfCalibration, ...]:
-    """Calibrate one unchanged rig from several captures, by maximum likelihood; one result for each, all of one rig.
+    """Calibrate one unchanged rig from several captures by maximum likelihood; return one result per capture.
 
-    `planes`: for each capture, which plane each match (N,) is on, −1 for none, as `Faces.plane` says; those beside the
-    faces that are parallel or perpendicular to them are constraints, too.
+    `planes`: for each capture, the plane of each match (N,), −1 for none, as in `Faces.plane`. Planes other than the
+    faces that are parallel or perpendicular to them add constraints.
 
-    `same`: the captures show one corner, so they share its angles; tested, and dropped with a note where the matches
-    refute it. The faces of all results are then numbered alike, so that their corners are one frame.
+    `same`: assume that the captures show one corner and share its angles. This is tested, and dropped with a note if
+    the matches contradict it. The faces of all results are numbered alike, so that their corners define one frame.
 
-    `lenses`: what is known of those of camera and projector; `decentering`: the same with this standard deviation of
-    p1 and p2 (0: neither lens is decentred at all).
+    `lenses`: priors on the lenses of camera and projector. `decentering`: standard deviation of p1 and p2 to use
+    instead of theirs (0: no decentring).
 
-    `shifts`: for each capture, by what its matches may be shifted; none is known if left out.
+    `shifts`: for each capture, the possible systematic shifts of its matches; none by default.
 
-    `known`: what other data say of the rig, boards say; the estimate is then one over both. `principal_point` counts
-    beside it only where it is exactly known.
+    `known`: a calibration of the rig from other data, such as boards, combined with the captures. `principal_point`
+    is then used only if it is exactly known.
 
-    Raises RefusalError where no trustworthy answer can be had, or captures and `known` cannot be of one rig.
+    Raises RefusalError if the captures determine no trustworthy calibration or contradict `known`.
     """
     camera, projector = lenses
     knowledge = Knowledge(
@@ -269,8 +269,8 @@ def _by_paper(
         residual_px,
         "paper",
         (
-            "The paper's method knows neither lens distortion nor uncertainty: with ordinary lenses it errs by several "
-            "per cent. It is there for comparison; the method 'refined' is the one to use.",
+            "The paper's method models neither lens distortion nor uncertainty: with ordinary lenses its error is "
+            "several per cent. It is meant for comparison; use the method 'refined' instead.",
         ),
     )
 
@@ -365,13 +365,13 @@ def _trials_around(known: KnownCalibration) -> Floats:
 
 def _on_known(raised: float, limit: float) -> str:
     return (
-        "Calibrated together with boards of the same rig, which it agrees with: together they fit worse by "
-        f"{raised:.0f} in −2 log likelihood, where chance explains up to {limit:.0f}."
+        "Calibrated together with boards of the same rig. Captures and boards agree: combining them raises "
+        f"−2 log likelihood by {raised:.0f}; chance explains up to {limit:.0f}."
     )
 
 
 def _with_shifts(refinement: Refinement, shifts: Sequence[Sequence[Shift]]) -> tuple[Refinement, float]:
-    """The same with independent shifts of each capture in its covariance; what these cost, in per cent."""
+    """Add independent shifts of each capture to the covariance; also return their effect in per cent."""
     state = refinement.fit.state
     responses = [response_to_shift(refinement, shift, capture) for capture, some in enumerate(shifts) for shift in some]
     covariance = together(responses, state.size)
@@ -380,7 +380,7 @@ def _with_shifts(refinement: Refinement, shifts: Sequence[Sequence[Shift]]) -> t
 
 
 def _with_smooth_errors(refinement: Refinement, shifts: Sequence[Shifts]) -> Refinement:
-    """The same with what the decoder errs by smoothly over each plane in its covariance."""
+    """Add the decoder's smooth errors over each plane to the covariance."""
     smooth = (
         covariance_of_smooth_errors(refinement, of_capture.smooth_px, capture)
         for capture, of_capture in enumerate(shifts)
@@ -390,7 +390,7 @@ def _with_smooth_errors(refinement: Refinement, shifts: Sequence[Shifts]) -> Ref
 
 
 def _renumbered(matches: Matches, *, reflect: bool, shift: int) -> Matches:
-    """Face labels as the refinement numbered them on."""
+    """Renumber the face labels as the refinement did."""
     face = matches.labels
     if reflect:
         face = np.where(face > 0, 3 - face, face)

@@ -107,8 +107,8 @@ class AravisCamera:
         shortest, longest = self.exposure_limits_us
         if not shortest <= exposure_us <= longest:
             raise DeviceError(
-                f"camera {self.name}: an exposure of {exposure_us:.0f} µs is wanted, but it can make {shortest:.0f} to "
-                f"{longest:.0f} µs. Ask for an exposure_us, or exposures_us, that the camera can do."
+                f"camera {self.name}: an exposure of {exposure_us:.0f} µs is wanted, but it supports {shortest:.0f} to "
+                f"{longest:.0f} µs. Set exposure_us, or exposures_us, within this range."
             )
         if not differs(exposure_us, self.exposure_us):
             return self.exposure_us

@@ -55,7 +55,7 @@ def _with_abilities(found: _Found) -> CameraInfo:
         size = camera.get_sensor_size()
         formats = tuple(camera.dup_available_pixel_formats_as_strings())
     except GLib.Error:  # it is there, but someone else uses it or the network does not let us in
-        return CameraInfo(str(found), "in use by another program, or out of reach: its abilities are not known")
+        return CameraInfo(str(found), "in use by another program, or unreachable: its capabilities are unknown")
     pixel_format = next((name for name in (*_PREFERRED_FORMATS, *formats) if name in formats), "Mono8")
     return CameraInfo(
         str(found),

@@ -124,7 +124,7 @@ class FullScreenWindow:
         if not np.array_equal(read_back, np.repeat(probe[:, :, None], 3, axis=2)):
             share = 100 * np.mean(np.any(read_back != probe[:, :, None], axis=2))
             raise ValueError(
-                f"{share:.0f} % of the pixels were not drawn as told: turn off scaling, night light and colour profiles"
+                f"{share:.0f} % of the pixels were drawn wrongly: turn off scaling, night light and colour profiles"
             )
 
 

@@ -92,7 +92,7 @@ def test_colours_that_go_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_camera_that_is_not_there_or_delivers_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match=r"webcam 0: OpenCV cannot open it.*scan devices"):
         connected(monkeypatch, Capture(opens=False))
-    with pytest.raises(DeviceError, match="delivers nothing"):
+    with pytest.raises(DeviceError, match="delivers no frames"):
         connected(monkeypatch, Capture())
     capture = Capture(picture(1), picture(2))
     with pytest.raises(DeviceError, match="stream has ended"), connected(monkeypatch, capture) as camera:

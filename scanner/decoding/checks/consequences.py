@@ -52,15 +52,13 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > _MOST_BROKEN:
         raise InputError(
-            f"{_said(oddities)}; and {share:.0%} of the lit pixels contradict themselves or their surface: did "
-            "something move in most of the picture, or were frames exchanged?"
+            f"{_said(oddities)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
+            "their surface: did something move in most of the picture, or were frames exchanged?"
         )
     if len(matches) < _FEWEST_MATCHES:
-        return f"{_said(oddities)}. Too few pixels have a match to tell what comes of it."
+        return f"{_said(oddities)}. Too few pixels have a match to assess the effect."
     if one_axis:
-        return (
-            f"{_said(oddities)}. It was decoded all the same: {1 - share:.0%} of the lit pixels agree with themselves."
-        )
+        return f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
     distance, off = _epipolar(matches)
     if off > _MOST_OFF:
         raise InputError(
@@ -68,9 +66,9 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
             "epipolar geometry of the others"
         )
     return (
-        f"{_said(oddities)}. It was decoded all the same: {1 - share:.0%} of the lit pixels agree with themselves and "
-        f"their surface, and with one epipolar geometry to {distance:.2f} px. Did someone walk through the picture, or "
-        "the light change?"
+        f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
+        f"themselves and with their surface, and fit one epipolar geometry to {distance:.2f} px. Did someone walk "
+        "through the picture, or did the light change?"
     )
 
 

@@ -62,9 +62,9 @@ def warnings_of(
         )
     if flicker is not None and flicker > MUCH_FLICKER:
         yield (
-            f"The brightness of the frames varies by {flicker:.1%}, which was taken out as far as the frames tell it. "
-            "Better: expose for whole periods of the projector's refresh, which are also whole turns of its colour "
-            "wheel, and shut out other lamps."
+            f"The brightness of the frames varies by {flicker:.1%}, which was corrected as far as the frames show it. "
+            "Better: expose for whole refresh periods of the projector, which are also whole turns of its colour "
+            "wheel, and switch off other lamps."
         )
     if modulation is not None and modulation < _LOW_MODULATION:
         yield (

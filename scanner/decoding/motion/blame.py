@@ -11,7 +11,7 @@ from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
 UNSEEN_MOTION = (
-    "All patterns along one axis came before those along the other, and nothing in the frames tells whether a device "
+    "All patterns along one axis came before those along the other, so the frames cannot show whether a device "
     "turned in between"
 )
 # Frames that were exchanged contradict each other in ways that hardly any motion explains.
@@ -35,7 +35,8 @@ def blaming_motion(
             raise moved(motion) from error
         if frames := broken():
             raise RefusalError(
-                f"Camera or projector moved between frames {frames[0]} and {frames[1]}, by so much that fringes broke.",
+                f"Camera or projector moved between frames {frames[0]} and {frames[1]}, by so much that "
+                "the phase could not be unwrapped.",
                 ADVICE,
             ) from error
         raise
@@ -101,7 +102,7 @@ def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:
     """What a person should know of a motion that can be put up with."""
     if motion is None or not motion.significant or motion.is_too_large:
         return ()
-    return (f"{_capital(motion)}; that was taken back, and what may be left of it is part of the sigmas.",)
+    return (f"{_capital(motion)}; this was corrected, and the remaining uncertainty is part of the sigmas.",)
 
 
 def _capital(motion: MotionFound) -> str:

@@ -50,7 +50,7 @@ class Unrest:
         """For the operator."""
         return (
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
-            f"{plan.names(self.frames)}; what that spoilt was masked, and the rest is used."
+            f"{plan.names(self.frames)}; the affected pixels were masked, and the rest is used."
         )
 
 

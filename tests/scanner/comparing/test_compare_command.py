@@ -55,7 +55,7 @@ def test_boards_and_a_capture_are_calibrated_together(case: Before, folder: Path
     assert 0.05 < np.sqrt(np.mean(errors**2)) < 2.5
     assert np.all(sigmas(joint) < 1.02 * sigmas(case.known.calibration))
     assert np.any(read_uncertainty(out / "calibration.yaml", joint).with_log_baseline)
-    assert "boards of the same rig, which it agrees with" in (out / "report.html").read_text(encoding="utf-8")
+    assert "boards of the same rig. Captures and boards agree" in (out / "report.html").read_text(encoding="utf-8")
     # In a configuration boards are an earlier result.
     again = [str(folder / "matches.npz"), "--config", str(folder / "rig.yaml"), "--set", "method=paper"]
     assert main(["calibrate", *again, str(folder / "boards"), "--out", str(folder / "paper")]) == 2
