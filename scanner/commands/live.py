@@ -11,7 +11,7 @@ from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live.cloud import LiveCloud
 from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
-from scanner.live.texts import account_text, advice, cloud_text
+from scanner.live.texts import account_text, round_lines
 from scanner.live.watching import Account
 from scanner.quantities import parse_length
 from scanner.results import default_out
@@ -53,10 +53,10 @@ class _Told(Watcher):
         self._terminal, self._unit = terminal, unit
         self._told_s = 0.0
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         if time.monotonic() - self._told_s >= _EVERY_S:
             self._told_s = time.monotonic()
-            self._terminal.show(cloud_text(cloud, account, self._unit), *advice(cloud))
+            self._terminal.show(*round_lines(cloud, account, self._unit))
 
     def tell(self, sentence: str) -> None:
         self._terminal.show(sentence)

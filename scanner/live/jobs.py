@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event
 
 from calib.geometry import Calibration
+from calib.refusal import RefusalError
 from hw.ahead import beside
 from hw.backends import RigSettings
 from hw.errors import DeviceError
@@ -28,6 +29,9 @@ from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.rooms.document import given_rig
 from scanner.ui import Progress, Terminal
 
+# So many rounds without a cloud that can be kept are enough where nobody but the program waits for one.
+_PATIENCE = 100
+
 
 class Watcher:
     """Who looks, and may want things. Called from several threads; does nothing by itself."""
@@ -35,8 +39,8 @@ class Watcher:
     def on_rig(self, rig: Rig) -> None:
         """The rig is open."""
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
-        """There is a new one."""
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
+        """There is a new cloud; or none, for the frames of this round contradict each other."""
 
     def tell(self, sentence: str) -> None:
         """Something that is to be known."""
@@ -95,7 +99,7 @@ def scan_live(
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
             _look_on(config, folder, found, wishes, depths, terminal, watcher)
-        except (KeyboardInterrupt, DeviceError) as error:
+        except (KeyboardInterrupt, DeviceError, RefusalError) as error:
             if not found.kept:
                 raise
             found.ended_by = error
@@ -140,11 +144,14 @@ def _look_on(
 
 @dataclass
 class Keeper:
-    """Has clouds kept by `begin` when they are due. `begun`: how many that was."""
+    """Has clouds kept by `begin` when they are due. `begun`: how many that was. `useless`: rounds since then of which
+    none could be kept.
+    """
 
     wishes: Wishes
     begin: Callable[[LiveCloud, LiveSequence, Rig, str], None]
     begun: int = 0
+    useless: int = 0
     _last_s: float = field(default_factory=time.monotonic)
 
     @property
@@ -152,10 +159,21 @@ class Keeper:
         """Whether nobody wants more."""
         return self.wishes.end.is_set() or self.begun == self.wishes.number
 
-    def offer(self, cloud: LiveCloud, sequence: LiveSequence, rig: Rig) -> None:
-        """A cloud that has just come."""
-        if self.wishes.due(self.begun, self._last_s) and len(cloud.points):
+    def offer(self, cloud: LiveCloud | None, sequence: LiveSequence, rig: Rig) -> None:
+        """A round that has just come. Raises RefusalError where so many clouds are wanted, and none is to be had."""
+        if not self.wishes.due(self.begun, self._last_s):
+            return
+        if cloud is None or not len(cloud.points):
+            self.useless += 1
+            if self.wishes.number is not None and self.useless == _PATIENCE:
+                raise RefusalError(
+                    f"No cloud came of the last {_PATIENCE} rounds: "
+                    + ("nothing of the fringes is seen." if cloud else "their frames contradict each other."),
+                    "Let scan check tell about exposure, light and synchronisation, and hold still.",
+                )
+        else:
             self.wishes.now.clear()
+            self.useless = 0
             self._last_s = time.monotonic()
             self.begun += 1
             self.begin(cloud, sequence, rig, f"Station {self.begun}")
@@ -192,15 +210,15 @@ def _watch(
     """Until all are kept or, of a thing that turns by itself, one is."""
     begun = keeper.begun
 
-    def on_cloud(cloud: LiveCloud, account: Account) -> None:
-        watcher.on_cloud(cloud, account)
+    def on_round(cloud: LiveCloud | None, account: Account) -> None:
+        watcher.on_round(cloud, account)
         if not (turns and keeper.begun > begun):
             keeper.offer(cloud, sequence, rig)
 
     watch(
         rounds(rig, sequence, seen.response),
         Decoder(sequence, seen, found.calibration),
-        on_cloud,
+        on_round,
         lambda: keeper.has_ended or (turns and keeper.begun > begun),
         found.account,
     )

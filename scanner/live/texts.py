@@ -32,6 +32,13 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
         yield "Nearly everything moves: hold still for a moment."
 
 
+def round_lines(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
+    """What is said of the newest round, also where there is no cloud in it."""
+    if cloud is None:
+        return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
+    return [cloud_text(cloud, account, unit), *advice(cloud)]
+
+
 def account_text(account: Account) -> str:
     """What became of the rounds."""
     parts = [f"{account.clouds} clouds"]
