@@ -6,6 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from threading import Thread
 
+from hw.rig import Rig
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
@@ -27,7 +28,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     out = args.out or default_out(f"{args.config.stem}-live", overwrite=args.overwrite)
     unit = read_calibration(args.calibration).unit
-    wishes = Wishes(args.clouds, _seconds(args.every))
+    wishes = Wishes(args.clouds, _seconds(args.every), args.room)
     if terminal.can_ask and not args.quiet:
         terminal.note("Enter keeps a cloud; Ctrl-C ends.")
         Thread(target=_keep_on_enter, args=(wishes,), daemon=True).start()
@@ -51,7 +52,10 @@ class _Told(Watcher):
 
     def __init__(self, terminal: Terminal, unit: str) -> None:
         self._terminal, self._unit = terminal, unit
-        self._told_s = 0.0
+        self._told_s = time.monotonic()
+
+    def on_rig(self, _: Rig) -> None:
+        self._told_s = time.monotonic()
 
     def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         if time.monotonic() - self._told_s >= _EVERY_S:
@@ -71,8 +75,9 @@ def _show(found: Looked, out: Path, args: Namespace, terminal: Terminal) -> None
     terminal.show(account_text(found.account))
     terminal.show(f"Result: {out} ({len(found.kept)} stations in captures)")
     if len(found.kept) > 1:
+        kind = "room" if args.room else "object"
         terminal.show(
-            f"→ scan object {out} --config {args.config} --calibration {args.calibration} --out {out}-object "
+            f"→ scan {kind} {out} --config {args.config} --calibration {args.calibration} --out {out}-{kind} "
             "puts them together."
         )
 

@@ -12,17 +12,18 @@ from calib.refusal import RefusalError
 from hw.ahead import beside
 from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.moving import at_place, turned_by_itself, turns_by_itself
+from hw.moving import at_place, at_place_or_last, moves_by_itself, turns_by_itself
 from hw.rig import Rig
 from scanner.checking.devices import opened
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
-from scanner.live.joining import FEWEST, joining
+from scanner.live.joining import joining
 from scanner.live.keeping import keep
 from scanner.live.rounds import rounds
 from scanner.live.sequence import LiveSequence, sequence_for
+from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
@@ -48,10 +49,13 @@ class Watcher:
 
 @dataclass
 class Wishes:
-    """`number`: of clouds to keep, then it ends; `every_s`: keep one so often; `now`: keep the next one; `end`."""
+    """`number`: of clouds to keep, then it ends; `every_s`: keep one so often; `of_room`: kept clouds are of a room in
+    which the rig is moved, else of a thing before it; `now`: keep the next one; `end`.
+    """
 
     number: int | None = None
     every_s: float | None = None
+    of_room: bool = False
     now: Event = field(default_factory=Event)
     end: Event = field(default_factory=Event)
 
@@ -94,7 +98,7 @@ def scan_live(
     known = scaled(start.given or start.calibration, None, config.scale)
     if wishes.number is not None and wishes.number < 1:
         raise InputError(f"--clouds: expected 1 or more, found {wishes.number}")
-    _refuse_missing_places(config.required_rig, wishes.number)
+    _refuse_missing_places(config.required_rig, wishes)
     found = Looked(known)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
@@ -108,13 +112,18 @@ def scan_live(
     return found
 
 
-def _refuse_missing_places(settings: RigSettings, number: int | None) -> None:
-    if not turns_by_itself(settings):
+def _goes_on_by_itself(settings: RigSettings, wishes: Wishes) -> bool:
+    """Whether the simulation turns its thing, or moves its rig, after each cloud that is kept."""
+    return moves_by_itself(settings) if wishes.of_room else turns_by_itself(settings)
+
+
+def _refuse_missing_places(settings: RigSettings, wishes: Wishes) -> None:
+    if not _goes_on_by_itself(settings, wishes):
         return
     try:
-        at_place(settings, (number or 1) - 1)
+        at_place(settings, (wishes.number or 1) - 1)
     except DeviceError as error:
-        raise InputError(f"--clouds {number}: {error}") from error
+        raise InputError(f"--clouds {wishes.number}: {error}") from error
 
 
 def _look_on(
@@ -127,19 +136,21 @@ def _look_on(
     watcher: Watcher,
 ) -> None:
     first: tuple[FirstLook, LiveSequence] | None = None
-    with joining(found.calibration, watcher.tell) as join, beside(_keeping(folder, found, join, watcher)) as begin:
+    by_itself = _goes_on_by_itself(config.required_rig, wishes)
+    joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
+    with joined as join, beside(_keeping(folder, found, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
         while not keeper.has_ended:
             begun = keeper.begun
             with ExitStack() as devices:
                 with progress.step("Preparing the rig"):
-                    rig = devices.enter_context(opened(_turned(config, begun)))
+                    rig = devices.enter_context(opened(_moved(config, begun if by_itself else 0)))
                 if first is None:
                     with progress.step("Looking at light and dark"):
                         seen = look(rig, config)
                         first = seen, sequence_for(found.calibration, seen, depths)
                 watcher.on_rig(rig)
-                _watch(rig, *first, found, keeper, watcher, turns=turns_by_itself(config.required_rig))
+                _watch(rig, *first, found, keeper, watcher, one_only=by_itself)
 
 
 @dataclass
@@ -185,16 +196,14 @@ def _keeping(
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
         place = folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
         found.kept.append(keep(cloud, sequence, found.calibration, rig.identity, place, name))
-        watcher.tell(f"{name} is kept.")
-        if len(found.kept) >= FEWEST:
-            join(tuple(found.kept))
+        watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
+        join(tuple(found.kept))
 
     return work
 
 
-def _turned(config: Config, kept: int) -> Config:
-    """A simulated thing is turned after each cloud that is kept, as long as there are places; what is real, by hand."""
-    return config.model_copy(update={"rig": turned_by_itself(config.required_rig, kept)})
+def _moved(config: Config, steps: int) -> Config:
+    return config.model_copy(update={"rig": at_place_or_last(config.required_rig, steps)})
 
 
 def _watch(
@@ -205,20 +214,20 @@ def _watch(
     keeper: Keeper,
     watcher: Watcher,
     *,
-    turns: bool,
+    one_only: bool,
 ) -> None:
-    """Until all are kept or, of a thing that turns by itself, one is."""
+    """Until all are kept, or one is if `one_only`."""
     begun = keeper.begun
 
     def on_round(cloud: LiveCloud | None, account: Account) -> None:
         watcher.on_round(cloud, account)
-        if not (turns and keeper.begun > begun):
+        if not (one_only and keeper.begun > begun):
             keeper.offer(cloud, sequence, rig)
 
     watch(
         rounds(rig, sequence, seen.response),
         Decoder(sequence, seen, found.calibration),
         on_round,
-        lambda: keeper.has_ended or (turns and keeper.begun > begun),
+        lambda: keeper.has_ended or (one_only and keeper.begun > begun),
         found.account,
     )

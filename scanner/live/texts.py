@@ -12,13 +12,10 @@ from scanner.quantities import percent, shown_unit
 _MANY_SATURATED, _FEW_LIT, _ALL_MOVES = 0.02, 0.1, 0.5
 
 
-def cloud_text(cloud: LiveCloud, account: Account, unit: str) -> str:
-    """Rate, delay, and what the cloud is worth."""
+def cloud_text(cloud: LiveCloud, unit: str) -> str:
+    """How many points, and what they are worth."""
     sigma = shown_unit(unit).error(float(np.median(cloud.sigma))) if len(cloud.points) else "-"
-    return (
-        f"{account.rate_hz:.1f} clouds a second, {1000 * account.delay_s:.0f} ms after their last frame; "
-        f"{len(cloud.points):,} points, sigma {sigma}; {percent(cloud.moving_share)} moves"
-    )
+    return f"{len(cloud.points):,} points, sigma {sigma}"
 
 
 def advice(cloud: LiveCloud) -> Iterator[str]:
@@ -36,7 +33,12 @@ def round_lines(cloud: LiveCloud | None, account: Account, unit: str) -> list[st
     """What is said of the newest round, also where there is no cloud in it."""
     if cloud is None:
         return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
-    return [cloud_text(cloud, account, unit), *advice(cloud)]
+    left_out = cloud.share(MaskReason.INCONSISTENT, MaskReason.MOVED, MaskReason.ISOLATED)
+    return [
+        f"{account.rate_hz:.1f} clouds a second, {1000 * account.delay_s:.0f} ms after their last frame; "
+        f"{cloud_text(cloud, unit)}; {percent(cloud.moving_share)} moves, {percent(left_out)} is left out",
+        *advice(cloud),
+    ]
 
 
 def account_text(account: Account) -> str:

@@ -1,5 +1,6 @@
 """The loop around the decoder: what is kept, what ends it, and that nothing grows or waits."""
 
+import re
 import threading
 import time
 from collections.abc import Generator, Iterator
@@ -104,7 +105,8 @@ def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench
 
     watcher = Acting(act)
     assert len(live(tmp_path, bench, wishes, watcher).kept) == 1
-    assert watcher.told == ["Station 1 is kept."]
+    (told,) = watcher.told
+    assert re.match(r"Station 1 is kept: [\d,]{5,7} points, sigma 0.\d+ mm\.", told)
 
 
 def test_clouds_are_kept_every_so_often(tmp_path: Path, bench: LiveBench) -> None:
