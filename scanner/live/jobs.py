@@ -21,8 +21,8 @@ from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining
 from scanner.live.keeping import keep
-from scanner.live.rounds import rounds
-from scanner.live.sequence import LiveSequence, sequence_for
+from scanner.live.rounds import best_sequence, rounds
+from scanner.live.sequence import LiveSequence
 from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
@@ -148,7 +148,7 @@ def _look_on(
                 if first is None:
                     with progress.step("Looking at light and dark"):
                         seen = look(rig, config)
-                        first = seen, sequence_for(found.calibration, seen, depths)
+                        first = seen, best_sequence(rig, seen, found.calibration, depths)
                 watcher.on_rig(rig)
                 _watch(rig, *first, found, keeper, watcher, one_only=by_itself)
 

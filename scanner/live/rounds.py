@@ -3,17 +3,20 @@
 import logging
 import time
 from collections.abc import Generator
+from contextlib import closing
 from typing import cast
 
 import cv2
 import numpy as np
 
+from calib.geometry import Calibration
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frame, Rig
 from scanner.capture import refuse_another_size
 from scanner.live.cloud import Round
-from scanner.live.sequence import FRAMES, LiveSequence
+from scanner.live.first_look import FirstLook
+from scanner.live.sequence import FRAMES, LiveSequence, shortened, widest_sequence
 from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
 
 log = logging.getLogger(__name__)
@@ -49,6 +52,15 @@ def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None)
         finally:
             if isinstance(frames, Generator):
                 frames.close()
+
+
+def best_sequence(
+    rig: Rig, seen: FirstLook, calibration: Calibration, depths: tuple[float, float] | None
+) -> LiveSequence:
+    """The shortest fringes that are unambiguous, from one round of longer ones. Raises DeviceError, RefusalError."""
+    widest = widest_sequence(calibration, depths)
+    with closing(rounds(rig, widest, seen.response)) as taken:
+        return shortened(widest, next(each for each in taken if each is not None).grey, seen, calibration)
 
 
 def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorResponse | None) -> Image:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics
@@ -29,7 +30,7 @@ def calibration(lens: float = 0.0, smaller: int = 1) -> Calibration:
 @dataclass
 class LiveBench:
     """`speed_m` per frame. `late`: numbers of frames that hold a `share` of the picture before; `lost`: that never
-    come. Each is counted when it is taken.
+    come. Each is counted when it is taken. `bounce`: light that comes by way of elsewhere, as from another wall.
     """
 
     speed_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -37,6 +38,7 @@ class LiveBench:
     lost: frozenset[int] = frozenset()
     share: float = 1.0
     gamma: float = 1.0
+    bounce: float = 0.0
     seed: int = 0
     taken: int = 0
     calibration: Calibration = field(default_factory=calibration)
@@ -72,6 +74,9 @@ class LiveBench:
         light = (1 - share) * (self._shown / 255.0) ** self.gamma + share * (self._before / 255.0) ** self.gamma
         pixel, shade, lit = self._scene(number)
         level = _LEVELS * shade * (0.02 + 0.98 * np.where(lit, _sampled(light, pixel), 0.0))
+        if self.bounce:
+            elsewhere = np.asarray(cv2.blur(light, (101, 101)), np.float64)[:, ::-1]
+            level += _LEVELS * shade * self.bounce * np.where(lit, _sampled(elsewhere, pixel), 0.0)
         level += self._rng.standard_normal(level.shape) * np.sqrt(_NOISE[0] + _NOISE[1] * level)
         return Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8), exposure_us=1000.0)
 

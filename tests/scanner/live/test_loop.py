@@ -21,8 +21,7 @@ from scanner.live import jobs
 from scanner.live.cloud import Decoder, LiveCloud, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
-from scanner.live.rounds import rounds
-from scanner.live.sequence import sequence_for
+from scanner.live.rounds import best_sequence, rounds
 from scanner.live.watching import Account, Newest, watch
 from scanner.rooms.document import given_rig, read_stations
 from scanner.ui import Terminal
@@ -178,8 +177,8 @@ def test_who_is_slow_does_not_hold_up_the_camera() -> None:
 def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
     bench = LiveBench(calibration=calibration(smaller=8))
     everywhere = np.ones(bench.calibration.camera.size[::-1], np.bool_)
-    seen = FirstLook(everywhere, np.full(everywhere.size, 60.0), (1.0, 0.02), 255.0, None)
-    sequence = sequence_for(bench.calibration, seen, DEPTHS)
+    seen = FirstLook(everywhere, (1.0, 0.02), 255.0, None)
+    sequence = best_sequence(bench.rig, seen, bench.calibration, DEPTHS)
     still = [each for each in islice(rounds(bench.rig, sequence, None), 3) if each is not None]
     account, pages, done = Account(), list[int](), threading.Event()
 
@@ -200,7 +199,7 @@ def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
 @pytest.mark.parametrize("number", [2, None])
 def test_where_no_cloud_comes_it_ends_and_says_so(tmp_path: Path, bench: LiveBench, number: int | None) -> None:
     """Other frames of each round show the picture before: with nobody to see it, it would go on for ever."""
-    bench.late = frozenset(range(23, 2000, 5))
+    bench.late = frozenset(range(29, 2000, 5))
     wishes = Wishes(number=number)
 
     def act(_: LiveCloud | None, account: Account) -> None:
@@ -215,7 +214,7 @@ def test_where_no_cloud_comes_it_ends_and_says_so(tmp_path: Path, bench: LiveBen
 
 
 def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveBench) -> None:
-    bench.lost = frozenset(range(23, 2000))
+    bench.lost = frozenset(range(29, 2000))
     with pytest.raises(DeviceError, match="10 rounds one after the other lost a frame"):
         live(tmp_path, bench, Wishes(), Acting())
 
