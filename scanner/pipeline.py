@@ -4,7 +4,7 @@ What was found is written into `folder` also when RefusalError is raised: the ma
 calibrated are worth keeping, and the report says why.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from math import prod
@@ -30,6 +30,7 @@ from scanner.capture import (
     record,
     remarks_on_camera,
     remarks_on_lines,
+    shows_single_pixels,
     take_up,
     with_smooth_errors_of_film,
 )
@@ -51,7 +52,7 @@ from scanner.reconstruction import (
     set_aside,
     triangulate,
 )
-from scanner.results import CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
+from scanner.results import AS_SHOWN, CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Operator, Progress, Terminal
 
 OnCloud = Callable[[Scan], object]  # told of the clouds as soon as they are there, while they are being saved
@@ -145,7 +146,7 @@ def take(
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
         found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
-        found = found.noting(*remarks_on_lines(lines), *remarks_on_camera(live.account()))
+        found = _as_recorded(found, live.metadata, live.account())
     return replace(found, facts=replace(found.facts, truth=opened.truth))
 
 
@@ -197,9 +198,15 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
     )
     stream = recording.stream().shown_as(sequence.patterns)
     found = decode(stream, terminal, "Decoding", str(recording.folder), calibration)
-    remarks = [*remarks_on_lines(recording.metadata), *remarks_on_camera(recording.metadata)]
-    said = filter(None, [sequence.words, _resumption(recording), *remarks])
-    return found.noting(*recording.notes, *said)
+    found = _as_recorded(found, recording.metadata, recording.metadata)
+    return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
+
+
+def _as_recorded(found: Decoded, metadata: Mapping[str, object], account: Mapping[str, object]) -> Decoded:
+    """With what was recorded of the projector's pixels, and the camera's account of the capture."""
+    if shows_single_pixels(metadata):
+        found = replace(found, panel=AS_SHOWN)
+    return found.noting(*remarks_on_lines(metadata), *remarks_on_camera(account))
 
 
 def _resumption(recording: Recording) -> str:

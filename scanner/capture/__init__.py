@@ -12,6 +12,7 @@ from scanner.capture.single_pixels import (
     lines_of_light,
     measure_lines,
     remarks_on_lines,
+    shows_single_pixels,
 )
 from scanner.capture.steady_camera import remarks_on_camera
 from scanner.capture.stream import Stream, capture, refuse_another_size

@@ -24,8 +24,9 @@ _LIT, _BRIGHT_PERCENTILE = 0.1, 99.0
 # Where grey is nearly half of white, lines tell nothing.
 _LEAST_BEND = 0.05
 # Of what lines and grey differ by: scaled by most factors, or corrected for 1 % of keystone, they keep 0.3 to 0.4; of
-# pixels that share a tenth of their light, 0.7.
-_LEAST_KEPT = 0.6
+# pixels that share a tenth of their light, 0.7. Nine tenths and more are kept only where the picture's corners move by
+# less than the half pixel from which on a keystone matters.
+_LEAST_KEPT, _UNCHANGED = 0.6, 0.9
 
 
 def measure_lines(rig: Rig) -> Mapping[str, object]:
@@ -71,6 +72,12 @@ def lines_of_light(axis: Axis, size: tuple[int, int], levels: tuple[int, int], p
 def known_of_lines(metadata: Mapping[str, object]) -> Mapping[str, object]:
     """The same, of a recording that was begun."""
     return {key: value for key, value in metadata.items() if key == LINES_KEY}
+
+
+def shows_single_pixels(metadata: Mapping[str, object]) -> bool:
+    """Whether a recording says that the projector shows its picture pixel for pixel."""
+    kept = metadata.get(LINES_KEY)
+    return isinstance(kept, int | float) and kept >= _UNCHANGED
 
 
 def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:

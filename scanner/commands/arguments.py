@@ -231,6 +231,9 @@ def of_view(parser: ArgumentParser) -> None:
 
 def of_console(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="of the rig, for live clouds (default: the newest result's)"
+    )
     add_address(parser)
 
 
@@ -324,6 +327,8 @@ def of_live(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--depths", metavar="NEAR,FAR", help="everything is between, as in 0.3m,0.6m: finer (default: anywhere)"
     )
+    parser.add_argument("--page", action="store_true", help="show the clouds on a page in the browser, too")
+    add_address(parser)
     add_out(parser, default="scans/<name of the configuration>-live")
     add_overwrite(parser)
     add_quiet(parser)

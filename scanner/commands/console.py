@@ -12,5 +12,5 @@ def run(args: Namespace) -> None:
     from scanner.console.run import console  # viser is an extra
     from scanner.console.settings import Settings
 
-    settings = Settings(args.config, tuple(args.set))
+    settings = Settings(args.config, tuple(args.set), calibration=args.calibration)
     console(settings, args.host, args.port, Terminal(), browser=not args.no_browser)

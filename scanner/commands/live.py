@@ -3,6 +3,8 @@
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 
@@ -11,13 +13,14 @@ from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live.cloud import LiveCloud
-from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
-from scanner.live.texts import account_text, round_lines
+from scanner.live.jobs import Looked, Watcher, Watchers, Wishes, scan_live
+from scanner.live.texts import account_text, result_texts, round_texts
 from scanner.live.watching import Account
 from scanner.quantities import parse_length
 from scanner.results import default_out
 from scanner.shown_text import shown
 from scanner.ui import Terminal
+from scanner.viewing.opening import require_viser
 
 _EVERY_S = 2.0
 
@@ -32,19 +35,37 @@ def run(args: Namespace) -> None:
     if terminal.can_ask and not args.quiet:
         terminal.note("Enter keeps a cloud; Ctrl-C ends.")
         Thread(target=_keep_on_enter, args=(wishes,), daemon=True).start()
-    found = scan_live(
-        config,
-        out,
-        calibration=args.calibration,
-        wishes=wishes,
-        depths=_depths(args.depths, unit),
-        overwrite=args.overwrite,
-        terminal=terminal,
-        watcher=_Told(terminal, unit),
-    )
+    with _page(args, terminal) as page:
+        found = scan_live(
+            config,
+            out,
+            calibration=args.calibration,
+            wishes=wishes,
+            depths=_depths(args.depths, unit),
+            overwrite=args.overwrite,
+            terminal=terminal,
+            watcher=Watchers(_Told(terminal, unit), *page),
+        )
     _show(found, out, args, terminal)
     if found.ended_by is not None:
         raise found.ended_by
+
+
+@contextmanager
+def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
+    """The page that looks, if one is wanted. Raises InputError if it cannot be had."""
+    if not args.page:
+        yield ()
+        return
+    require_viser()
+    from scanner.console.live_view import LiveView  # viser is an extra
+    from scanner.viewing.server import invite, serving
+
+    with serving(f"Live: {args.config.stem}", args.host, args.port) as served:
+        served.server.gui.main_panel.dock_left()
+        view = LiveView(served.server)
+        invite(served.address, args.host, terminal, browser=not args.no_browser)
+        yield (view,)
 
 
 class _Told(Watcher):
@@ -60,7 +81,7 @@ class _Told(Watcher):
     def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         if time.monotonic() - self._told_s >= _EVERY_S:
             self._told_s = time.monotonic()
-            self._terminal.show(*round_lines(cloud, account, self._unit))
+            self._terminal.show(*round_texts(cloud, account, self._unit))
 
     def tell(self, sentence: str) -> None:
         self._terminal.show(sentence)
@@ -73,13 +94,7 @@ def _keep_on_enter(wishes: Wishes) -> None:
 
 def _show(found: Looked, out: Path, args: Namespace, terminal: Terminal) -> None:
     terminal.show(account_text(found.account))
-    terminal.show(f"Result: {out} ({len(found.kept)} stations in captures)")
-    if len(found.kept) > 1:
-        kind = "room" if args.room else "object"
-        terminal.show(
-            f"→ scan {kind} {out} --config {args.config} --calibration {args.calibration} --out {out}-{kind} "
-            "puts them together."
-        )
+    terminal.show(*result_texts(len(found.kept), out, args.config, args.calibration, of_room=args.room))
 
 
 def _seconds(text: str | None) -> float | None:

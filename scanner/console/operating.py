@@ -11,7 +11,10 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.viewing.view_controls import PLAIN
 
 _MOST_CAPTURES = 8
-_KEYS = "Keys, each with Shift: S scan, C check, L live image, X cancel; pages: I capture, R result, H history."
+_KEYS = (
+    "Keys, each with Shift: S scan, C check, L live image, D live clouds, K keep one, X cancel; pages: I capture, "
+    "R result, H history."
+)
 
 
 class Operating:
@@ -29,6 +32,7 @@ class Operating:
         self._cancel = gui.add_button("Cancel", visible=False, color=PLAIN, hint="Stop; what was captured is kept")
         self._check = gui.add_button("Check", color=PLAIN, hint="Look at devices, light and lenses first")
         self._live = gui.add_button("Live image", color=PLAIN, hint="Show what the camera sees")
+        self._clouds = gui.add_button("Live clouds", color=PLAIN, hint="Of a calibrated rig: what it sees, in 3-D")
         with gui.add_folder("Next scan", expand_by_default=False):
             self._name = gui.add_text("Name", "", hint="Of the next result, in scans/; empty: the configuration's")
             self._captures = gui.add_number(
@@ -46,7 +50,7 @@ class Operating:
         self._go_on.visible = self._enough.visible = asked
         self._scan.visible, self._cancel.visible = not busy, busy
         self._cancel.disabled = status.cancelling
-        self._check.disabled = self._live.disabled = busy
+        self._check.disabled = self._live.disabled = self._clouds.disabled = busy
         self._bar.visible = busy and not asked
         counted = status.stage is not None and status.stage.total > 0
         self._bar.value = status.stage.percent if status.stage and counted else 100.0
@@ -69,6 +73,7 @@ class Operating:
             (self._scan, "Scan", "S", lambda: worker.request(Activity.SCANNING)),
             (self._check, "Check", "C", begin_check),
             (self._live, "Live image", "L", self._toggle_live),
+            (self._clouds, "Live clouds", "D", lambda: worker.request(Activity.CLOUDS)),
             (self._cancel, "Cancel", "X", worker.cancel),
         ):
             self._bind(gui, button, label, key, action)

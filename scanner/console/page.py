@@ -12,6 +12,7 @@ from scanner.console.camera_view import CameraView
 from scanner.console.check_view import CheckView
 from scanner.console.configuration_view import ConfigurationView
 from scanner.console.history import History
+from scanner.console.live_view import LiveView
 from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
@@ -45,6 +46,7 @@ class ConsolePage:
         self._pages = {name: gui.add_folder(None, visible=name == CAPTURE) for name in _PAGES}
         with self._pages[CAPTURE]:
             # Above the camera, so that it is in view when it ends.
+            self._live = LiveView(served.server, self.on_frame)
             self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
             with gui.add_folder("Camera"):
                 self._camera = CameraView(gui, settings.load().required_rig, self._worker.change)
@@ -103,6 +105,11 @@ class ConsolePage:
         """Open what a scan has left."""
         self._history.refresh()
         self._open(folder)
+
+    def live_watcher(self) -> LiveView:
+        """The page's."""
+        self._turn_to(CAPTURE)
+        return self._live
 
     def _begin_check(self) -> None:
         if self._worker.request(Activity.CHECKING):

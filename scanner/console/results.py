@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from scanner.io import MATCHES_FILE
-from scanner.results import LOG_FILE
+from scanner.results import CALIBRATION_FILE, LOG_FILE
 
 SCANS = Path("scans")
 
@@ -20,3 +20,9 @@ def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
 def newest_result(folder: Path = SCANS) -> Path | None:
     """The newest of them; None where there is none."""
     return next(iter(earlier_results(folder)), None)
+
+
+def newest_calibration(folder: Path = SCANS) -> Path | None:
+    """That of the newest result that has one; None where none has."""
+    found = (result / CALIBRATION_FILE for result in earlier_results(folder))
+    return next((path for path in found if path.is_file()), None)

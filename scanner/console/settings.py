@@ -29,6 +29,7 @@ class Settings:
     """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is.
 
     `name`: of the next result; '' for the configuration's. `captures`: how many a scan takes.
+    `calibration`: of the rig, for live clouds; None for the newest result's.
     """
 
     config: Path
@@ -38,6 +39,7 @@ class Settings:
     picture: Picture = Picture.WHITE
     name: str = ""
     captures: int = 1
+    calibration: Path | None = None
 
     def load(self) -> Config:
         """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
@@ -48,9 +50,9 @@ class Settings:
             changed.append(f"rig.gain={self.gain!r}")
         return load_config(self.config, [*self.overrides, *changed])
 
-    def destination(self) -> Path:
+    def destination(self, ending: str = "") -> Path:
         """Where the next result goes: a new folder in scans/, of the name that was typed, or of the configuration's."""
-        return default_out(self.name or self.config.stem, overwrite=False)
+        return default_out((self.name or self.config.stem) + ending, overwrite=False)
 
 
 def plain_name(text: str) -> str:

@@ -16,9 +16,12 @@ from scanner.checking.devices import opened
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.asking import PageOperator
 from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
-from scanner.console.results import newest_result
+from scanner.console.results import SCANS, newest_calibration, newest_result
 from scanner.console.settings import Settings, drawn
+from scanner.errors import InputError
 from scanner.jobs import scan
+from scanner.live.jobs import Watcher, Wishes, scan_live
+from scanner.live.texts import result_texts
 from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
 
@@ -33,6 +36,7 @@ class Activity(StrEnum):
 
     NOTHING = "Ready"
     LIVE = "Live image"
+    CLOUDS = "Live clouds"
     CHECKING = "Checking"
     SCANNING = "Scanning"
 
@@ -53,8 +57,8 @@ class Status:
 
     @property
     def busy(self) -> bool:
-        """Whether a check or a scan is running, which ends by itself or by being cancelled."""
-        return self.activity in (Activity.CHECKING, Activity.SCANNING)
+        """Whether something is running that ends by itself or by being cancelled."""
+        return self.activity in (Activity.CLOUDS, Activity.CHECKING, Activity.SCANNING)
 
 
 class Page(Protocol):
@@ -84,6 +88,9 @@ class Page(Protocol):
     def on_result(self, folder: Path) -> None:
         """A scan has left a result."""
 
+    def live_watcher(self) -> Watcher:
+        """Who looks at live clouds."""
+
 
 class Worker:
     """The rig's owner, from `start` to `close`. Requests are refused (False) while a check or a scan is running."""
@@ -96,6 +103,7 @@ class Worker:
         self._next: SimpleQueue[Activity | None] = SimpleQueue()
         self._cancelled = Event()
         self._leave_live = Event()
+        self._wishes = Wishes()
         self._operator = PageOperator(self._cancelled, self._on_asked)
         self._durations_s = dict(durations_in(newest / LOG_FILE)) if (newest := newest_result()) else {}
         self._thread = Thread(target=self._run, name="rig", daemon=True)
@@ -133,7 +141,7 @@ class Worker:
         """End a check or a scan at the next frame or step."""
         with self._lock:
             if self._status.busy:
-                self._cancelled.set()
+                (self._wishes.end if self._status.activity is Activity.CLOUDS else self._cancelled).set()
                 self._tell(replace(self._status, cancelling=True))
 
     def answer(self, *, more: bool) -> None:
@@ -143,6 +151,7 @@ class Worker:
     def close(self) -> Status:
         """Cancel whatever runs, and end; returns how it ended."""
         self._cancelled.set()
+        self._wishes.end.set()
         self._next.put(None)
         self._leave_live.set()
         if self._thread.is_alive():
@@ -174,6 +183,8 @@ class Worker:
             case Activity.LIVE:
                 while not self._leave_live.is_set():
                     self._live(self._settings)
+            case Activity.CLOUDS:
+                self._clouds(progress)
             case Activity.CHECKING:
                 self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
@@ -216,6 +227,28 @@ class Worker:
                     settings, picture = wanted, wanted.picture
                     self._page.on_frame(frame)
                 self._leave_live.wait(max(0.0, began_s + _FRAME_S - time.monotonic()))
+
+    def _clouds(self, progress: StagedProgress) -> None:
+        """Show live clouds until that is cancelled; kept ones become a result."""
+        settings, watcher = self._settings, self._page.live_watcher()
+        calibration = settings.calibration or newest_calibration()
+        if calibration is None:
+            raise InputError(
+                f"live clouds need a calibrated rig, and {SCANS} has no calibration: scan a corner first, or start "
+                "scan console with --calibration FILE"
+            )
+        out, self._wishes = settings.destination("-live"), Wishes()
+        self._on_stage(Stage("Looking"))
+        try:
+            found = scan_live(
+                settings.load(), out, calibration=calibration, wishes=self._wishes, progress=progress, watcher=watcher
+            )
+        except KeyboardInterrupt:  # nothing was kept
+            return
+        for sentence in result_texts(len(found.kept), out, settings.config, calibration):
+            watcher.tell(sentence)
+        if found.ended_by is not None:
+            raise found.ended_by
 
     def _on_cloud(self, found: Scan) -> None:
         try:

@@ -32,10 +32,14 @@ from scanner.ui import Progress, Terminal
 
 # So many rounds without a cloud that can be kept are enough where nobody but the program waits for one.
 _PATIENCE = 100
+_SILENT = Terminal(quiet=True)
 
 
 class Watcher:
     """Who looks, and may want things. Called from several threads; does nothing by itself."""
+
+    def begin(self, calibration: Calibration, wishes: "Wishes") -> None:
+        """Clouds of a calibrated rig are about to come; the wishes may be added to until they end."""
 
     def on_rig(self, rig: Rig) -> None:
         """The rig is open."""
@@ -68,6 +72,33 @@ class Wishes:
         return self.number is not None or self.now.is_set()
 
 
+class Watchers(Watcher):
+    """Several who look."""
+
+    def __init__(self, *watchers: Watcher) -> None:
+        self._watchers = watchers
+
+    def begin(self, calibration: Calibration, wishes: Wishes) -> None:
+        """As of each."""
+        for each in self._watchers:
+            each.begin(calibration, wishes)
+
+    def on_rig(self, rig: Rig) -> None:
+        """As of each."""
+        for each in self._watchers:
+            each.on_rig(rig)
+
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
+        """As of each."""
+        for each in self._watchers:
+            each.on_round(cloud, account)
+
+    def tell(self, sentence: str) -> None:
+        """As of each."""
+        for each in self._watchers:
+            each.tell(sentence)
+
+
 @dataclass
 class Looked:
     """What came of it. `kept`: the stations; `ended_by`: what ended it before all were there, None if nothing did."""
@@ -86,13 +117,15 @@ def scan_live(
     wishes: Wishes,
     depths: tuple[float, float] | None = None,
     overwrite: bool = False,
-    terminal: Terminal,
+    terminal: Terminal = _SILENT,
+    progress: Progress | None = None,
     watcher: Watcher,
 ) -> Looked:
     """Until `wishes` or Ctrl-C end it. What was kept becomes `out`, also where a device fails; nothing does if nothing
-    was. `depths`: between which everything is, in the calibration's unit.
+    was. `depths`: between which everything is, in the calibration's unit. `progress` is told of it in place of the
+    `terminal`.
 
-    Raises InputError, DeviceError, RefusalError, KeyboardInterrupt.
+    Raises InputError, DeviceError, RefusalError; KeyboardInterrupt, also where `wishes` end it with nothing kept.
     """
     start = given_rig(calibration, config)
     known = scaled(start.given or start.calibration, None, config.scale)
@@ -100,15 +133,18 @@ def scan_live(
         raise InputError(f"--clouds: expected 1 or more, found {wishes.number}")
     _refuse_missing_places(config.required_rig, wishes)
     found = Looked(known)
+    watcher.begin(known, wishes)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
-            _look_on(config, folder, found, wishes, depths, terminal, watcher)
+            _look_on(config, folder, found, wishes, depths, progress or terminal, watcher)
+            if not found.kept:
+                raise KeyboardInterrupt
         except (KeyboardInterrupt, DeviceError, RefusalError) as error:
             if not found.kept:
                 raise
             found.ended_by = error
     if found.ended_by is not None:
-        found.ended_by.add_note(f"The {len(found.kept)} clouds that were kept are in {out}.")
+        found.ended_by.add_note(f"What was kept is in {out}.")
     return found
 
 

@@ -1,6 +1,7 @@
 """What is said of clouds while one looks."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -29,16 +30,27 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
         yield "Nearly everything moves: hold still for a moment."
 
 
-def round_lines(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
+def round_texts(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
     """What is said of the newest round, also where there is no cloud in it."""
     if cloud is None:
         return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
     left_out = cloud.share(MaskReason.INCONSISTENT, MaskReason.MOVED, MaskReason.ISOLATED)
+    rate = f"{account.rate_hz:.1f} clouds a second" if account.rate_hz else "The first cloud"
     return [
-        f"{account.rate_hz:.1f} clouds a second, {1000 * account.delay_s:.0f} ms after their last frame; "
-        f"{cloud_text(cloud, unit)}; {percent(cloud.moving_share)} moves, {percent(left_out)} is left out",
+        f"{rate}, {1000 * account.delay_s:.0f} ms after its last frame; {cloud_text(cloud, unit)}; "
+        f"{percent(cloud.moving_share)} moves, {percent(left_out)} is left out.",
         *advice(cloud),
     ]
+
+
+def result_texts(kept: int, out: Path, config: Path, calibration: Path, *, of_room: bool = False) -> Iterator[str]:
+    """Where kept clouds are, and the one next step."""
+    yield f"Result: {out} ({kept} {'station' if kept == 1 else 'stations'} in captures)"
+    if kept > 1:
+        kind = "room" if of_room else "object"
+        yield (
+            f"→ scan {kind} {out} --config {config} --calibration {calibration} --out {out}-{kind} puts them together."
+        )
 
 
 def account_text(account: Account) -> str:

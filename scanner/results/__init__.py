@@ -33,6 +33,7 @@ from scanner.results.older_results import place_camera
 from scanner.results.provenance import Provenance, provenance
 from scanner.results.result_folder import OutputFolder, new_result
 from scanner.results.stages import (
+    AS_SHOWN,
     Calibrated,
     Decoded,
     GivenCalibration,

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Floats, Image, Ints
@@ -42,12 +44,15 @@ class Panel:
     shifts: tuple[Shift, ...] = ()
 
 
+AS_SHOWN = Panel(np.eye(3))
+
+
 @dataclass(frozen=True)
 class Decoded:
     """A capture as matches, which carry face labels as soon as these are known; `origin` says where they come from.
 
     `plane` (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `name` says
-    in messages which of several captures it is. `panel`: what the projector's pixels are of; None until it was asked.
+    in messages which of several captures it is. `panel`: what the projector's pixels are of; None until that is known.
     """
 
     facts: CaptureMetadata

@@ -10,7 +10,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats, Ints
 from scanner.quantities import FACE_NAMES, ShownUnit, plain, shown_unit
 from scanner.rendering import CIVIDIS, FACE_COLOURS, GREY, SIGNED, VIRIDIS, Pixels, shaded
-from scanner.viewing.result import CaptureCloud, ViewedCloud
+from scanner.viewing.result import CaptureCloud, CloudWithSigma, ViewedCloud
 
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
@@ -79,6 +79,8 @@ def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring
             return _by_size(cloud.points[chosen, 2], VIRIDIS, shown_unit(cloud.unit), "Distance before the camera.")
         case CaptureCloud(matches=Matches(face=face)), Colouring.DEVIATION if face is not None:
             return _by_deviation(cloud.from_faces(chosen), shown_unit(cloud.unit))
+        case CloudWithSigma(sigma=sigma), Colouring.SIGMA:
+            return _by_size(sigma[chosen], CIVIDIS, shown_unit(cloud.unit), f"Standard deviation. {_NOISE_ALONE}")
         case CaptureCloud(has_sigma=True), Colouring.SIGMA:
             source = _NOISE_ALONE if cloud.uncertainty is None else _BOTH
             legend = f"Standard deviation of the depth. {source}"

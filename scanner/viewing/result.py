@@ -86,6 +86,13 @@ class ViewedCloud:
 
 
 @dataclass(frozen=True, eq=False)
+class CloudWithSigma(ViewedCloud):
+    """`sigma` (N,): the standard deviation of each point along its ray, in the cloud's unit."""
+
+    sigma: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class CaptureCloud(ViewedCloud):
     """The cloud of one capture, with the scan that it is of, and what that has measured."""
 

@@ -1,7 +1,7 @@
 """A cloud in the browser: its points, the rigs that saw it, the faces, their vertex, and a ruler."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from scanner.quantities import device_names, shown_unit
 from scanner.rendering import BLUE, FACE_COLOURS, VERMILION, frustum_lines
 from scanner.viewing.colouring import Coloured, Colouring, coloured
 from scanner.viewing.corner import MeasuredCorner
-from scanner.viewing.crop import Box
+from scanner.viewing.crop import Box, whole
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,
     nice_step,
@@ -82,6 +82,11 @@ class Scene:
             self._draw_corner(cloud.corner, cloud.rigs[0])
         self._draw_ruler(cloud)
         self.look()
+
+    def follow(self, cloud: ViewedCloud, colouring: Colouring) -> Shown:
+        """Draw another cloud's points in place of the last one's, from where everybody looks now."""
+        self._cloud = replace(cloud, rigs=self._required.rigs)
+        return self.draw_points(1.0, colouring, whole(cloud))
 
     def look(self) -> None:
         """Take all windows back to the first view."""

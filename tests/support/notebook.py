@@ -7,6 +7,7 @@ from pathlib import Path
 from hw.rig import Frame, Rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.worker import Status
+from scanner.live.jobs import Watcher
 from scanner.results import Scan
 
 
@@ -42,6 +43,9 @@ class Notebook:
 
     def on_result(self, folder: Path) -> None:
         self.results.append(folder)
+
+    def live_watcher(self) -> Watcher:
+        return Watcher()
 
 
 def until(condition: Callable[[], object], patience_s: float = 30) -> None:

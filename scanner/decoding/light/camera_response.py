@@ -53,7 +53,7 @@ class CameraResponse:
 
     def linearised(self, frames: Image) -> Iterator[Image]:
         """Frames (N, H, W) as light, one by one, of 16 bits."""
-        levels = np.arange(int(self.top) + 1)
+        levels = np.arange(int(np.iinfo(frames.dtype).max) + 1)  # some pixel may be brighter than white ever was
         light = np.rint(_FULL_SCALE * np.interp(levels, np.linspace(0, self.top, len(self.light)), self.light))
         light[levels >= self.saturation] = _FULL_SCALE
         table = light.astype(np.uint16)

@@ -10,9 +10,7 @@ from calib.numerics import Floats
 from scanner.capture import CHANGED_SHAPE
 from scanner.quantities import percent
 from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
-from scanner.results import Decoded, Panel
-
-_AS_SHOWN = Panel(np.eye(3))
+from scanner.results import AS_SHOWN, Decoded, Panel
 
 
 def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
@@ -26,10 +24,10 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
     size = capture.facts.projector_size
     keystone = measure_keystone(decoding.stripes, capture.matches, plane, size)
     if keystone is None:
-        return replace(capture, panel=_AS_SHOWN)
+        return replace(capture, panel=AS_SHOWN)
     homography = keystone.homography
     for other in others:
-        if other.panel is not None and other.panel is not _AS_SHOWN:
+        if other.panel is not None and other.panel is not AS_SHOWN:
             homography = beginning_as(other.panel.homography, homography, size)
             break
     matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))

@@ -14,7 +14,7 @@ from scipy import fft
 from calib.geometry import mapped
 from calib.numerics import Floats, in_parallel
 from scanner.decoding import Floats32
-from scanner.reconstruction.keystone.beat import EVERYTHING, UPRIGHT, Beat, homography_of
+from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, UPRIGHT, Beat, homography_of
 
 # How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
 _MOST_NARROWER = 0.05
@@ -23,6 +23,7 @@ _CELLS_ALONG = 213
 _LEAST_CELL_PX = 4.0
 _PADDED = 1.3
 _TRIED, _APART_PX = 8, 0.4
+_BESIDE = 4
 # What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
 # is not undone there is none.
 _LEAST_POWER, _LEAST_CHIRP = 50.0, 40.0
@@ -44,7 +45,7 @@ class Start:
 def starts(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
     """The likeliest first of those that lean along one axis, or none; nothing where nothing beats."""
     if spectrum.beats:
-        yield from _apart(spectrum.leaning_once, beat, _TRIED)
+        yield from _apart([*spectrum.leaning_once, *spectrum.half_steps()], beat, _TRIED)
 
 
 def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
@@ -104,10 +105,25 @@ class Spectrum:
     @cached_property
     def leaning_once(self) -> list[Start]:
         """Along x or along y, from not at all to the most, by steps that matter at the corners."""
-        along_x, along_y = (_STEP_PX / (self.half * furthest) for furthest in (1.0, self.tall))
+        along_x, along_y = self._steps
         many_x, many_y = (int(np.ceil(_MOST_NARROWER / (2 * step))) for step in (along_x, along_y * self.tall))
         upwards = [(0.0, number * along_y) for number in range(many_y + 1)]
         return self.peaks([*upwards, *((number * along_x, 0.0) for number in range(1, many_x + 1))])
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        """Of leans along x and y."""
+        return _STEP_PX / self.half, _STEP_PX / (self.half * self.tall)
+
+    def half_steps(self) -> list[Start]:
+        """Half a step beside the strongest that lean along one axis: fits from whole steps may end on either side."""
+        strongest = sorted(self.leaning_once, key=lambda start: -start.power)[:_BESIDE]
+        leans = {
+            (x + by * self._steps[0] / 2, 0.0) if x else (0.0, y + by * self._steps[1] / 2)
+            for x, y in (start.values[LEANS] for start in strongest)
+            for by in (-1, 1)
+        }
+        return self.peaks(sorted(leans))
 
     @classmethod
     def of(cls, beat: Beat) -> "Spectrum":

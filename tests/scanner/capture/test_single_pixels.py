@@ -4,7 +4,7 @@ import pytest
 
 from hw.open_rig import open_rig
 from hw.settings import PanelSettings, SimulatedRigSettings
-from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines
+from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines, shows_single_pixels
 
 CAMERA, PROJECTOR = (204, 160), (214, 120)
 
@@ -35,7 +35,19 @@ def test_lines_of_one_pixel_arrive_unless_the_picture_is_changed(
     assert least < kept < most
     said = list(remarks_on_lines({"camera": "of one who recorded it", **found}))
     assert [sentence.startswith(CHANGED_SHAPE) for sentence in said] == [True] * (most < 0.6)
+    assert shows_single_pixels(found) == (most > 1)
     assert known_of_lines({"frames": [], **found}) == found
+
+
+@pytest.mark.parametrize("projector", [PROJECTOR, (854, 480)])
+def test_no_keystone_that_matters_leaves_single_pixels_unchanged(projector: tuple[int, int]) -> None:
+    """Where it moves the picture's corners by half a pixel."""
+    rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
+    with open_rig(rig, (612, 512), projector) as opened:
+        (kept,) = measure_lines(opened.rig).values()
+    assert isinstance(kept, float)
+    assert 0.4 < kept < 0.9
+    assert not shows_single_pixels({"lines_of_one_pixel_keep": kept})
 
 
 def test_a_projector_without_a_bent_response_does_not_tell() -> None:
@@ -45,3 +57,4 @@ def test_a_projector_without_a_bent_response_does_not_tell() -> None:
 
 def test_what_a_stranger_has_written_there_is_no_number() -> None:
     assert not list(remarks_on_lines({"lines_of_one_pixel_keep": "nothing"}))
+    assert not shows_single_pixels({"lines_of_one_pixel_keep": "nothing"})

@@ -117,3 +117,10 @@ def test_what_moves_is_still_found(curve: Curve) -> None:
     decoding = decode(GRAY, frames, SCENE.projector)
     assert any("moved in" in said for said in decoding.warnings)
     assert np.mean(decoding.reasons[50:100, 70:100] == 0) < 0.2
+
+
+@pytest.mark.parametrize(("kind", "most"), [(np.uint8, 2**8 - 1), (np.uint16, 2**16 - 1)])
+def test_a_pixel_brighter_than_white_was_is_the_brightest_light(kind: type, most: int) -> None:
+    response = CameraResponse(np.array([0.0, 0.3, 1.0]), top=200.0, saturation=np.inf)
+    (light,) = response.linearised(np.array([[[0, 100, 200, 201, most]]], kind))
+    assert light.tolist() == [[0, 307, 1023, 1023, 1023]]

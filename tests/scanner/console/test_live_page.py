@@ -1,0 +1,84 @@
+"""Live clouds in a real browser: on a page of their own, and as a part of the console."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from hw.open_rig import open_rig
+from scanner.configuration.schema import load_config
+from scanner.io.calibration_file import write_calibration
+from scanner.io.matches_file import read_matches
+from tests.support.browsing import Served, Visit, visiting
+from tests.support.small_room import CONFIG
+
+pytestmark = pytest.mark.xdist_group("browser")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With a room.yaml, and its rig's true calibration."""
+    (tmp_path / "room.yaml").write_text(CONFIG)
+    config = load_config(tmp_path / "room.yaml")
+    with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
+        assert opened.truth is not None
+        write_calibration(tmp_path / "true.yaml", opened.truth)
+    return tmp_path
+
+
+@pytest.fixture
+def live(folder: Path) -> Iterator[Served]:
+    with Served(folder, "live", "--config", "room.yaml", "--calibration", "true.yaml", "--page") as served:
+        yield served
+
+
+def test_the_newest_cloud_is_shown_and_kept(browser: Browser, folder: Path, live: Served) -> None:
+    with visiting(browser, live.address) as visit:
+        visit.wait_for("clouds a second")
+        _sees_a_cloud(visit)
+        grey = visit.colours_in_scene()
+        visit.choose("Colour", "Uncertainty of depth")
+        expect(visit.page.locator(".scan-bar")).to_be_visible()
+        visit.page.wait_for_timeout(1000)
+        assert visit.colours_in_scene() != grey
+        visit.press("Keep this cloud")
+        visit.wait_for("Station 1 is kept.")
+    code, said = live.interrupt()
+    assert code == 130
+    assert "Result: scans/room-live (1 station in captures)" in said
+    assert len(read_matches(folder / "scans/room-live/captures/1/matches.npz")) > 5000
+
+
+def test_the_console_shows_them_and_cancel_ends_them(browser: Browser, folder: Path) -> None:
+    with (
+        Served(folder, "console", "--config", "room.yaml", "--calibration", "true.yaml") as served,
+        visiting(browser, served.address) as visit,
+    ):
+        visit.wait_for("Exposed for")
+        visit.press("Live clouds")
+        visit.wait_for("clouds a second")
+        _sees_a_cloud(visit)
+        visit.press("Keep this cloud")
+        visit.wait_for("Station 1 is kept.")
+        visit.press("Cancel")
+        visit.wait_for("Result: scans/room-live (1 station in captures)")
+        assert (folder / "scans/room-live/captures/1/matches.npz").is_file()
+        # With nothing kept nothing is left.
+        visit.press("Live clouds")
+        visit.wait_for("clouds a second")
+        visit.press("Cancel")
+        expect(visit.page.get_by_role("button", name="Scan", exact=True)).to_be_visible()
+        assert not list(folder.glob("scans/*live-2*"))
+
+
+def test_the_console_says_that_it_needs_a_calibration(browser: Browser, folder: Path) -> None:
+    with Served(folder, "console", "--config", "room.yaml") as served, visiting(browser, served.address) as visit:
+        visit.wait_for("Exposed for")
+        visit.press("Live clouds")
+        visit.wait_for("live clouds need a calibrated rig")
+
+
+def _sees_a_cloud(visit: Visit) -> None:
+    visit.page.wait_for_timeout(1500)
+    assert visit.colours_in_scene() > 20
