@@ -16,12 +16,12 @@ _LEVELS, _NOISE = 200.0, (1.0, 0.02)  # of white; variance at level 0, and what 
 _WALL_M, _RADIUS_M, _BALL_M = 0.6, 0.08, (0.02, 0.0, 0.5)
 
 
-def calibration(lens: float = 0.0, smaller: int = 1) -> Calibration:
+def calibration(lens: float = 0.0, smaller: float = 1) -> Calibration:
     """Side by side, turned towards each other; `lens`: the radial term of both. The camera's picture may be smaller."""
     angle = 0.2
     turned = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     distortion = (lens, 0.0, 0.0, 0.0, 0.0)
-    focal, width, height = 220.0 / smaller, CAMERA[0] // smaller, CAMERA[1] // smaller
+    focal, width, height = 220.0 / smaller, round(CAMERA[0] / smaller), round(CAMERA[1] / smaller)
     camera = Intrinsics(width, height, (focal, focal), (80.0 / smaller, 63.0 / smaller), distortion)
     projector = Intrinsics(*PROJECTOR, (560.0, 560.0), (205.0, 150.0), distortion)
     return Calibration(camera, projector, turned, np.array([-0.12, 0.005, 0.01]), "m")
