@@ -15,12 +15,12 @@ def turns_by_itself(settings: RigSettings) -> bool:
     return isinstance(settings, SimulatedRigSettings) and settings.thing.kind != "none"
 
 
-def turned_by_itself(settings: RigSettings, times: int) -> RigSettings:
-    """The same rig before its thing, turned so often, or as often as it can be; one that a person turns is as it is."""
+def at_place_or_last(settings: RigSettings, step: int) -> RigSettings:
+    """As `at_place`; a simulated rig that has no place so far is at its last one."""
     match settings:
-        case SimulatedRigSettings() if turns_by_itself(settings):
-            return at_place(settings, min(times, settings.places - 1 - settings.pose))
-    return settings
+        case SimulatedRigSettings():
+            step = min(step, settings.places - 1 - settings.pose)
+    return at_place(settings, step)
 
 
 def at_place(settings: RigSettings, step: int) -> RigSettings:

@@ -322,6 +322,7 @@ def of_live(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
     parser.add_argument("--clouds", type=int, metavar="N", help="keep N clouds, then end")
+    parser.add_argument("--room", action="store_true", help="kept clouds are of a room in which the rig is moved")
     parser.add_argument("--every", metavar="TIME", help="keep a cloud so often, as in 2s")
     parser.add_argument(
         "--depths", metavar="NEAR,FAR", help="everything is between, as in 0.3m,0.6m: finer (default: anywhere)"

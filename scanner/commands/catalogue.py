@@ -130,12 +130,12 @@ Exit codes: 4 if no two stations belong together, or if one could as well be tur
 """,
     ),
     "live": Command(
-        "Clouds while one looks, from a calibrated rig; those that are kept become stations of a thing.",
+        "Clouds while one looks, from a calibrated rig; those that are kept become stations of a thing or a room.",
         arguments.of_live,
         "live",
         """
 Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and told. Enter
-keeps a cloud; scan object OUT puts them together. Ctrl-C ends it, and keeps what was kept.
+keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C ends it, and keeps what was kept.
 """,
     ),
     "compare": Command(

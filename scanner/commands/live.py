@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 
+from hw.rig import Rig
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live.cloud import LiveCloud
 from scanner.live.jobs import Looked, Watcher, Watchers, Wishes, scan_live
-from scanner.live.texts import account_text, advice, cloud_text, result_texts
+from scanner.live.texts import account_text, result_texts, round_texts
 from scanner.live.watching import Account
 from scanner.quantities import parse_length
 from scanner.results import default_out
@@ -30,7 +31,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     out = args.out or default_out(f"{args.config.stem}-live", overwrite=args.overwrite)
     unit = read_calibration(args.calibration).unit
-    wishes = Wishes(args.clouds, _seconds(args.every))
+    wishes = Wishes(args.clouds, _seconds(args.every), args.room)
     if terminal.can_ask and not args.quiet:
         terminal.note("Enter keeps a cloud; Ctrl-C ends.")
         Thread(target=_keep_on_enter, args=(wishes,), daemon=True).start()
@@ -72,12 +73,15 @@ class _Told(Watcher):
 
     def __init__(self, terminal: Terminal, unit: str) -> None:
         self._terminal, self._unit = terminal, unit
-        self._told_s = 0.0
+        self._told_s = time.monotonic()
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+    def on_rig(self, _: Rig) -> None:
+        self._told_s = time.monotonic()
+
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         if time.monotonic() - self._told_s >= _EVERY_S:
             self._told_s = time.monotonic()
-            self._terminal.show(cloud_text(cloud, account, self._unit), *advice(cloud))
+            self._terminal.show(*round_texts(cloud, account, self._unit))
 
     def tell(self, sentence: str) -> None:
         self._terminal.show(sentence)
@@ -90,7 +94,7 @@ def _keep_on_enter(wishes: Wishes) -> None:
 
 def _show(found: Looked, out: Path, args: Namespace, terminal: Terminal) -> None:
     terminal.show(account_text(found.account))
-    terminal.show(*result_texts(len(found.kept), out, args.config, args.calibration))
+    terminal.show(*result_texts(len(found.kept), out, args.config, args.calibration, of_room=args.room))
 
 
 def _seconds(text: str | None) -> float | None:

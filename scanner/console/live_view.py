@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from threading import Thread
 
 import numpy as np
@@ -12,7 +12,7 @@ from calib.geometry import Calibration
 from hw.rig import Frame
 from scanner.live.cloud import LiveCloud
 from scanner.live.jobs import Watcher, Wishes
-from scanner.live.texts import advice, cloud_text
+from scanner.live.texts import round_texts
 from scanner.live.watching import Account, Newest
 from scanner.rendering import photograph
 from scanner.viewing.colouring import Colouring
@@ -39,7 +39,7 @@ class LiveView(Watcher):
         self._wishes = Wishes()
         self._calibration: Calibration | None = None
         self._picked = np.empty(0)
-        self._newest = Newest[tuple[LiveCloud, str, Sequence[str]]]()
+        self._newest = Newest[tuple[LiveCloud | None, list[str]]]()
         self._sentences: list[str] = []
         self._folder = gui.add_folder("Live clouds", visible=False)
         with self._folder:
@@ -58,10 +58,10 @@ class LiveView(Watcher):
         self._picked = np.empty(0)
         self._folder.visible = True
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         """Returns at once."""
         unit = self._calibration.unit if self._calibration else ""
-        self._newest.put((cloud, cloud_text(cloud, account, unit), tuple(advice(cloud))))
+        self._newest.put((cloud, round_texts(cloud, account, unit)))
 
     def tell(self, sentence: str) -> None:
         """Show it above the last few."""
@@ -71,9 +71,9 @@ class LiveView(Watcher):
     def _draw(self) -> None:
         while (newest := self._newest.take()) is not None:
             began_s = time.monotonic()
-            cloud, text, sentences = newest
-            self._told.content = "\n\n".join(escaped(each) for each in (f"{text}.", *sentences))
-            if len(cloud.points):
+            cloud, sentences = newest
+            self._told.content = "\n\n".join(map(escaped, sentences))
+            if cloud is not None and len(cloud.points):
                 try:
                     self._on_frame(cloud.taken.frames[-1])
                     self._show(cloud)

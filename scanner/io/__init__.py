@@ -15,7 +15,14 @@ from scanner.io.given_file import (
 )
 from scanner.io.image_file import SUFFIXES, read_image
 from scanner.io.image_size import UNREADABLE
-from scanner.io.matches_file import MATCHES_FILE, read_matches, read_planes, refuse_one_axis, write_matches
+from scanner.io.matches_file import (
+    MATCHES_FILE,
+    read_matches,
+    read_only_axis,
+    read_planes,
+    refuse_one_axis,
+    write_matches,
+)
 from scanner.io.new_folders import missing_folders, remove_empty
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
 from scanner.io.png import write_png

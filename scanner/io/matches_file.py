@@ -138,13 +138,20 @@ def read_planes(path: Path) -> Ints | None:
     return _labels(_file(path), "plane", plane)
 
 
+def read_only_axis(path: Path) -> Literal["x", "y"] | None:
+    """The only one of the projector's coordinates that was measured, if a matches file says so."""
+    measured = _arrays_in(_file(path)).get(_MEASURED)
+    if measured is None or measured.all():
+        return None
+    return "x" if measured[0] else "y"
+
+
 def refuse_one_axis(path: Path) -> None:
     """Raise InputError if a matches file says that one projector coordinate follows from a calibration.
 
     To calibrate from such matches would be to find that calibration again, and to look sure of it.
     """
-    measured = _arrays_in(_file(path)).get(_MEASURED)
-    if measured is not None and not measured.all():
+    if read_only_axis(path) is not None:
         raise InputError(
             f"{_file(path)}: only one of the projector's coordinates was measured, and the other follows from a "
             "calibration: these matches cannot tell whether it is right; capture with patterns along both axes"

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image, grey
+from calib.numerics import Bools, Image, grey
 from calib.refusal import RefusalError
 from hw.rig import Rig
 from scanner.checking.light import Light, photograph_light
@@ -22,13 +22,11 @@ _LEAST_LIT = 500
 
 @dataclass(frozen=True)
 class FirstLook:
-    """`lit` (H, W): where the projector's light falls. `amplitude` (N,): of a fringe there, in grey levels. Variance of
-    a pixel at level I: `noise[0]` + `noise[1]` I. `saturated`: from this level on. `response`: from what is drawn to
-    what the camera shows; None where it is not known.
+    """`lit` (H, W): where the projector's light falls. Variance of a pixel at level I: `noise[0]` + `noise[1]` I.
+    `saturated`: from this level on. `response`: from what is drawn to what the camera shows, None if not known.
     """
 
     lit: Bools
-    amplitude: Floats
     noise: tuple[float, float]
     saturated: float
     response: ProjectorResponse | None
@@ -50,8 +48,7 @@ def look(rig: Rig, config: Config) -> FirstLook:
     response = config.projector.known_response
     if response is None and (ramp := measure_ramp(rig, light)) is not None:
         response = ramp.response
-    amplitude = (light.mean_white - light.mean_black)[lit] / 2
-    return FirstLook(lit, amplitude, noise_of(light), 0.99 * light.highest, response)
+    return FirstLook(lit, noise_of(light), 0.99 * light.highest, response)
 
 
 def noise_of(light: Light) -> tuple[float, float]:

@@ -8,26 +8,30 @@ from pathlib import Path
 from threading import Event
 
 from calib.geometry import Calibration
+from calib.refusal import RefusalError
 from hw.ahead import beside
 from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.moving import at_place, turned_by_itself, turns_by_itself
+from hw.moving import at_place, at_place_or_last, moves_by_itself, turns_by_itself
 from hw.rig import Rig
 from scanner.checking.devices import opened
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
-from scanner.live.joining import FEWEST, joining
+from scanner.live.joining import joining
 from scanner.live.keeping import keep
-from scanner.live.rounds import rounds
-from scanner.live.sequence import LiveSequence, sequence_for
+from scanner.live.rounds import best_sequence, rounds
+from scanner.live.sequence import LiveSequence
+from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.rooms.document import given_rig
 from scanner.ui import Progress, Terminal
 
+# So many rounds without a cloud that can be kept are enough where nobody but the program waits for one.
+_PATIENCE = 100
 _SILENT = Terminal(quiet=True)
 
 
@@ -40,8 +44,8 @@ class Watcher:
     def on_rig(self, rig: Rig) -> None:
         """The rig is open."""
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
-        """There is a new one."""
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
+        """There is a new cloud; or none, for the frames of this round contradict each other."""
 
     def tell(self, sentence: str) -> None:
         """Something that is to be known."""
@@ -49,10 +53,13 @@ class Watcher:
 
 @dataclass
 class Wishes:
-    """`number`: of clouds to keep, then it ends; `every_s`: keep one so often; `now`: keep the next one; `end`."""
+    """`number`: of clouds to keep, then it ends; `every_s`: keep one so often; `of_room`: kept clouds are of a room in
+    which the rig is moved, else of a thing before it; `now`: keep the next one; `end`.
+    """
 
     number: int | None = None
     every_s: float | None = None
+    of_room: bool = False
     now: Event = field(default_factory=Event)
     end: Event = field(default_factory=Event)
 
@@ -81,10 +88,10 @@ class Watchers(Watcher):
         for each in self._watchers:
             each.on_rig(rig)
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         """As of each."""
         for each in self._watchers:
-            each.on_cloud(cloud, account)
+            each.on_round(cloud, account)
 
     def tell(self, sentence: str) -> None:
         """As of each."""
@@ -124,7 +131,7 @@ def scan_live(
     known = scaled(start.given or start.calibration, None, config.scale)
     if wishes.number is not None and wishes.number < 1:
         raise InputError(f"--clouds: expected 1 or more, found {wishes.number}")
-    _refuse_missing_places(config.required_rig, wishes.number)
+    _refuse_missing_places(config.required_rig, wishes)
     found = Looked(known)
     watcher.begin(known, wishes)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
@@ -132,7 +139,7 @@ def scan_live(
             _look_on(config, folder, found, wishes, depths, progress or terminal, watcher)
             if not found.kept:
                 raise KeyboardInterrupt
-        except (KeyboardInterrupt, DeviceError) as error:
+        except (KeyboardInterrupt, DeviceError, RefusalError) as error:
             if not found.kept:
                 raise
             found.ended_by = error
@@ -141,13 +148,18 @@ def scan_live(
     return found
 
 
-def _refuse_missing_places(settings: RigSettings, number: int | None) -> None:
-    if not turns_by_itself(settings):
+def _goes_on_by_itself(settings: RigSettings, wishes: Wishes) -> bool:
+    """Whether the simulation turns its thing, or moves its rig, after each cloud that is kept."""
+    return moves_by_itself(settings) if wishes.of_room else turns_by_itself(settings)
+
+
+def _refuse_missing_places(settings: RigSettings, wishes: Wishes) -> None:
+    if not _goes_on_by_itself(settings, wishes):
         return
     try:
-        at_place(settings, (number or 1) - 1)
+        at_place(settings, (wishes.number or 1) - 1)
     except DeviceError as error:
-        raise InputError(f"--clouds {number}: {error}") from error
+        raise InputError(f"--clouds {wishes.number}: {error}") from error
 
 
 def _look_on(
@@ -160,28 +172,33 @@ def _look_on(
     watcher: Watcher,
 ) -> None:
     first: tuple[FirstLook, LiveSequence] | None = None
-    with joining(found.calibration, watcher.tell) as join, beside(_keeping(folder, found, join, watcher)) as begin:
+    by_itself = _goes_on_by_itself(config.required_rig, wishes)
+    joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
+    with joined as join, beside(_keeping(folder, found, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
         while not keeper.has_ended:
             begun = keeper.begun
             with ExitStack() as devices:
                 with progress.step("Preparing the rig"):
-                    rig = devices.enter_context(opened(_turned(config, begun)))
+                    rig = devices.enter_context(opened(_moved(config, begun if by_itself else 0)))
                 if first is None:
                     with progress.step("Looking at light and dark"):
                         seen = look(rig, config)
-                        first = seen, sequence_for(found.calibration, seen, depths)
+                        first = seen, best_sequence(rig, seen, found.calibration, depths)
                 watcher.on_rig(rig)
-                _watch(rig, *first, found, keeper, watcher, turns=turns_by_itself(config.required_rig))
+                _watch(rig, *first, found, keeper, watcher, one_only=by_itself)
 
 
 @dataclass
 class Keeper:
-    """Has clouds kept by `begin` when they are due. `begun`: how many that was."""
+    """Has clouds kept by `begin` when they are due. `begun`: how many that was. `useless`: rounds since then of which
+    none could be kept.
+    """
 
     wishes: Wishes
     begin: Callable[[LiveCloud, LiveSequence, Rig, str], None]
     begun: int = 0
+    useless: int = 0
     _last_s: float = field(default_factory=time.monotonic)
 
     @property
@@ -189,10 +206,21 @@ class Keeper:
         """Whether nobody wants more."""
         return self.wishes.end.is_set() or self.begun == self.wishes.number
 
-    def offer(self, cloud: LiveCloud, sequence: LiveSequence, rig: Rig) -> None:
-        """A cloud that has just come."""
-        if self.wishes.due(self.begun, self._last_s) and len(cloud.points):
+    def offer(self, cloud: LiveCloud | None, sequence: LiveSequence, rig: Rig) -> None:
+        """A round that has just come. Raises RefusalError where so many clouds are wanted, and none is to be had."""
+        if not self.wishes.due(self.begun, self._last_s):
+            return
+        if cloud is None or not len(cloud.points):
+            self.useless += 1
+            if self.wishes.number is not None and self.useless == _PATIENCE:
+                raise RefusalError(
+                    f"No cloud came of the last {_PATIENCE} rounds: "
+                    + ("nothing of the fringes is seen." if cloud else "their frames contradict each other."),
+                    "Let scan check tell about exposure, light and synchronisation, and hold still.",
+                )
+        else:
             self.wishes.now.clear()
+            self.useless = 0
             self._last_s = time.monotonic()
             self.begun += 1
             self.begin(cloud, sequence, rig, f"Station {self.begun}")
@@ -204,16 +232,14 @@ def _keeping(
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
         place = folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
         found.kept.append(keep(cloud, sequence, found.calibration, rig.identity, place, name))
-        watcher.tell(f"{name} is kept.")
-        if len(found.kept) >= FEWEST:
-            join(tuple(found.kept))
+        watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
+        join(tuple(found.kept))
 
     return work
 
 
-def _turned(config: Config, kept: int) -> Config:
-    """A simulated thing is turned after each cloud that is kept, as long as there are places; what is real, by hand."""
-    return config.model_copy(update={"rig": turned_by_itself(config.required_rig, kept)})
+def _moved(config: Config, steps: int) -> Config:
+    return config.model_copy(update={"rig": at_place_or_last(config.required_rig, steps)})
 
 
 def _watch(
@@ -224,20 +250,20 @@ def _watch(
     keeper: Keeper,
     watcher: Watcher,
     *,
-    turns: bool,
+    one_only: bool,
 ) -> None:
-    """Until all are kept or, of a thing that turns by itself, one is."""
+    """Until all are kept, or one is if `one_only`."""
     begun = keeper.begun
 
-    def on_cloud(cloud: LiveCloud, account: Account) -> None:
-        watcher.on_cloud(cloud, account)
-        if not (turns and keeper.begun > begun):
+    def on_round(cloud: LiveCloud | None, account: Account) -> None:
+        watcher.on_round(cloud, account)
+        if not (one_only and keeper.begun > begun):
             keeper.offer(cloud, sequence, rig)
 
     watch(
         rounds(rig, sequence, seen.response),
         Decoder(sequence, seen, found.calibration),
-        on_cloud,
-        lambda: keeper.has_ended or (turns and keeper.begun > begun),
+        on_round,
+        lambda: keeper.has_ended or (one_only and keeper.begun > begun),
         found.account,
     )

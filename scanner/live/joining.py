@@ -1,4 +1,4 @@
-"""Kept clouds of a thing that is turned, put together as they come: which lie on each other, and which on none."""
+"""Kept clouds, put together as they come, so that one sees what is missing."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -6,40 +6,45 @@ from threading import Thread
 
 from calib.geometry import Calibration
 from scanner.live.watching import Newest
-from scanner.objects.solve import register_stations
+from scanner.objects.solve import advice_on, brief, outside_text, stations_outside
 from scanner.results import Decoded
+from scanner.rooms.live import Comparison
 
-# Of fewer, what rests is not told from what was turned.
-FEWEST = 4
+_FEWEST = 4  # of a thing's stations; of fewer, what rests is not told from what was turned
+_LEAVING_S = 60.0
 
 
-def joined_text(captures: Sequence[Decoded], calibration: Calibration) -> str:
-    """Which stations have their places by now."""
-    found = register_stations(captures, calibration)
-    placed = len(found.places)
+def joined_text(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+    """Which stations of a thing have their places by now."""
+    if len(captures) < _FEWEST:
+        return []
+    outside = stations_outside(captures, calibration)
+    placed = len(captures) - len(outside)
     if placed < 2:
-        return f"None of the {len(captures)} stations lies on another yet: turn the thing less from one to the next."
-    said = f"{placed} of {len(captures)} stations lie on each other."
-    outside = [captures[each.view].name for each in found.left_out]
-    return (
-        f"{said} Not yet: {', '.join(outside)}; stations between them and the others would join them."
-        if outside
-        else said
-    )
+        return [f"No two stations lie on each other yet: {outside_text(outside)}. {advice_on(outside)}"]
+    if not outside:
+        return [f"{placed} stations lie on each other."]
+    names = brief([each.name for each in outside])
+    return [f"{placed} stations lie on each other, but not yet {names}: put stations between them and the others."]
 
 
 @contextmanager
-def joining(calibration: Calibration, tell: Callable[[str], None]) -> Iterator[Callable[[Sequence[Decoded]], None]]:
+def joining(
+    calibration: Calibration, tell: Callable[[str], None], *, of_room: bool
+) -> Iterator[Callable[[Sequence[Decoded]], None]]:
     """What takes all stations kept so far, and has them joined in a thread of its own, the newest ones only.
 
-    The last ones are joined before the context ends. What fails there is told, for the stations are safe.
+    The last ones are joined before the context ends, if that takes no more than a minute. What fails there is told,
+    for the stations are safe.
     """
     slot = Newest[Sequence[Decoded]]()
+    comparison = Comparison() if of_room else Comparison(compare=joined_text)
 
     def join() -> None:
         while (captures := slot.take()) is not None:
             try:
-                tell(joined_text(captures, calibration))
+                for sentence in comparison.told(captures, calibration):
+                    tell(sentence)
             except Exception as error:
                 tell(f"The stations could not be joined yet: {error}")
 
@@ -49,4 +54,6 @@ def joining(calibration: Calibration, tell: Callable[[str], None]) -> Iterator[C
         yield slot.put
     finally:
         slot.finish()
-        thread.join()
+        thread.join(_LEAVING_S)
+        if thread.is_alive():
+            tell("Joining the last stations takes longer than a minute, and is left to the command below.")

@@ -50,4 +50,4 @@ def keep(
     made = build_cloud(matches, cloud.picture, calibration)
     write_ply(folder / CLOUD_FILE, made, match=made.match)
     facts = CaptureMetadata(sizes[1], sizes[0], sequence.patterns)
-    return Decoded(facts, matches, GivenMatches(cloud.picture), name)
+    return Decoded(facts, matches, GivenMatches(cloud.picture, only_axis=sequence.axis), name)

@@ -3,30 +3,34 @@
 import logging
 import time
 from collections.abc import Generator
+from contextlib import closing
 from typing import cast
 
 import cv2
 import numpy as np
 
+from calib.geometry import Calibration
 from calib.numerics import Image
-from hw.errors import FrameLostError
+from hw.errors import DeviceError, FrameLostError
 from hw.rig import Frame, Rig
 from scanner.capture import refuse_another_size
 from scanner.live.cloud import Round
-from scanner.live.sequence import FRAMES, LiveSequence
+from scanner.live.first_look import FirstLook
+from scanner.live.sequence import FRAMES, LiveSequence, shortened, widest_sequence
 from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
 
 log = logging.getLogger(__name__)
 
 # So many in a row are one capture for the rig: it keeps what proves their frames, and waits for the first light once.
 _IN_A_ROW = 20
+_MOST_LOST = 10  # one after the other: what is lost by then is the camera
 
 
 def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:
     """Without end; None is a round of which a frame was lost. Raises DeviceError."""
     pictures = [_picture(pattern, rig.projector.size, response) for pattern in sequence.patterns]
     level = level_groups(sequence.patterns)
-    number = 0
+    number, lost_in_a_row = 0, 0
     while True:
         row = (pictures[n % FRAMES] for n in range(_IN_A_ROW * FRAMES))
         groups = [tuple(n + first for n in group) for first in range(0, _IN_A_ROW * FRAMES, FRAMES) for group in level]
@@ -38,14 +42,25 @@ def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None)
                 taken.append(frame)
                 if len(taken) == FRAMES:
                     yield Round(number, tuple(taken), _grey(taken), time.monotonic())
-                    number, taken = number + 1, []
+                    number, taken, lost_in_a_row = number + 1, [], 0
         except FrameLostError as lost:
             log.info("round %d was lost (%s)", number, lost)
-            number += 1
+            number, lost_in_a_row = number + 1, lost_in_a_row + 1
+            if lost_in_a_row == _MOST_LOST:
+                raise DeviceError(f"{_MOST_LOST} rounds one after the other lost a frame; the last: {lost}") from lost
             yield None
         finally:
             if isinstance(frames, Generator):
                 frames.close()
+
+
+def best_sequence(
+    rig: Rig, seen: FirstLook, calibration: Calibration, depths: tuple[float, float] | None
+) -> LiveSequence:
+    """The shortest fringes that are unambiguous, from one round of longer ones. Raises DeviceError, RefusalError."""
+    widest = widest_sequence(calibration, depths)
+    with closing(rounds(rig, widest, seen.response)) as taken:
+        return shortened(widest, next(each for each in taken if each is not None).grey, seen, calibration)
 
 
 def _picture(pattern: Pattern, size: tuple[int, int], response: ProjectorResponse | None) -> Image:

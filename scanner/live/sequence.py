@@ -1,29 +1,32 @@
 """The shortest sequence that tells where a point is: two fringes of three steps along one axis.
 
 The longer fringe is longer than the part of an epipolar line on which a pixel's point can be, so that it is
-unambiguous there; the shorter one is as short as the noise of the longer one allows.
+unambiguous there. The shorter one is as short as the errors of the longer one allow, which a first round with a quarter
+of the longer period shows: its noise, and light from other surfaces, which shifts long fringes by up to a sixteenth of
+their period in the corner of a room.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 
 import numpy as np
 
 from calib.geometry import Calibration
-from calib.numerics import Floats
+from calib.numerics import Floats, Image
 from calib.refusal import RefusalError
 from scanner.live.first_look import FirstLook
+from scanner.live.unwrapping import BEYOND_SIGMAS, LEAST_SIGNAL, UNSTRAIGHT
 from scanner.patterns import Axis, Phase
 
 STEPS = 3
 FRAMES = 2 * STEPS
-NOISE_GAIN = sqrt(2 / STEPS)  # of a component of a fringe, per grey level of noise
-# Half a period of the shorter fringe is so many standard deviations of the longer one, at the faintest tenth of pixels.
-ORDER_SIGMAS = 5.0
-_FAINTEST = 0.1
+# A pixel is a period off where the longer fringe errs by a period less what passes for agreement: beyond the largest
+# error of 999 of 1,000 pixels. The faintest tenth is left out where it is too faint for this.
+_BRIGHTER, _MOST, _MARGIN_OF_ORDER = 0.9, 0.999, 1.1
 _MARGIN = 1.05
 _LEAST_PERIOD_PX, _CAMERA_PIXELS = 6.0, 4.0
 _LARGEST = 0.25  # of the longer period
+_LEAST_TOLD = 100  # pixels
 _GRID = 24
 _FARTHEST = 1e4  # in baselines
 _LEAST_SHIFT = 0.05  # of what the whole way along an epipolar line is
@@ -54,8 +57,9 @@ class LiveSequence:
         return 0 if self.axis == "x" else 1
 
 
-def sequence_for(calibration: Calibration, look: FirstLook, depths: tuple[float, float] | None = None) -> LiveSequence:
-    """For points between two `depths`, in the calibration's unit; left out, anywhere before both devices.
+def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None = None) -> LiveSequence:
+    """For points between two `depths`, in the calibration's unit; left out, anywhere before both devices. Its shorter
+    fringe is a quarter of the longer one, which nothing takes for its neighbour.
 
     Raises RefusalError where depth moves nothing along either axis, as where the projector is in the camera's place.
     """
@@ -76,18 +80,33 @@ def sequence_for(calibration: Calibration, look: FirstLook, depths: tuple[float,
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
     middle = np.mean(_ends(pixels, axis, calibration, depths), axis=0).reshape(x.shape).astype(np.float32)
-    footprint = _projector_px_per_camera_px(calibration)
-    short_px = _shortest(long_px, look, footprint)
-    return LiveSequence("x" if axis == 0 else "y", long_px, short_px, middle)
+    return LiveSequence("x" if axis == 0 else "y", long_px, _uneven(_LARGEST * long_px), middle)
 
 
-def _shortest(long_px: float, look: FirstLook, footprint: float) -> float:
-    faint = float(np.quantile(look.amplitude, _FAINTEST))
-    noise = sqrt(look.noise[0] + look.noise[1] * faint)
-    by_noise = 2 * ORDER_SIGMAS * long_px / (2 * pi) * NOISE_GAIN * noise / max(faint, 1e-3)
-    found = min(max(by_noise, _LEAST_PERIOD_PX, _CAMERA_PIXELS * footprint), _LARGEST * long_px)
-    # Steps of whole pixels would round to 256 levels at the same places of every cycle.
-    return float(round(found * STEPS) / STEPS + 0.11)
+def shortened(widest: LiveSequence, taken: Image, look: FirstLook, calibration: Calibration) -> LiveSequence:
+    """With the shortest fringe that is not mistaken for its neighbour, from a round (6, H, W) of the widest one."""
+    long_px, short_px = widest.long_px, widest.short_px
+    turns = np.exp(-2j * pi * np.arange(STEPS) / STEPS).astype(np.complex64)
+    # With I_n = m + a cos(θ + 2πn/3), Σ I_n exp(−2πin/3) = 3/2 a exp(iθ).
+    long, short = (2 / STEPS * np.tensordot(turns, taken[first::2].astype(np.float32), 1) for first in (0, 1))
+    variance = 2 / STEPS * (look.noise[0] + look.noise[1] * taken.mean(axis=0, dtype=np.float32))
+    told = look.lit & (taken.max(axis=0) < look.saturated) & (np.abs(short) > LEAST_SIGNAL * np.sqrt(variance))
+    sigma = long_px / (2 * pi) * np.sqrt(variance[told]) / np.maximum(np.abs(long[told]), 1e-3)
+    if len(sigma) < _LEAST_TOLD:
+        return widest
+    coarse = long_px / (2 * pi) * np.angle(long[told])
+    coarse += long_px * np.rint((widest.middle[told] - coarse) / long_px)
+    off = coarse - short_px / (2 * pi) * np.angle(short[told])
+    off = np.abs(off - short_px * np.rint(off / short_px))[sigma <= np.quantile(sigma, _BRIGHTER)]
+    passes = BEYOND_SIGMAS * float(np.quantile(sigma, _BRIGHTER)) + UNSTRAIGHT * long_px
+    least_px = max(_LEAST_PERIOD_PX, _CAMERA_PIXELS * _projector_px_per_camera_px(calibration))
+    found = max(_MARGIN_OF_ORDER * (float(np.quantile(off, _MOST)) + passes), least_px)
+    return replace(widest, short_px=_uneven(min(found, _LARGEST * long_px)))
+
+
+def _uneven(period_px: float) -> float:
+    """Steps of whole pixels would round to 256 levels at the same places of every cycle."""
+    return round(period_px * STEPS) / STEPS + 0.11
 
 
 def _projector_px_per_camera_px(calibration: Calibration) -> float:

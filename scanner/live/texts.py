@@ -13,14 +13,10 @@ from scanner.quantities import percent, shown_unit
 _MANY_SATURATED, _FEW_LIT, _ALL_MOVES = 0.02, 0.1, 0.5
 
 
-def cloud_text(cloud: LiveCloud, account: Account, unit: str) -> str:
-    """Rate, delay, and what the cloud is worth."""
+def cloud_text(cloud: LiveCloud, unit: str) -> str:
+    """How many points, and what they are worth."""
     sigma = shown_unit(unit).error(float(np.median(cloud.sigma))) if len(cloud.points) else "-"
-    rate = f"{account.rate_hz:.1f} clouds a second" if account.rate_hz else "The first cloud"
-    return (
-        f"{rate}, {1000 * account.delay_s:.0f} ms after its last frame; "
-        f"{len(cloud.points):,} points, sigma {sigma}; {percent(cloud.moving_share)} moves"
-    )
+    return f"{len(cloud.points):,} points, sigma {sigma}"
 
 
 def advice(cloud: LiveCloud) -> Iterator[str]:
@@ -34,12 +30,26 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
         yield "Nearly everything moves: hold still for a moment."
 
 
-def result_texts(kept: int, out: Path, config: Path, calibration: Path) -> Iterator[str]:
+def round_texts(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
+    """What is said of the newest round, also where there is no cloud in it."""
+    if cloud is None:
+        return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
+    left_out = cloud.share(MaskReason.INCONSISTENT, MaskReason.MOVED, MaskReason.ISOLATED)
+    rate = f"{account.rate_hz:.1f} clouds a second" if account.rate_hz else "The first cloud"
+    return [
+        f"{rate}, {1000 * account.delay_s:.0f} ms after its last frame; {cloud_text(cloud, unit)}; "
+        f"{percent(cloud.moving_share)} moves, {percent(left_out)} is left out.",
+        *advice(cloud),
+    ]
+
+
+def result_texts(kept: int, out: Path, config: Path, calibration: Path, *, of_room: bool = False) -> Iterator[str]:
     """Where kept clouds are, and the one next step."""
     yield f"Result: {out} ({kept} {'station' if kept == 1 else 'stations'} in captures)"
     if kept > 1:
+        kind = "room" if of_room else "object"
         yield (
-            f"→ scan object {out} --config {config} --calibration {calibration} --out {out}-object puts them together."
+            f"→ scan {kind} {out} --config {config} --calibration {calibration} --out {out}-{kind} puts them together."
         )
 
 

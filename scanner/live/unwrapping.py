@@ -18,11 +18,11 @@ _INCONSISTENT, _OUTSIDE, _MOVED = int(MaskReason.INCONSISTENT), int(MaskReason.O
 _ISOLATED = int(MaskReason.ISOLATED)
 
 _STEPS = 3
-_LEAST_SIGNAL = 5.0  # amplitude over noise
+LEAST_SIGNAL = 5.0  # amplitude over noise
 _ORDER_SIGMAS = 4.0  # half a short period over the sigma of the long fringe: one of 15,000 would be off by a period
-_BEYOND_SIGMAS = 4.5
+BEYOND_SIGMAS = 4.5
 _UNEVEN = 0.03  # of an amplitude: what a response that is not quite undone leaves between the means
-_UNSTRAIGHT = 0.004  # of a long period: the same, and light from other surfaces
+UNSTRAIGHT = 0.004  # of a long period: the same, and light from other surfaces
 _FLICKER = 0.007  # of a level
 # χ² of six frames that are compared with those of the round before: one still pixel of 10,000 is beyond it.
 # Five of them, but for one of 100: what moves changes most frames, and a late frame is one.
@@ -82,7 +82,7 @@ def unwrap(
             long_variance = long_px * long_px * of_phase / long_square
             short_variance = short_px * short_px * of_phase / short_square
             if (
-                short_square < _LEAST_SIGNAL * _LEAST_SIGNAL * of_pixel
+                short_square < LEAST_SIGNAL * LEAST_SIGNAL * of_pixel
                 or 4.0 * _ORDER_SIGMAS * _ORDER_SIGMAS * long_variance > short_px * short_px
             ):
                 reason[row, column] = _DARK
@@ -105,7 +105,7 @@ def unwrap(
                     drift = (level - mean_before) / rounds_apart
 
             uneven = abs(long_mean - short_mean)
-            allowed = _BEYOND_SIGMAS * np.sqrt(2.0 / 3.0 * of_pixel) + _UNEVEN * np.sqrt(long_square)
+            allowed = BEYOND_SIGMAS * np.sqrt(2.0 / 3.0 * of_pixel) + _UNEVEN * np.sqrt(long_square)
             if uneven > allowed + abs(drift) / 3.0:
                 reason[row, column] = _INCONSISTENT
                 continue
@@ -114,7 +114,7 @@ def unwrap(
             fine = short_px * np.arctan2(short_sine, short_cosine) / turn
             fine += short_px * np.rint((coarse - fine) / short_px)
             beyond = abs(fine - coarse)
-            limit = _BEYOND_SIGMAS * np.sqrt(long_variance + short_variance) + _UNSTRAIGHT * long_px
+            limit = BEYOND_SIGMAS * np.sqrt(long_variance + short_variance) + UNSTRAIGHT * long_px
             if moving[row, column] == 1:
                 past = coordinate_before[row, column]
                 sway = _SWAY_PER_FRAME * abs(fine - past) / (6.0 * rounds_apart)
@@ -148,7 +148,7 @@ def leave_out_isolated(coordinate: Map, variance: Map, step_px: float, reason: R
             for up in range(max(0, row - 1), min(height, row + 2)):
                 for left in range(max(0, column - 1), min(width, column + 2)):
                     apart = coordinate[up, left] - coordinate[row, column]
-                    limit = step_px + _BEYOND_SIGMAS * np.sqrt(variance[up, left] + variance[row, column])
+                    limit = step_px + BEYOND_SIGMAS * np.sqrt(variance[up, left] + variance[row, column])
                     near += abs(apart) <= limit  # NaN is none
             if near < 4:  # itself among them
                 reason[row, column] = _ISOLATED

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from threading import Condition, Thread
 from typing import Generic, TypeVar
 
+from hw.errors import DeviceError
 from scanner.live.cloud import Decoder, LiveCloud, Round
 
 T = TypeVar("T")
@@ -16,6 +17,7 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 _RECENT = 20  # clouds that rate and delay are of
+_LEAVING_S = 60.0
 
 
 class Newest(Generic[T]):
@@ -104,27 +106,30 @@ def proven(decoder: Decoder, taken: Round, earlier: list[LiveCloud]) -> LiveClou
 def watch(
     taken: Generator[Round | None],
     decoder: Decoder,
-    on_cloud: Callable[[LiveCloud, Account], None],
+    on_round: Callable[[LiveCloud | None, Account], None],
     has_ended: Callable[[], bool],
     account: Account,
 ) -> None:
-    """Until it has ended, which is asked between rounds. `on_cloud` is called in the decoder's thread; what it raises
-    is raised here. `account` is kept up to date.
+    """Until it has ended, which is asked between rounds. `on_round` is called in the decoder's thread, with None for a
+    round that makes no cloud; what it raises is raised here. `account` is kept up to date.
+
+    Raises DeviceError where the last round is not done within a minute, as where a disk no longer answers.
     """
     slot, failures = Newest[Round](), list[BaseException]()
     account.begin()
 
     def decode() -> None:
         earlier: list[LiveCloud] = []
+        first = True  # of which there is nothing to compare it with
         try:
             while (following := slot.take()) is not None:
-                first = not earlier
                 cloud = proven(decoder, following, earlier)
                 if cloud is None:
                     account.contradicting += not first
-                    continue
-                account.add(cloud)
-                on_cloud(cloud, account)
+                else:
+                    account.add(cloud)
+                first = False
+                on_round(cloud, account)
         except BaseException as error:
             failures.append(error)
 
@@ -141,7 +146,9 @@ def watch(
                     break
     finally:
         slot.finish()
-        thread.join()
+        thread.join(_LEAVING_S)
         account.skipped += slot.dropped
     if failures:
         raise failures[0]
+    if thread.is_alive():
+        raise DeviceError(f"a cloud was decoded, shown or kept for more than {_LEAVING_S:.0f} s: does the disk answer?")

@@ -33,6 +33,7 @@ from scanner.ui import Progress
 
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
 _SIZE_GRAINS = 60.0
+_NAMED = 3
 
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
@@ -47,15 +48,12 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
         views, rests = _views(clouds, captures, calibration.camera)
     with progress.step("Registering"):
         registered = register_views(views)
-    outlier_stations = tuple(
-        OutlierStation(captures[each.view].name, each.cause, each.reason) for each in registered.left_out
-    )
+    outlier_stations = _outlier_stations(registered, captures)
     members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
     if len(members) < 2:
-        said = "; ".join(f"{each.name}: {each.reason}" for each in outlier_stations)
         raise RefusalError(
-            f"No two stations show the same part of a thing: {said}.",
-            "Turn the thing less between stations, so that half of what is seen is seen again.",
+            f"No two stations show the same part of a thing: {outside_text(outlier_stations)}.",
+            advice_on(outlier_stations),
         )
     with progress.step("Estimating"):
         joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
@@ -63,10 +61,35 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
-def register_stations(captures: Sequence[Decoded], calibration: Calibration) -> Registered:
-    """Which stations of a thing lie on each other, and where, as far as is known without an estimate of all."""
+def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> tuple[OutlierStation, ...]:
+    """Which stations of a thing lie on no other, as far as is known without an estimate of all."""
     clouds = [build_cloud(each.matches, each.texture, calibration) for each in captures]
-    return register_views(_views(clouds, captures, calibration.camera)[0])
+    return _outlier_stations(register_views(_views(clouds, captures, calibration.camera)[0]), captures)
+
+
+def _outlier_stations(registered: Registered, captures: Sequence[Decoded]) -> tuple[OutlierStation, ...]:
+    return tuple(OutlierStation(captures[each.view].name, each.cause, each.reason) for each in registered.left_out)
+
+
+def outside_text(outside: Sequence[OutlierStation]) -> str:
+    """Each reason with the stations that it is of, of which three are named."""
+    by_reason: dict[str, list[str]] = {}
+    for each in outside:
+        by_reason.setdefault(each.reason, []).append(each.name)
+    return "; ".join(f"{brief(names)}: {reason}" for reason, names in by_reason.items())
+
+
+def brief(names: Sequence[str]) -> str:
+    """The first three of them, and how many more there are."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
+def advice_on(outside: Sequence[OutlierStation]) -> str:
+    """What to do where no two stations lie on each other."""
+    if all(each.cause == "nothing seen" for each in outside):
+        return "Turn the thing between stations: what is the same in all of them is taken for what rests."
+    return "Turn the thing less between stations, so that half of what is seen is seen again."
 
 
 def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:

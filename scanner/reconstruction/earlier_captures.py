@@ -11,7 +11,7 @@ from calib.numerics import Floats, Ints
 from scanner.capture import CAPTURE_FILE, CaptureMetadata, open_capture
 from scanner.decoding import smooth_error_px
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_planes, refuse_one_axis
+from scanner.io import MATCHES_FILE, read_calibration, read_matches, read_only_axis, read_planes, refuse_one_axis
 from scanner.patterns import Phase
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
@@ -66,6 +66,7 @@ def _read(place: Path, camera_size: Size, projector_size: Size, *, one_axis: boo
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
     facts = CaptureMetadata(camera_size, projector_size, identity={"matches": str(place)})
+    origin = replace(origin, only_axis=read_only_axis(place))
     return Decoded(facts, matches, origin, str(place), read_planes(place))
 
 

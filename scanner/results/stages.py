@@ -26,11 +26,12 @@ from scanner.patterns import Axis
 class GivenMatches:
     """Matches that were not decoded now: `photograph` is the lit scene, None where there is no picture of it.
 
-    `smooth_px`: as of `Decoding`. Of other decoders it is taken that they err as this one does.
+    `smooth_px`: as of `Decoding`. Of other decoders it is taken that they err as this one does. `only_axis`: as there.
     """
 
     photograph: Image | None = None
     smooth_px: float = SMOOTH_PX
+    only_axis: Axis | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Decoded:
     @property
     def only_axis(self) -> Axis | None:
         """The only axis along which the projector's coordinate was measured, if so."""
-        return self.origin.only_axis if isinstance(self.origin, Decoding) else None
+        return self.origin.only_axis
 
     def noting(self, *sentences: str) -> "Decoded":
         """The same capture, of which a person should know this before all that decoding has found."""

@@ -20,8 +20,8 @@ from scanner.ui import Progress
 def read_stations(
     paths: Sequence[Path], config: Config, progress: Progress, calibration: Calibration | None = None
 ) -> list[Decoded]:
-    """Captures are decoded; results and matches are read. In the order given. With a `calibration` that nothing is
-    going to be estimated of, patterns along one axis are enough.
+    """Captures are decoded; results and matches are read. In the order given. With a `calibration`, patterns along
+    one axis are enough.
 
     Raises InputError if a file is damaged, belongs to images of another size, or is given twice.
     """

@@ -1,8 +1,8 @@
 """Stations one after the other with the configured rig: whether each overlaps the earlier ones, where to stand next."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copy2
 
@@ -104,17 +104,19 @@ def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
 class Comparison:
     """Of the newest station with those before it: with all, or with as many of the last ones as there is time for.
 
-    `patience_s`: how long it may take. `pair_s`: how long two stations took each other the last time.
+    `patience_s`: how long it may take. `pair_s`: how long two stations took each other the last time. `compare`: says
+    what the stations tell, of a room if not told otherwise.
     """
 
     patience_s: float = _PATIENCE_S
     pair_s: float = 0.0
+    compare: Callable[[Sequence[Decoded], Calibration], list[str]] = field(default_factory=lambda: _told)
 
     def told(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
-        """Whether the newest station overlaps the ones before it, and where to stand next."""
+        """What the newest stations say of each other: of a room, what the last overlaps, and where to stand next."""
         began = time.monotonic()
         chosen = captures[len(captures) - self.within_patience(len(captures)) :]
-        sentences = _told(chosen, calibration)
+        sentences = self.compare(chosen, calibration)
         self.pair_s = (time.monotonic() - began) / max(1, _pairs(len(chosen)))
         return sentences
 

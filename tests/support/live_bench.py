@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from calib.geometry import Calibration, Intrinsics
@@ -10,16 +11,17 @@ from hw.errors import FrameLostError
 from hw.rig import Capabilities, Frame, Rig
 
 CAMERA, PROJECTOR = (160, 128), (400, 300)
+_MOST = 5000  # frames
 _LEVELS, _NOISE = 200.0, (1.0, 0.02)  # of white; variance at level 0, and what each level adds
 _WALL_M, _RADIUS_M, _BALL_M = 0.6, 0.08, (0.02, 0.0, 0.5)
 
 
-def calibration(lens: float = 0.0, smaller: int = 1) -> Calibration:
+def calibration(lens: float = 0.0, smaller: float = 1) -> Calibration:
     """Side by side, turned towards each other; `lens`: the radial term of both. The camera's picture may be smaller."""
     angle = 0.2
     turned = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     distortion = (lens, 0.0, 0.0, 0.0, 0.0)
-    focal, width, height = 220.0 / smaller, CAMERA[0] // smaller, CAMERA[1] // smaller
+    focal, width, height = 220.0 / smaller, round(CAMERA[0] / smaller), round(CAMERA[1] / smaller)
     camera = Intrinsics(width, height, (focal, focal), (80.0 / smaller, 63.0 / smaller), distortion)
     projector = Intrinsics(*PROJECTOR, (560.0, 560.0), (205.0, 150.0), distortion)
     return Calibration(camera, projector, turned, np.array([-0.12, 0.005, 0.01]), "m")
@@ -28,7 +30,7 @@ def calibration(lens: float = 0.0, smaller: int = 1) -> Calibration:
 @dataclass
 class LiveBench:
     """`speed_m` per frame. `late`: numbers of frames that hold a `share` of the picture before; `lost`: that never
-    come. Each is counted when it is taken.
+    come. Each is counted when it is taken. `bounce`: light that comes by way of elsewhere, as from another wall.
     """
 
     speed_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -36,6 +38,7 @@ class LiveBench:
     lost: frozenset[int] = frozenset()
     share: float = 1.0
     gamma: float = 1.0
+    bounce: float = 0.0
     seed: int = 0
     taken: int = 0
     calibration: Calibration = field(default_factory=calibration)
@@ -64,12 +67,16 @@ class LiveBench:
     def take(self) -> Frame:
         """A frame of what is on the wall. Raises FrameLostError."""
         number, self.taken = self.taken, self.taken + 1
+        assert number < _MOST, "nobody has ended this"
         if number in self.lost:
             raise FrameLostError("as was asked for")
         share = self.share if number in self.late else 0.0
         light = (1 - share) * (self._shown / 255.0) ** self.gamma + share * (self._before / 255.0) ** self.gamma
         pixel, shade, lit = self._scene(number)
         level = _LEVELS * shade * (0.02 + 0.98 * np.where(lit, _sampled(light, pixel), 0.0))
+        if self.bounce:
+            elsewhere = np.asarray(cv2.blur(light, (101, 101)), np.float64)[:, ::-1]
+            level += _LEVELS * shade * self.bounce * np.where(lit, _sampled(elsewhere, pixel), 0.0)
         level += self._rng.standard_normal(level.shape) * np.sqrt(_NOISE[0] + _NOISE[1] * level)
         return Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8), exposure_us=1000.0)
 

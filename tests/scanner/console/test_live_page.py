@@ -10,7 +10,7 @@ from hw.open_rig import open_rig
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import write_calibration
 from scanner.io.matches_file import read_matches
-from tests.support.browsing import Served, Visit, visiting
+from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 from tests.support.small_room import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
@@ -39,11 +39,11 @@ def test_the_newest_cloud_is_shown_and_kept(browser: Browser, folder: Path, live
         _sees_a_cloud(visit)
         grey = visit.colours_in_scene()
         visit.choose("Colour", "Uncertainty of depth")
-        expect(visit.page.locator(".scan-bar")).to_be_visible()
+        expect(visit.page.locator(".scan-bar")).to_be_visible(timeout=PATIENCE_MS)
         visit.page.wait_for_timeout(1000)
         assert visit.colours_in_scene() != grey
         visit.press("Keep this cloud")
-        visit.wait_for("Station 1 is kept.")
+        visit.wait_for("Station 1 is kept: ")
     code, said = live.interrupt()
     assert code == 130
     assert "Result: scans/room-live (1 station in captures)" in said
@@ -60,7 +60,7 @@ def test_the_console_shows_them_and_cancel_ends_them(browser: Browser, folder: P
         visit.wait_for("clouds a second")
         _sees_a_cloud(visit)
         visit.press("Keep this cloud")
-        visit.wait_for("Station 1 is kept.")
+        visit.wait_for("Station 1 is kept: ")
         visit.press("Cancel")
         visit.wait_for("Result: scans/room-live (1 station in captures)")
         assert (folder / "scans/room-live/captures/1/matches.npz").is_file()
@@ -68,7 +68,7 @@ def test_the_console_shows_them_and_cancel_ends_them(browser: Browser, folder: P
         visit.press("Live clouds")
         visit.wait_for("clouds a second")
         visit.press("Cancel")
-        expect(visit.page.get_by_role("button", name="Scan", exact=True)).to_be_visible()
+        expect(visit.page.get_by_role("button", name="Scan", exact=True)).to_be_visible(timeout=PATIENCE_MS)
         assert not list(folder.glob("scans/*live-2*"))
 
 

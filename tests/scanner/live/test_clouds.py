@@ -11,19 +11,19 @@ from scanner.configuration import Config
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.keeping import matches_of
-from scanner.live.rounds import rounds
-from scanner.live.sequence import FRAMES, LiveSequence, sequence_for
+from scanner.live.rounds import best_sequence, rounds
+from scanner.live.sequence import FRAMES, LiveSequence
 from scanner.live.watching import proven
 from tests.support.live_bench import LiveBench, calibration
 
 DEPTHS = (0.35, 0.7)
-_BEFORE = 23  # frames of the first look
+_BEFORE = 29  # frames of the first look, and of the first round
 
 
 def begun(bench: LiveBench, depths: tuple[float, float] | None = DEPTHS) -> tuple[FirstLook, LiveSequence, Decoder]:
     seen = look(bench.rig, Config())
+    sequence = best_sequence(bench.rig, seen, bench.calibration, depths)
     assert bench.taken == _BEFORE
-    sequence = sequence_for(bench.calibration, seen, depths)
     return seen, sequence, Decoder(sequence, seen, bench.calibration)
 
 
@@ -55,6 +55,15 @@ def test_a_still_scene_is_seen_to_within_its_sigmas(depths: tuple[float, float] 
     assert np.mean(np.abs(in_sigmas) > 6) < 2e-3  # at the ball's rim, where a pixel sees two surfaces
     assert np.mean(np.abs(off) > 5) < 1e-3  # periods
     assert cloud.moving_share < 1e-3
+
+
+def test_light_from_another_wall_takes_no_pixel_for_its_neighbour_a_period_off() -> None:
+    bench = LiveBench(bounce=0.15)
+    cloud = clouds_of(bench, 2, None)[1]
+    assert cloud is not None
+    off, _, kept = errors(cloud, bench)
+    assert 0.3 < np.count_nonzero(kept) / np.count_nonzero(np.isfinite(bench.truth(0)[0][..., 0])) < 0.9
+    assert np.mean(np.abs(off) > 5) < 2e-3
 
 
 def test_points_and_their_sigmas_are_where_rays_meet_stripes() -> None:

@@ -1,5 +1,6 @@
 """The loop around the decoder: what is kept, what ends it, and that nothing grows or waits."""
 
+import re
 import threading
 import time
 from collections.abc import Generator, Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Rig
 from scanner.configuration import Config, load_config
@@ -19,8 +21,7 @@ from scanner.live import jobs
 from scanner.live.cloud import Decoder, LiveCloud, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
-from scanner.live.rounds import rounds
-from scanner.live.sequence import sequence_for
+from scanner.live.rounds import best_sequence, rounds
 from scanner.live.watching import Account, Newest, watch
 from scanner.rooms.document import given_rig, read_stations
 from scanner.ui import Terminal
@@ -41,7 +42,7 @@ class Acting(Watcher):
         self._act = act
         self.told: list[str] = []
 
-    def on_cloud(self, cloud: LiveCloud, account: Account) -> None:
+    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
         if callable(self._act):
             self._act(cloud, account)
 
@@ -95,7 +96,7 @@ def test_so_many_clouds_are_kept_as_stations_of_a_thing(tmp_path: Path, bench: L
 def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench) -> None:
     wishes = Wishes()
 
-    def act(_: LiveCloud, account: Account) -> None:
+    def act(_: LiveCloud | None, account: Account) -> None:
         if account.clouds == 2:
             wishes.now.set()
         if account.clouds == 5:
@@ -103,7 +104,8 @@ def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench
 
     watcher = Acting(act)
     assert len(live(tmp_path, bench, wishes, watcher).kept) == 1
-    assert watcher.told == ["Station 1 is kept."]
+    (told,) = watcher.told
+    assert re.match(r"Station 1 is kept: [\d,]{5,7} points, sigma 0.\d+ mm\.", told)
 
 
 def test_clouds_are_kept_every_so_often(tmp_path: Path, bench: LiveBench) -> None:
@@ -143,7 +145,7 @@ def test_nothing_is_left_where_nothing_was_kept(
 
 
 def test_what_fails_beside_ends_the_loop(tmp_path: Path, bench: LiveBench) -> None:
-    def act(_: LiveCloud, __: Account) -> None:
+    def act(_: LiveCloud | None, __: Account) -> None:
         raise DeviceError("the page is gone")
 
     with pytest.raises(DeviceError, match="the page is gone"):
@@ -163,7 +165,7 @@ def test_who_is_slow_does_not_hold_up_the_camera() -> None:
     still, decoder = _still(LiveBench())
     account, began_s = Account(), time.monotonic()
 
-    def slow(_: LiveCloud, __: Account) -> None:
+    def slow(_: LiveCloud | None, __: Account) -> None:
         time.sleep(0.2)
 
     taken = (Round(number, each.frames, each.grey, 0.0) for number, each in enumerate(islice(cycle(still), 300)))
@@ -175,23 +177,45 @@ def test_who_is_slow_does_not_hold_up_the_camera() -> None:
 def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
     bench = LiveBench(calibration=calibration(smaller=8))
     everywhere = np.ones(bench.calibration.camera.size[::-1], np.bool_)
-    seen = FirstLook(everywhere, np.full(everywhere.size, 60.0), (1.0, 0.02), 255.0, None)
-    sequence = sequence_for(bench.calibration, seen, DEPTHS)
+    seen = FirstLook(everywhere, (1.0, 0.02), 255.0, None)
+    sequence = best_sequence(bench.rig, seen, bench.calibration, DEPTHS)
     still = [each for each in islice(rounds(bench.rig, sequence, None), 3) if each is not None]
-    account, pages, ready = Account(), list[int](), threading.Event()
+    account, pages, done = Account(), list[int](), threading.Event()
 
     def taken() -> Generator[Round | None]:
         for number, each in enumerate(islice(cycle(still), 10_000)):
             yield Round(number, each.frames, each.grey.copy(), time.monotonic())
-            ready.wait(0.01)  # the first round makes no cloud
-            ready.clear()
+            assert done.wait(10), f"round {number} was not done within 10 s"
+            done.clear()
             if number in (1000, 9_999):
                 pages.append(int(Path("/proc/self/statm").read_text().split()[1]))
 
     decoder = Decoder(sequence, seen, bench.calibration)
-    watch(taken(), decoder, lambda _, __: ready.set(), lambda: False, account)
+    watch(taken(), decoder, lambda _, __: done.set(), lambda: False, account)
     assert account.clouds > 9_900
     assert (pages[1] - pages[0]) * 4096 < 2_000_000
+
+
+@pytest.mark.parametrize("number", [2, None])
+def test_where_no_cloud_comes_it_ends_and_says_so(tmp_path: Path, bench: LiveBench, number: int | None) -> None:
+    """Other frames of each round show the picture before: with nobody to see it, it would go on for ever."""
+    bench.late = frozenset(range(29, 2000, 5))
+    wishes = Wishes(number=number)
+
+    def act(_: LiveCloud | None, account: Account) -> None:
+        if number is None and account.contradicting > 5:
+            wishes.end.set()
+
+    error = KeyboardInterrupt if number is None else RefusalError
+    said = None if number is None else "No cloud came of the last 100 rounds: their frames contradict"
+    with pytest.raises(error, match=said):
+        live(tmp_path, bench, wishes, Acting(act))
+
+
+def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveBench) -> None:
+    bench.lost = frozenset(range(29, 2000))
+    with pytest.raises(DeviceError, match="10 rounds one after the other lost a frame"):
+        live(tmp_path, bench, Wishes(), Acting())
 
 
 def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
