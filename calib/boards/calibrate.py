@@ -113,7 +113,7 @@ def calibrate_boards(
     found = replace(found, covariance=found.covariance * enlarged**2)
     refuse_untrustworthy(found, _others(found, begun, views), coverage, (camera_size, projector_size))
     calibration = calibration_from(found, camera_size, projector_size, board.unit)
-    tested = halves(found)
+    tested = halves(found, anew)
     return BoardCalibration(
         calibration,
         found,

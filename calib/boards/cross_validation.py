@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.boards.estimate import Estimate, of_views
+from calib.boards.estimate import Estimate
 from calib.boards.likelihood import Levels, View, minimise
 from calib.boards.parameters import (
     CAMERA,
@@ -68,8 +68,7 @@ class Halves:
 def leave_one_out(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
     """Each view predicted by the others; none for fewer than three.
 
-    `anew`: the estimate from some views alone, from its starts on: levels of noise that began with those of all views
-    would stay near them.
+    `anew`: the estimate from some views alone, from its starts on.
     """
     count = len(found.views)
     if count < 3:
@@ -124,13 +123,15 @@ def _variance(jacobian: Floats, covariance: Floats) -> Floats:
     return variance
 
 
-def halves(found: Estimate) -> Halves | None:
-    """Every second view against the others; None if a half is too few views, or would determine nothing by itself."""
+def halves(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> Halves | None:
+    """Every second view against the others, each estimated `anew` as in `leave_one_out`; None if a half is too few
+    views, or would determine nothing by itself.
+    """
     count = len(found.views)
     parts = [list(range(start, count, 2)) for start in (0, 1)]
     if min(len(part) for part in parts) < _FEWEST_OF_A_HALF:
         return None
-    one, other = (of_views(found, part) for part in parts)
+    one, other = (anew([found.views[i] for i in part]) for part in parts)
     variances = [part.covariance.diagonal() for part in (one, other)]
     focals = [CAMERA.start, PROJECTOR.start]
     if not all(np.sqrt(variance[focals]).max() < _USEFUL_HALF for variance in variances):

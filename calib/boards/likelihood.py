@@ -54,6 +54,11 @@ class Levels:
     corners: Floats
     cells: tuple[Floats, ...]
 
+    def change(self, other: "Levels") -> float:
+        """The largest difference of a variance's logarithm."""
+        pairs = zip((self.corners, *self.cells), (other.corners, *other.cells), strict=True)
+        return max(float(np.abs(np.log(own / others)).max()) for own, others in pairs)
+
 
 @dataclass(frozen=True)
 class Prior:

@@ -7,7 +7,7 @@ from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.known_rig import KnownRig
 from calib.refinement.lens_prior import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, LensPrior
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
-from calib.refinement.match_cells import Cells, follow_one_plane, into_cells
+from calib.refinement.match_cells import Cells, follow_one_plane, into_cells, joined
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
 from calib.refinement.parameters import (
     CAMERA,

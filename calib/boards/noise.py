@@ -1,0 +1,81 @@
+"""The noise that residuals of a fit show: of each view's corners and matches, drawn towards that of all views."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+
+from calib.boards.likelihood import Fit, Levels, Prior, View
+from calib.boards.parameters import PER_POSE, SHARED
+from calib.numerics import MEDIAN_LENGTH, Floats
+from calib.refinement import CUBIC, Cells, Noise, joined, long_waves, noise_of
+
+_LEAST_CORNER_PX = 1e-3
+_PRIOR_FREEDOM = 20.0  # of a view's own noise, around that of all views
+
+
+def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Floats, tuple[Noise, ...]]:
+    """Levels for the likelihood, corner noise (V,) in camera px, and the noise of each view's matches.
+
+    Each view's residuals are fitted by its pose and its part in what all share: half by its corners, half by its cells.
+    What the model lacks is alike in all views of one board. Left free, the view that the fit happens to follow best
+    would gain weight, be followed better still, and end with all of it: a likelihood of variances has no bound.
+    """
+    absorbed = (np.count_nonzero(prior.free(fit.state)[:SHARED]) / len(views) + PER_POSE) / 2
+    cells = [view.cells for view in views]
+    common = noise_of(reduce(joined, cells), np.concatenate(fit.cells), absorbed * len(views))
+    independent = [replace(common, inflation=1.0).variances(each) for each in cells]
+    inflation, smooth_px = _long_waves(cells, fit.cells, independent, absorbed)
+    noise = tuple(
+        replace(common, match_px=each.noise_px, smooth_px=float(smooth), inflation=float(kappa))
+        for each, smooth, kappa in zip(cells, smooth_px, inflation, strict=True)
+    )
+    corner_px = _corner_sigmas(fit, absorbed)
+    corners = [_as_cells(view, sigma) for view, sigma in zip(views, corner_px, strict=True)]
+    of_corners, _ = _long_waves(corners, fit.corners, [each.sigma_px**2 for each in corners], absorbed)
+    levels = Levels(corner_px**2 * of_corners, tuple(map(np.multiply, independent, inflation)))
+    return levels, corner_px, noise
+
+
+def _corner_sigmas(fit: Fit, absorbed: float) -> Floats:
+    """Of each view, robustly, (V,)."""
+    squares, freedom = [], []
+    for residual in fit.corners:
+        typical = float(np.median(np.linalg.norm(residual, axis=1))) / MEDIAN_LENGTH
+        squares.append(typical**2 * residual.size)
+        freedom.append(max(residual.size - absorbed, 1.0))
+    variances = _drawn_together(np.array(squares), np.array(freedom))
+    sigmas: Floats = np.maximum(np.sqrt(variances), _LEAST_CORNER_PX)
+    return sigmas
+
+
+def _long_waves(
+    parts: Sequence[Cells], residuals: Sequence[Floats], variances: Sequence[Floats], absorbed: float
+) -> tuple[Floats, Floats]:
+    """Of each view, (V,): overdispersion of its residuals' long waves, at least 1, and their root mean square in px."""
+    waves = [long_waves(*each) for each in zip(parts, residuals, variances, strict=True)]
+    totals, squares = (np.concatenate(each) for each in zip(*waves, strict=True))
+    seen = np.isfinite(totals)
+    if not seen.any():
+        return np.ones(len(parts)), np.zeros(len(parts))
+    freedom = np.where(seen, 2 * CUBIC - absorbed, 0.0)
+    inflation: Floats = np.maximum(_drawn_together(np.nan_to_num(totals), freedom), 1.0)
+    return inflation, np.sqrt(np.nan_to_num(squares) / [len(each) for each in parts])
+
+
+def _drawn_together(squares: Floats, freedom: Floats) -> Floats:
+    """Variances (V,) from sums of squares and their degrees of freedom: the mean of an inverse χ² posterior.
+
+    Its prior is around the median of all, which one odd view does not move.
+    """
+    usual = np.median(squares[freedom > 0] / freedom[freedom > 0])
+    drawn: Floats = (squares + _PRIOR_FREEDOM * usual) / (freedom + _PRIOR_FREEDOM)
+    return drawn
+
+
+def _as_cells(view: View, sigma_px: float) -> Cells:
+    """A view's corners, for what is asked of cells: whether neighbours err alike."""
+    count = len(view.points)
+    one, label = np.ones(count), np.zeros(count, np.int32)
+    return Cells(view.corners_px, view.corners_px, label, sigma_px * one, one, float(sigma_px), 0.0)
