@@ -21,13 +21,13 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def supposed_poses(first: View, second: View, *, thorough: bool) -> list[Motion]:
+def supposed_poses(first: View, second: View) -> list[Motion]:
     """X_first = R X_second + t, within a grain or so; and that hardly anything moved."""
     still = Motion(np.eye(3), np.zeros(3))
     own, other = mark_pairs(first, second)
     by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)
     rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (still, *by_marks)]
-    return [*rough, *searched_poses(first, second, _SEARCHED, thorough=thorough)]
+    return [*rough, *searched_poses(first, second, _SEARCHED)]
 
 
 def _voted(here: Floats, there: Floats, grain: float) -> list[Motion]:

@@ -15,7 +15,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.meeting import mark_pairs, meet
-from calib.objects.view import PARTS, View
+from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.alignment import composed, inverse, twisted
 
@@ -23,7 +23,6 @@ WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
 _STEPS = 4  # in each round
 _FEWEST = 60  # patches of a pair
-_STEEPEST = 0.55  # cosine of the slant: beyond it errors that noise does not make add up to more than a sigma
 _DAMPING = 1e-9
 _MARK_GRAINS, _FEWEST_MARKS = 0.5, 6
 _CONVERGED = 1e-7
@@ -117,7 +116,7 @@ def residuals_of(
         pixel = meet(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
         # Half a pixel is a long way along a slanted surface, whose normals err towards the camera at its rim.
-        met = met[seen_by.facing(pixel[met]) > _STEEPEST]
+        met = met[seen_by.facing(pixel[met]) > STEEPEST]
         own, other = patches_of.patches[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))
     on_second, on_first = (np.concatenate([part[k] for part in parts]) for k in (0, 1))

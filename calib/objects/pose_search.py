@@ -20,7 +20,6 @@ _TURNS = 1200  # about 17° from any turn to the nearest of them
 _WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])
 _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
 _FOLLOWED, _DISTINCT = 600, 60
-_AROUND = 6.0  # grains
 _SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
 _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
@@ -30,17 +29,10 @@ _BEHIND = 20.0  # grains
 _PHI, _PSI = 2**0.5, 1.533751168755204288118041
 
 
-def searched_poses(first: View, second: View, most: int, *, thorough: bool = False) -> list[Motion]:
-    """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first.
-
-    `thorough`: from shifts around, too, because centres are far off where views share little.
-    """
+def searched_poses(first: View, second: View, most: int) -> list[Motion]:
+    """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first."""
     turns = even_turns(_TURNS)
     shifts = normal_centre(first) - turns @ normal_centre(second)
-    if thorough:
-        around = _AROUND * first.grain * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-        shifts = (shifts + around[:, None]).reshape(-1, 3)
-        turns = np.tile(turns, (len(around), 1, 1))
     wide = _distinct(_descended(first, second, turns, shifts, _WIDELY, _WIDE), first.grain, _DISTINCT)
     turns, shifts = np.stack([each.rotation for each in wide]), np.stack([each.translation for each in wide])
     return _distinct(_descended(first, second, turns, shifts, _CLOSELY, _CLOSE), first.grain, most)

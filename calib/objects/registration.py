@@ -76,47 +76,28 @@ def register_views(views: Sequence[View | None]) -> Registered:
     places = {first: Motion(np.eye(3), np.zeros(3))}
     alternatives: list[Alternative] = []
     missing = [k for k in seen if k != first]
-    _grow(seen, edges, places, missing, alternatives)
-    if missing:
-        for i, j in edges:
-            if (i in places) != (j in places):
-                edges[i, j] = _supposed(seen[i], seen[j], thorough=True)
-        _grow(seen, edges, places, missing, alternatives)
-    left_out += [_left_out(k, edges, places) for k in missing]
-    return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
-
-
-def _left_out(k: int, edges: Mapping[tuple[int, int], Sequence[Supposed]], places: Mapping[int, Motion]) -> LeftOut:
-    partners = {other for pair, found in edges.items() if found and k in pair for other in pair if other != k}
-    if partners & set(places):
-        why = "wherever it fits one station, others looked through what it shows, or past it"
-        return LeftOut(k, "does not fit", why)
-    if partners:
-        return LeftOut(k, "no overlap", "its surface lies on that of stations only that are left out, too")
-    return LeftOut(k, "no overlap", "its surface lies on that of no other station")
-
-
-def _grow(
-    views: Mapping[int, View],
-    edges: Mapping[tuple[int, int], Sequence[Supposed]],
-    places: dict[int, Motion],
-    missing: list[int],
-    alternatives: list[Alternative],
-) -> None:
-    """Take view after view from `missing` to its place, the surest first, as long as there is one."""
     while missing:
-        tried = {k: _tried(views, edges, places, k) for k in missing}
+        tried = {k: _tried(seen, sure, places, k) for k in missing}
         best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
         if not tried[best]:
             break
         places[best] = tried[best][0].pose
-        alternatives += _rivals(best, tried[best], views[best].grain)
+        alternatives += _rivals(best, tried[best], seen[best].grain)
         missing.remove(best)
+    for k in missing:
+        any_edge = any(k in pair for pair in sure)
+        why = (
+            LeftOut(k, "does not fit", "wherever it fits one station, others looked through what it shows, or past it")
+            if any_edge
+            else LeftOut(k, "no overlap", "its surface lies on that of no other station")
+        )
+        left_out.append(why)
+    return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
 
 
-def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supposed]:
+def _supposed(first: View, second: View) -> list[Supposed]:
     """The places of a pair that are worth following up, best first."""
-    poses = supposed_poses(first, second, thorough=thorough)
+    poses = supposed_poses(first, second)
     rated = sorted(
         ((evidence(first, second, pose, NARROW * first.grain, _SOME).worth, k) for k, pose in enumerate(poses)),
         reverse=True,

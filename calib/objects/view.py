@@ -14,7 +14,7 @@ from calib.rooms.marks import Marks, no_marks
 from calib.rooms.segments import relative_noise
 
 _PATCHES = 3000
-_STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
 _PARTS_ACROSS = 6
 PARTS = _PARTS_ACROSS**2
 _AROUND = 5  # pixels: edges of things are uncertain by about so many
@@ -89,7 +89,7 @@ class View:
     def sigma(self, flat: Ints) -> Floats:
         """Standard deviation of points along their normals (N,)."""
         depth = self.points.reshape(-1, 3)[flat, 2].astype(np.float64)
-        sigma: Floats = self.noise * depth**2 * np.maximum(self.facing(flat), _STEEPEST)
+        sigma: Floats = self.noise * depth**2 * np.maximum(self.facing(flat), STEEPEST)
         return sigma
 
 
@@ -140,7 +140,7 @@ def _spread(points: NDArray[np.float32], normals: NDArray[np.float32]) -> Ints:
     there = np.flatnonzero(np.isfinite(flat[:, 2]))
     seen = flat[there].astype(np.float64)
     slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
-    there, seen, slant = there[slant > _STEEPEST], seen[slant > _STEEPEST], slant[slant > _STEEPEST]
+    there, seen, slant = there[slant > STEEPEST], seen[slant > STEEPEST], slant[slant > STEEPEST]
     area = np.cumsum(seen[:, 2] ** 2 / slant)
     rng = np.random.default_rng(0)
     places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]
