@@ -115,8 +115,8 @@ def residuals_of(
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
         pixel = meet(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
-        # Half a pixel is a long way along a slanted surface, whose normals err towards the camera at its rim.
-        met = met[seen_by.facing(pixel[met]) > STEEPEST]
+        # Half a pixel is a long way along a slanted surface; normals at the rim err, all of them one way.
+        met = met[(seen_by.facing(pixel[met]) > STEEPEST) & seen_by.inner[pixel[met]]]
         own, other = patches_of.patches[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))
     on_second, on_first = (np.concatenate([part[k] for part in parts]) for k in (0, 1))

@@ -17,6 +17,7 @@ _PATCHES = 3000
 STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
 _PARTS_ACROSS = 6
 PARTS = _PARTS_ACROSS**2
+_WINDOW = 7  # pixels: that normals are fitted in, unless noise asks for more
 _AROUND = 5  # pixels: edges of things are uncertain by about so many
 _MARKS, _CONTRAST = 500, 0.015
 _OF_SIZE = 1 / 60  # the grain: how far apart points are that features and coarse alignment look at
@@ -79,6 +80,18 @@ class View:
         column, row = np.clip((pixels - low) / size * _PARTS_ACROSS, 0, _PARTS_ACROSS - 1).astype(np.int64).T
         number: Ints = row * _PARTS_ACROSS + column
         return number
+
+    @cached_property
+    def inner(self) -> Bools:
+        """Which pixels (H·W,) have the thing all around them.
+
+        Windows that end at the rim are one-sided: their normals are those of a place farther in, and because the
+        surface turns away there, they all err towards the camera.
+        """
+        there = np.isfinite(self.points[..., 2]).astype(np.uint8)
+        square = np.ones((_WINDOW, _WINDOW), np.uint8)
+        inner: Bools = cv2.erode(there, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
+        return inner
 
     def facing(self, flat: Ints) -> Floats:
         """Cosine of the slant (N,)."""

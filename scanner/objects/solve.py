@@ -34,6 +34,7 @@ from scanner.ui import Progress
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
 _SIZE_GRAINS = 60.0
 _NAMED = 3
+_ALL_RESTS = 0.9  # of what was seen
 
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
@@ -46,6 +47,13 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     ]
     with progress.step("Telling the thing from what rests"):
         views, rests = _views(clouds, captures, calibration.camera)
+    if rests > _ALL_RESTS and not any(views):
+        raise RefusalError(
+            f"All of what was seen rests: its surface is at the same place in the {len(captures)} stations.",
+            "Turn the thing between stations. If it was turned, it is round about the axis of the turn, as balls and "
+            "plates are, and its shape cannot tell how far: stick scraps of paper to it, and put it down elsewhere "
+            "each time.",
+        )
     with progress.step("Registering"):
         registered = register_views(views)
     outlier_stations = _outlier_stations(registered, captures)

@@ -82,6 +82,13 @@ def test_another_thing_is_named_and_left_out() -> None:
     assert verdict_on(found).grade == "fair"
 
 
+def test_what_never_moved_or_looks_as_if_it_had_not_is_said_to_rest() -> None:
+    station = thing_stations([0], CAMERA)[0]
+    with pytest.raises(RefusalError, match="rests: its surface is at the same place in the 4 stations") as refusal:
+        solved([station] * 4)
+    assert "round about the axis" in refusal.value.advice
+
+
 def test_nothing_in_common_is_refused() -> None:
     one = thing_stations([0], CAMERA, seed=2, background=False)
     other = thing_stations([0], CAMERA, seed=2, background=False, kind="box")
