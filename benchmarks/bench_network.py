@@ -44,7 +44,10 @@ def main() -> None:
     print("            median   worst    median   worst")
     for size in args.sizes:
         cameras, projectors = (int(count) for count in size.split("x"))
-        focals, places, relative, costs, refused = [], [], [], [], 0
+        focals: list[float] = []
+        places: list[float] = []
+        relative: list[float] = []
+        costs, refused = [], 0
         for seed in range(args.rooms):
             network = random_network(np.random.default_rng(seed), cameras, projectors)
             sizes = {name: device.size for name, device in network.devices.items()}

@@ -15,10 +15,9 @@ from calib.geometry import Matches, Size, nearest_depths, project, unproject
 from calib.networks.estimate import NetworkEstimate
 from calib.networks.network import Device
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
-from calib.refinement import Noise
 
 _MATCHES_PER_CELL = 3
-_LARGEST_CELL = 8  # projector pixels
+_LARGEST_CELL = 16  # projector pixels
 _JUMP = 0.5  # of a cell's width: further off the neighbours' line is another surface
 _STEPS = 3
 _LEAST_SHARED = 50
@@ -49,8 +48,8 @@ class Joined:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two cameras' depths in one projector's light: median difference, relative to the depth, what noise would make
-    of it, and the number of cells that both saw.
+    """Two cameras' depths in one projector's light: median difference, relative to the depth, what the noise of matches
+    alone would make of it, and the number of cells that both saw.
     """
 
     first: str
@@ -72,11 +71,16 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
     seen: dict[str, Floats] = {}
     depths: list[Floats] = []
     variances: list[Floats] = []
+    chances: list[Floats] = []
     for camera, matches in by_camera.items():
         pixels, by_cell, count = _at_centres(matches, cell, centres)
-        noise = estimate.noise.get((camera, projector))
-        depth, variance = _depths(estimate.device(camera), device, rays, pixels, by_cell, count, noise)
-        seen[camera], depths, variances = pixels, [*depths, depth], [*variances, variance]
+        noise = estimate.noise[camera, projector]
+        depth, by_px = _depths(estimate.device(camera), device, rays, pixels, by_cell)
+        by_chance = by_px**2 * noise.match_px**2 / np.maximum(count.ravel(), 1)
+        seen[camera] = pixels
+        depths.append(depth)
+        chances.append(by_chance)
+        variances.append(by_chance + by_px**2 * noise.systematic_px**2)
     depth, variance = np.stack(depths), np.stack(variances)
     weight = np.where(np.isfinite(depth), 1 / variance, 0.0)
     total = weight.sum(axis=0)
@@ -92,7 +96,7 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
         best.reshape(height, width),
         np.count_nonzero(weight, axis=0).reshape(height, width),
         seen,
-        tuple(_disagreements(tuple(by_camera), depth, variance)),
+        tuple(_disagreements(tuple(by_camera), depth, np.stack(chances))),
     )
 
 
@@ -152,17 +156,16 @@ def _at_centres(matches: Matches, cell: int, centres: Floats) -> tuple[Floats, F
     return at_centre, by_cell, count.reshape(height, width)
 
 
-def _depths(
-    camera: Device, projector: Device, rays: Floats, pixels: Floats, by_cell: Floats, count: Ints, noise: Noise | None
-) -> tuple[Floats, Floats]:
-    """Along the projector's rays (N, 3), as one camera has it, and its variance, (N,) each; NaN where it sees nothing.
+def _depths(camera: Device, projector: Device, rays: Floats, pixels: Floats, by_cell: Floats) -> tuple[Floats, Floats]:
+    """Along the projector's rays (N, 3), as one camera has it, and by how much a projector pixel moves it, (N,) each;
+    NaN where it sees nothing.
 
-    The depth is where the point is seen nearest to the pixel; noise of matches is carried there by `by_cell`.
+    The depth is where the point is seen nearest to the pixel; `by_cell` carries errors of matches there.
     """
-    depth, variance = np.full(len(rays), np.nan), np.full(len(rays), np.nan)
+    depth, by_px = np.full(len(rays), np.nan), np.full(len(rays), np.nan)
     at = np.flatnonzero(np.isfinite(pixels.reshape(-1, 2)).all(axis=1))
     if not len(at):
-        return depth, variance
+        return depth, by_px
     seen, own = pixels.reshape(-1, 2)[at], rays[at]
     back, _ = unproject(camera.lens, seen)
     apart = projector.pose.translation - camera.pose.translation
@@ -173,13 +176,11 @@ def _depths(
         along = np.einsum("nij,nj->ni", by_point, turned)
         square = np.sum(along**2, axis=1)
         found = found + np.sum(along * (seen - predicted), axis=1) / square
-    match, systematic = (1.0, 0.0) if noise is None else (noise.match_px, noise.systematic_px)
-    carried = np.einsum("nij,ni->nj", by_cell.reshape(-1, 2, 2)[at], along / np.sqrt(square)[:, None])
-    each = match**2 / count.ravel()[at] + systematic**2
+    carried = np.einsum("nij,ni->nj", by_cell.reshape(-1, 2, 2)[at], along / square[:, None])
     good = found > 0
     depth[at[good]] = found[good]
-    variance[at[good]] = (np.sum(carried**2, axis=1) * each / square)[good]
-    return depth, variance
+    by_px[at[good]] = np.linalg.norm(carried, axis=1)[good]
+    return depth, by_px
 
 
 def _disagreements(names: tuple[str, ...], depth: Floats, variance: Floats) -> list[Disagreement]:
