@@ -6,7 +6,7 @@ from calib.refinement.further_planes import with_further_planes
 from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.known_rig import KnownRig
 from calib.refinement.lens_prior import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, LensPrior
-from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit
+from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit, of_any_device
 from calib.refinement.match_cells import Cells, follow_one_plane, into_cells, joined
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
 from calib.refinement.parameters import (
@@ -24,6 +24,7 @@ from calib.refinement.parameters import (
     State,
     device_of,
     intrinsic_distance,
+    moved_device,
     predict,
 )
 from calib.refinement.photo_starts import photo_family

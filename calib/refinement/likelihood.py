@@ -86,6 +86,13 @@ class Prior:
         return replace(self, held=column)
 
 
+def of_any_device(size: tuple[int, int], lens: LensPrior) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (8,) of a device's columns: what holds for any that is sold, by its image size."""
+    width, height = size
+    mean = np.array([np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, *lens.mean])
+    return mean, np.array([0.7, height / 2, height / 2, *lens.sigma])
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """Prior knowledge: image sizes (width, height), the camera's principal point with its standard deviation
@@ -120,9 +127,8 @@ class Knowledge:
         """
         mean, sigma = np.zeros(layout.size), np.full(layout.size, np.inf)
         sizes = self.camera_size, self.projector_size
-        for device, (width, height), lens in zip((CAMERA, PROJECTOR), sizes, self.lenses, strict=True):
-            mean[device] = [np.log(1.2 * width), (width - 1) / 2, (height - 1) / 2, *lens.mean]
-            sigma[device] = [0.7, height / 2, height / 2, *lens.sigma]
+        for device, size, lens in zip((CAMERA, PROJECTOR), sizes, self.lenses, strict=True):
+            mean[device], sigma[device] = of_any_device(size, lens)
         if self.rig is not None:
             sigma[:SHARED] = np.inf
         centre = slice(CAMERA.start + 1, CAMERA.start + 3)

@@ -146,11 +146,11 @@ class State:
     def moved(self, step: Floats) -> "State":
         """The state after a step (size,) in the columns' coordinates."""
         motion = self.motion(0).moved(step[self.motion_columns(0)])
-        camera = _moved_device(self.camera, step[CAMERA])
+        camera = moved_device(self.camera, step[CAMERA])
         return replace(
             self,
             camera=camera,
-            projector=camera if self.one_camera else _moved_device(self.projector, step[PROJECTOR]),
+            projector=camera if self.one_camera else moved_device(self.projector, step[PROJECTOR]),
             rotation=motion.rotation,
             translation=motion.translation,
             off_square=self.off_square + step[SHARED : self._starts[0]].reshape(-1, PER_CORNER),
@@ -286,7 +286,8 @@ def _planes(state: State, capture: int) -> tuple[Floats, Floats, Floats, Floats]
     return normals, heights, by_angles, by_tilts
 
 
-def _moved_device(device: Floats, step: Floats) -> Floats:
+def moved_device(device: Floats, step: Floats) -> Floats:
+    """A device (8,) after a step (8,) in the columns of a device."""
     moved: Floats = device + step
     moved[0] = device[0] * np.exp(step[0])
     return moved

@@ -46,8 +46,8 @@ class Room:
         """The room after a step (size,) in the columns' coordinates."""
         return Room(
             self.rig.moved(step[:SHARED]),
-            tuple(_moved_place(place, step[self.place_columns(i)]) for i, place in enumerate(self.places)),
-            tuple(_moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
+            tuple(moved_place(place, step[self.place_columns(i)]) for i, place in enumerate(self.places)),
+            tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
 
     def step_to(self, other: "Room") -> Floats:
@@ -63,10 +63,12 @@ class Room:
         return step
 
 
-def _moved_place(place: Motion, step: Floats) -> Motion:
+def moved_place(place: Motion, step: Floats) -> Motion:
+    """A pose after a step (6,): a turn about the axes that it leads to, and a shift."""
     return Motion(rotation_about(step[:3]) @ place.rotation, place.translation + step[3:])
 
 
-def _moved_plane(plane: RoomPlane, step: Floats) -> RoomPlane:
+def moved_plane(plane: RoomPlane, step: Floats) -> RoomPlane:
+    """A plane after a step (3,): two tilts along `tangent_basis` of its normal, and its offset."""
     tilted = plane.normal + tangent_basis(plane.normal) @ step[:2]
     return RoomPlane(tilted / np.sqrt(tilted @ tilted), plane.offset + float(step[2]))

@@ -10,5 +10,6 @@ from calib.synthetic.captures import (
     random_capture,
     random_captures,
 )
+from calib.synthetic.networks import SyntheticNetwork, random_network
 from calib.synthetic.photos import PhotoOptions, SyntheticPhotos, random_photos
 from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, random_room

@@ -46,7 +46,7 @@ class RoomOptions:
     wavy: float = 0.0
 
 
-class _Scene(NamedTuple):
+class Scene(NamedTuple):
     """`solids`: normals and offsets of the room, then of the boxes. `balls` (B, 4): centres and radii."""
 
     solids: list[tuple[Floats, Floats]]
@@ -81,8 +81,8 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
     options = replace(options or RoomOptions(), **changes)
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
-        solids = [_random_walls(rng, options), *(_random_box(rng, options) for _ in range(options.boxes))]
-        scene = _Scene(solids, _random_balls(rng, options), _random_waves(rng, options))
+        solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
+        scene = Scene(solids, _random_balls(rng, options), _random_waves(rng, options))
         stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
@@ -97,7 +97,7 @@ def _random_rig(rng: np.random.Generator, options: RoomOptions) -> Calibration:
     return Calibration(options.camera, options.projector, rotation, -rotation @ eye, unit="m")
 
 
-def _random_walls(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
+def random_walls(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
     """Normals (6, 3) into the room and offsets (6,), the room's lower corner being the origin but for the angles."""
     x, y, z = options.size
     normals = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
@@ -108,7 +108,7 @@ def _random_walls(rng: np.random.Generator, options: RoomOptions) -> tuple[Float
     return turned, np.sum(turned * feet, axis=1)
 
 
-def _random_box(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
+def random_box(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
     """Normals (6, 3) out of a box near a wall and offsets (6,); the last is its bottom, below the floor."""
     half = np.array([*rng.uniform(0.2, 0.6, 2), rng.choice([0.22, 0.38, 0.5, 0.95])])
     place = rng.uniform(0.1, 0.9, 2) * options.size[:2]
@@ -126,7 +126,7 @@ def _station(
     rng: np.random.Generator,
     options: RoomOptions,
     rig: Calibration,
-    scene: _Scene,
+    scene: Scene,
     number: int,
 ) -> SyntheticStation | None:
     width, depth, _ = options.size
@@ -137,15 +137,15 @@ def _station(
     target = np.array([*(centre + 0.4 * across * [width, depth] + rng.normal(0, 0.2, 2)), rng.uniform(0.4, 1.3)])
     to_camera = look_at(eye, target, np.array([0.0, 0.0, 1.0]), rng.normal(0, 0.05))
     projector_eye = eye + to_camera.T @ rig.projector_centre
-    if not (_is_free(eye, scene) and _is_free(projector_eye, scene)):
+    if not (is_free(eye, scene) and is_free(projector_eye, scene)):
         return None
     pixels = jittered_grid(rng, rig.projector, options.count)
     rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
-    points, plane = _cast(rays, projector_eye, scene)
+    points, plane = cast(rays, projector_eye, scene)
     points = _on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
     seen = inside(camera_px, rig.camera)
-    there, again = _cast(points[seen] - eye, eye, scene)
+    there, again = cast(points[seen] - eye, eye, scene)
     on_ball = again >= _WALLS * len(scene.solids)
     seen[seen] = (again == plane[seen]) & ~(on_ball & (np.linalg.norm(there - points[seen], axis=1) > _SHADOW))
     plane = plane[seen]
@@ -185,7 +185,7 @@ def _random_balls(rng: np.random.Generator, options: RoomOptions) -> Floats:
     return np.concatenate([centres, rng.uniform(0.08, 0.25, (options.balls, 1))], axis=1)
 
 
-def _is_free(point: Floats, scene: _Scene) -> bool:
+def is_free(point: Floats, scene: Scene) -> bool:
     """Whether a point is in the room and in none of the things in it."""
     (normals, offsets), *boxes = scene.solids
     return (
@@ -195,7 +195,7 @@ def _is_free(point: Floats, scene: _Scene) -> bool:
     )
 
 
-def _cast(directions: Floats, origin: Floats, scene: _Scene) -> tuple[Floats, Ints]:
+def cast(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
     """What rays (N, 3) from `origin` meet first: points (N, 3) and the numbers of their planes (N,), then of balls."""
     (normals, offsets), *boxes = scene.solids
     length, plane = _first(directions, origin, normals, offsets, directions @ normals.T < 0)

@@ -306,6 +306,19 @@ def of_room(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+def of_network(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "captures", type=Path, nargs="+", metavar="CAPTURE", help="folders named <camera>-<projector>, in any order"
+    )
+    add_config(parser, required=False)
+    parser.add_argument(
+        "--distance", metavar="A,B,LENGTH", help="what is known between two devices, as in left,stage,2.35m"
+    )
+    add_out(parser, default="scans/network")
+    add_overwrite(parser)
+    add_quiet(parser)
+
+
 def of_object(parser: ArgumentParser) -> None:
     parser.add_argument(
         "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"

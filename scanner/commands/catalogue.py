@@ -117,6 +117,17 @@ another room, or of a rig that was changed, are named and left out. To take them
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """,
     ),
+    "network": Command(
+        "Calibrate several cameras and projectors of one room together: every device, one cloud from all cameras.",
+        arguments.of_network,
+        "network",
+        """
+Each capture is of one camera in one projector's light, in a folder named <camera>-<projector>. One pair sees a corner
+of the room; the others follow where a camera sees two projectors' light, or a projector's light is seen by two cameras.
+
+Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the cameras contradict each other.
+""",
+    ),
     "object": Command(
         "Join stations of a thing before one calibrated rig: their poses, one surface, its volume.",
         arguments.of_object,

@@ -92,9 +92,9 @@ def write_merged_ply(path: Path, cloud: PointCloud) -> None:
     _write(path, cloud, _CORNER_FRAME, None, None)
 
 
-def write_room_ply(path: Path, cloud: PointCloud) -> None:
-    """The same for a cloud of a whole room, in the room's frame. Raises OSError."""
-    _write(path, cloud, _ROOM_FRAME, None, None)
+def write_room_ply(path: Path, cloud: PointCloud, frame: str = _ROOM_FRAME) -> None:
+    """The same for a cloud of a whole room, in the room's frame or the one that is described. Raises OSError."""
+    _write(path, cloud, frame, None, None)
 
 
 def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triangles: Ints | None) -> None:

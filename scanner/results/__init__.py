@@ -11,6 +11,8 @@ from scanner.results.names import (
     DENSE_FILE,
     LOG_FILE,
     MERGED_FILE,
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
     OBJECT_CLOUD_FILE,
     OBJECT_FILE,
     OBJECT_MESH_FILE,

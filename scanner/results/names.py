@@ -22,6 +22,8 @@ OBJECT_CLOUD_FILE = "object.ply"
 OBJECT_MESH_FILE = "object.glb"
 ROOM_CLOUD_FILE = "room.ply"
 ROOM_MESH_FILE = "room.glb"
+NETWORK_FILE = "network.yaml"
+NETWORK_CLOUD_FILE = "network.ply"
 PLAN_FILE = "floorplan.svg"
 PLAN_DXF_FILE = "floorplan.dxf"
 DENSE_FILE = "dense.ply"
@@ -37,6 +39,8 @@ _OURS = {
     OBJECT_FILE,
     OBJECT_CLOUD_FILE,
     OBJECT_MESH_FILE,
+    NETWORK_FILE,
+    NETWORK_CLOUD_FILE,
     ROOM_CLOUD_FILE,
     ROOM_MESH_FILE,
     PLAN_FILE,

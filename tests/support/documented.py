@@ -38,6 +38,7 @@ NOT_RUN = {
     "scan compare scans/board scans/together": "needs two calibrations of one rig; its own tests do",
     "scan board --config configs/room.yaml": NEED_DEVICES,
     "scan room": "needs a room's stations; its own tests have them",
+    "scan network": "needs captures of a network's pairs; its own tests have them",
     "scan --config configs/room-whole-sim.yaml": "runs for minutes",
     "scan live": "needs a calibration of its rig; its own tests have one",
     "scan object": "needs a thing's stations; its own tests have them",

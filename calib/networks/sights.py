@@ -1,0 +1,88 @@
+"""A plane lit by one projector and seen by one camera: what a network predicts of its cells, and how that changes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.geometry import Motion, cross, project, tangent_basis, unproject
+from calib.networks.network import PER_NODE, Network
+from calib.numerics import Floats, Ints
+from calib.refinement import PER_DEVICE, Cells
+from calib.rooms.planes import RoomPlane
+from calib.rooms.room import PER_PLANE
+
+PER_SIGHT = 2 * PER_NODE + PER_PLANE
+_AXES = np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The `cells` of one plane that `camera` sees in the light of `projector`; all by number in the network."""
+
+    camera: int
+    projector: int
+    plane: int
+    cells: Cells
+
+    def columns(self, network: Network) -> Ints:
+        """The network's columns that it depends on, (31,): the camera's, the projector's, the plane's."""
+        return np.concatenate(
+            [
+                network.device_columns(self.camera),
+                network.device_columns(self.projector),
+                network.plane_columns(self.plane),
+            ]
+        )
+
+    def predict(self, network: Network) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2), their Jacobian (N, 2, 31) and depths (N, 2) before both devices.
+
+        A point stays on the plane: moved by v it slides back along its ray u, n · u = 1, by u (n · v).
+        """
+        camera, projector = network.devices[self.camera], network.devices[self.projector]
+        plane = network.planes[self.plane]
+        rays, by_camera = unproject(camera.lens, self.cells.camera_px)
+        along, depth = _meet(rays, camera.pose, plane)
+        off = along * (plane.offset - float(plane.normal @ camera.pose.translation))
+        points = off + camera.pose.translation
+        onto = np.eye(3) - along[:, :, None] * plane.normal
+        tilts = -along[:, :, None] * (points @ tangent_basis(plane.normal))[:, None]
+        moved = np.concatenate(
+            [
+                depth[:, None, None] * (onto @ (camera.pose.rotation @ by_camera)),
+                onto @ _turned(off),
+                onto,
+                np.zeros((len(rays), 3, PER_DEVICE)),
+                -_turned(points - projector.pose.translation),
+                np.broadcast_to(-_AXES, onto.shape),
+                tilts,
+                along[:, :, None],
+            ],
+            axis=2,
+        )
+        before = (points - projector.pose.translation) @ projector.pose.rotation
+        pixels, by_point, by_projector = project(projector.lens, before)
+        jacobian = by_point @ (projector.pose.rotation.T @ moved)
+        jacobian[:, :, PER_NODE : PER_NODE + PER_DEVICE] += by_projector
+        return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
+
+
+def points_on(pixels: Floats, lens: Floats, pose: Motion, plane: RoomPlane) -> Floats:
+    """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
+    rays, _ = unproject(lens, pixels)
+    _, depth = _meet(rays, pose, plane)
+    points: Floats = (rays * depth[:, None]) @ pose.rotation.T + pose.translation
+    return points
+
+
+def _meet(rays: Floats, pose: Motion, plane: RoomPlane) -> tuple[Floats, Floats]:
+    """Rays in the room's frame scaled to n · u = 1, (N, 3), and the depths at which they meet the plane, (N,)."""
+    turned = rays @ pose.rotation.T
+    facing = turned @ plane.normal
+    return turned / facing[:, None], (plane.offset - float(plane.normal @ pose.translation)) / facing
+
+
+def _turned(points: Floats) -> Floats:
+    """ω × X for each axis ω, (N, 3, 3): components by rows, axes by columns."""
+    turned: Floats = np.swapaxes(cross(_AXES[None], points[:, None]), 1, 2)
+    return turned

@@ -1,0 +1,109 @@
+"""Several cameras and projectors in a made-up room, all turned towards one corner of it: matches of each pair.
+
+As in `calib.synthetic.rooms`: the projector's rays meet walls and boxes, what a camera sees of that is projected into
+it, and noise is added to the projector's pixels.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.geometry import Intrinsics, Matches, Motion
+from calib.numerics import Floats
+from calib.synthetic.captures import inside, jittered_grid, look_at
+from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, random_box, random_walls
+
+_CORNER = (0, 2, 4)  # the floor, and the walls at x = 0 and y = 0
+_APART_M = 0.5
+_ATTEMPTS = 500
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class SyntheticNetwork:
+    """`captures`: matches of each (camera, projector), labelled 0, 1, 2 on the corner's faces, 3 and up on others.
+
+    `devices`, `poses`: what is true of each by name, X_room = rotation X_device + translation, in metres. `scene`: what
+    they see.
+    """
+
+    captures: Mapping[tuple[str, str], Matches]
+    devices: Mapping[str, Intrinsics]
+    poses: Mapping[str, Motion]
+    scene: Scene
+
+
+def random_network(
+    rng: np.random.Generator, cameras: int, projectors: int, options: RoomOptions | None = None
+) -> SyntheticNetwork:
+    """Devices `camera1`, …, `projector1`, … Raises ValueError if no room is found in which all see the corner."""
+    options = options or RoomOptions(boxes=2, count=40_000)
+    names = [*(f"camera{i + 1}" for i in range(cameras)), *(f"projector{i + 1}" for i in range(projectors))]
+    for _ in range(_ATTEMPTS):
+        solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
+        scene = Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5)))
+        devices = {
+            name: _varied(rng, options.camera if i < cameras else options.projector) for i, name in enumerate(names)
+        }
+        poses = _poses(rng, names, scene, options)
+        captures = {
+            (camera, projector): _seen(rng, options, scene, (devices[camera], devices[projector]), poses[camera], at)
+            for camera in names[:cameras]
+            for projector in names[cameras:]
+            for at in (poses[projector],)
+        }
+        least = options.least_share * options.count
+        if all(matches.on_each_face.min() > 5 * least for matches in captures.values()):
+            return SyntheticNetwork(captures, devices, poses, scene)
+    raise ValueError("no room in which every pair sees the corner")
+
+
+def _varied(rng: np.random.Generator, device: Intrinsics) -> Intrinsics:
+    focal = device.focal_px[0] * float(np.exp(rng.normal(0, 0.1)))
+    x, y = (float(value) for value in np.array(device.principal_point_px) + rng.normal(0, 15, 2))
+    k1, k2, p1, p2, k3 = device.distortion
+    return replace(
+        device,
+        focal_px=(focal, focal),
+        principal_point_px=(x, y),
+        distortion=(k1 + float(rng.normal(0, 0.02)), k2, p1, p2, k3),
+    )
+
+
+def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: RoomOptions) -> dict[str, Motion]:
+    poses: dict[str, Motion] = {}
+    for name in names:
+        while name not in poses:
+            eye = np.array(options.size) * rng.uniform((0.4, 0.4, 0.35), (0.9, 0.9, 0.85))
+            near = any(np.linalg.norm(eye - pose.translation) < _APART_M for pose in poses.values())
+            if near or not is_free(eye, scene):
+                continue
+            rotation = look_at(eye, rng.uniform(0.1, 0.6, 3), _UP, rng.normal(0, 0.05))
+            poses[name] = Motion(rotation.T, eye)
+    return poses
+
+
+def _seen(
+    rng: np.random.Generator,
+    options: RoomOptions,
+    scene: Scene,
+    pair: tuple[Intrinsics, Intrinsics],
+    camera_at: Motion,
+    projector_at: Motion,
+) -> Matches:
+    camera, projector = pair
+    pixels = jittered_grid(rng, projector, options.count)
+    points, plane = cast(projector.unproject(pixels) @ projector_at.rotation.T, projector_at.translation, scene)
+    camera_px = camera.project(_before(points, camera_at))
+    seen = inside(camera_px, camera)
+    seen[seen] = cast(points[seen] - camera_at.translation, camera_at.translation, scene)[1] == plane[seen]
+    order = np.array([*_CORNER, *(i for i in range(6 * len(scene.solids)) if i not in _CORNER)])
+    label = np.argsort(order)[plane[seen]].astype(np.int32)
+    noisy = pixels[seen] + rng.normal(0, options.noise_px, (len(label), 2))
+    return Matches(camera_px[seen], noisy, label)
+
+
+def _before(points: Floats, at: Motion) -> Floats:
+    before: Floats = (points - at.translation) @ at.rotation
+    return before

@@ -1,0 +1,1 @@
+"""Networks: captures of several cameras and projectors → every device, one cloud, and whether the cameras agree."""

@@ -1,0 +1,74 @@
+"""Captures of a network's pairs: folders named `<camera>-<projector>`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calib.geometry import NO_FACE, Size
+from calib.refusal import RefusalError
+from scanner.capture import open_capture
+from scanner.errors import InputError
+from scanner.pipeline import decode_recording
+from scanner.reconstruction import label
+from scanner.results import Decoded
+from scanner.ui import Terminal
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Captures:
+    """`decoded`: by camera and projector, with labels where a corner was found. `sizes` of all devices by name."""
+
+    decoded: Mapping[Pair, Decoded]
+    sizes: Mapping[str, Size]
+
+
+def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
+    """Decode all captures, and find the corner in those that show one.
+
+    Raises InputError for names that are none, a pair that is given twice, a device whose images differ in size.
+    """
+    if len(folders) < 2:
+        raise InputError(f"a network needs two captures or more, found {len(folders)}; scan replay is for one")
+    named: dict[Pair, Path] = {}
+    for folder in folders:
+        pair = _pair_of(folder)
+        if pair in named:
+            raise InputError(f"{folder}: {named[pair]} is of {pair[0]} and {pair[1]}, too; each pair counts once")
+        named[pair] = folder
+    roles = {name for name, _ in named} & {name for _, name in named}
+    if roles:
+        raise InputError(f"'{min(roles)}' names a camera in one capture and a projector in another; give it one role")
+    sizes: dict[str, tuple[Size, Path]] = {}
+    recordings = {pair: open_capture(folder) for pair, folder in named.items()}
+    for pair, recording in recordings.items():
+        for name, size in zip(pair, (recording.camera_size, recording.projector_size), strict=True):
+            known, where = sizes.setdefault(name, (size, recording.folder))
+            if known != size:
+                raise InputError(
+                    f"{recording.folder}: {name} has {size} pixels here and {known} in {where}; "
+                    "a device keeps its size, or has another name"
+                )
+    decoded = {pair: _labelled(decode_recording(recording, terminal)) for pair, recording in recordings.items()}
+    return Captures(decoded, {name: size for name, (size, _) in sizes.items()})
+
+
+def _pair_of(folder: Path) -> Pair:
+    camera, dash, projector = folder.resolve().name.partition("-")
+    if not (camera and dash and projector) or "-" in projector:
+        raise InputError(
+            f"{folder}: expected a folder named <camera>-<projector>, as in left-stage, with one hyphen; "
+            "rename it after its devices"
+        )
+    return camera, projector
+
+
+def _labelled(capture: Decoded) -> Decoded:
+    """With faces, where there is a corner; without one it is joined by what it shares with others."""
+    try:
+        (found,) = label([capture], [capture])
+    except RefusalError as refusal:
+        return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
+    matches = found.matches
+    return found.with_matches(matches.with_faces(matches.labels.clip(NO_FACE)), None)

@@ -1,0 +1,156 @@
+"""The files of a network: network.yaml, network.ply and the report."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Floats
+from scanner.configuration import Config
+from scanner.io import write_room, write_room_ply
+from scanner.networks.solve import SolvedNetwork
+from scanner.networks.verdict import verdict_on
+from scanner.quantities import shown_unit
+from scanner.rendering import environment
+from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, provenance, verdict_entries
+
+_FRAME = "network frame: that of its first device, x right, y down, z ahead"
+
+
+class NetworkCloud(NamedTuple):
+    """Points, normals that face the projector (N, 3), and grey levels as RGB."""
+
+    points: Floats
+    normals: Floats
+    colours: NDArray[np.uint8]
+    unit: str
+
+
+def save_network(network: SolvedNetwork, folder: Path, config: Config) -> None:
+    """Write everything. Raises OSError."""
+    entries = provenance(folder, config).entries({}) | verdict_entries(verdict_on(network)) | entries_of(network)
+    write_room(folder / NETWORK_FILE, entries)
+    cloud = cloud_of(network)
+    write_room_ply(folder / NETWORK_CLOUD_FILE, cloud, _FRAME)
+    _write_page(folder / REPORT_FILE, network, cloud, config)
+
+
+def entries_of(network: SolvedNetwork) -> dict[str, Any]:
+    """X_network = rotation X_device + translation; normal · X_network = offset."""
+    estimate = network.estimate
+    cameras = {camera for camera, _ in network.captures.decoded}
+    devices = []
+    for name in estimate.names:
+        found, pose, sigma = estimate.intrinsics(name), estimate.device(name).pose, estimate.sigmas(name)
+        devices.append(
+            {
+                "name": name,
+                "kind": "camera" if name in cameras else "projector",
+                "width": found.width,
+                "height": found.height,
+                "focal_px": list(found.focal_px),
+                "principal_point_px": list(found.principal_point_px),
+                "distortion": list(found.distortion),
+                "rotation": pose.rotation.tolist(),
+                "translation": (network.factor * pose.translation).tolist(),
+                "sigma": {
+                    "focal_px": [float(sigma[0]) * found.focal_px[0]] * 2,
+                    "principal_point_px": sigma[1:3].tolist(),
+                    "distortion": sigma[3:8].tolist(),
+                    "rotation_deg": np.degrees(sigma[8:11]).tolist(),
+                    "translation": (network.factor * sigma[11:]).tolist(),
+                },
+            }
+        )
+    planes = [
+        {"normal": plane.normal.tolist(), "offset": network.factor * plane.offset} for plane in estimate.network.planes
+    ]
+    disagreements = [
+        {
+            "projector": projector,
+            "cameras": [each.first, each.second],
+            "relative": each.relative,
+            "expected": each.expected,
+            "points": each.count,
+        }
+        for projector, surface in network.surfaces.items()
+        for each in surface.disagreements
+    ]
+    return {"unit": network.unit, "devices": devices, "planes": planes, "disagreements": disagreements}
+
+
+def cloud_of(network: SolvedNetwork) -> NetworkCloud:
+    """All projectors' light: each point once, by all cameras that saw it."""
+    points, normals, colours = [], [], []
+    for projector, surface in network.surfaces.items():
+        there = np.isfinite(surface.points[..., 2])
+        normal = _normals(surface.points, network.estimate.device(projector).pose.translation)
+        grey = np.full(there.shape, 128, np.uint8)
+        for camera, seen in surface.seen_px.items():
+            texture = network.captures.decoded[camera, projector].texture
+            if texture is None:
+                continue
+            known = np.isfinite(seen[..., 0]) & there
+            x, y = np.rint(seen[known]).astype(np.int64).T
+            grey[known] = texture[y.clip(0, texture.shape[0] - 1), x.clip(0, texture.shape[1] - 1)]
+        points.append(network.factor * surface.points[there])
+        normals.append(normal[there])
+        colours.append(np.repeat(grey[there][:, None], 3, axis=1))
+    return NetworkCloud(np.concatenate(points), np.concatenate(normals), np.concatenate(colours), network.unit)
+
+
+def _normals(points: Floats, towards: Floats) -> Floats:
+    """Of a grid (h, w, 3), to the side of `towards`; zero where neighbours are missing."""
+    normal = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal = normal / length * np.sign(np.sum(normal * (towards - points), axis=-1, keepdims=True))
+    unit: Floats = np.nan_to_num(normal)
+    return unit
+
+
+def _write_page(path: Path, network: SolvedNetwork, cloud: NetworkCloud, config: Config) -> None:
+    estimate, unit = network.estimate, shown_unit(network.unit)
+    rows = []
+    for name in estimate.names:
+        found, sigma = estimate.intrinsics(name), estimate.sigmas(name)
+        place = network.factor * estimate.device(name).pose.translation
+        rows.append(
+            (
+                name,
+                f"{found.focal_px[0]:.2f} ± {found.focal_px[0] * sigma[0]:.2g}",
+                ", ".join(
+                    f"{value:.1f} ± {s:.2g}" for value, s in zip(found.principal_point_px, sigma[1:3], strict=True)
+                ),
+                ", ".join(unit.number(value) for value in place.tolist()) + f" {unit.name}",
+                "held" if name == estimate.names[0] else unit.error(network.factor * float(np.linalg.norm(sigma[11:]))),
+            )
+        )
+    cameras = [name for name in estimate.names if any(name == camera for camera, _ in network.captures.decoded)]
+    seen = [
+        (
+            camera,
+            *(
+                f"{len(network.captures.decoded[camera, projector].matches):,}"
+                if (camera, projector) in network.captures.decoded
+                else "–"
+                for projector in network.surfaces
+            ),
+        )
+        for camera in cameras
+    ]
+    page = (
+        environment()
+        .get_template("network.html")
+        .render(
+            verdict=verdict_on(network),
+            provenance=provenance(path.parent, config),
+            subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
+            devices=rows,
+            projectors=list(network.surfaces),
+            seen=seen,
+            unit=network.unit,
+        )
+    )
+    path.write_text(page, encoding="utf-8")

@@ -1,0 +1,70 @@
+"""Captures of pairs → one estimate of all devices, and one cloud from all rays."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.networks import Joined, NetworkEstimate, estimate_network, joined
+from scanner.errors import InputError
+from scanner.networks.captures import Captures
+from scanner.quantities import UNKNOWN_UNIT, parse_length
+from scanner.ui import Progress
+
+_METRES = "m"
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedNetwork:
+    """`factor`: length of the estimate's unit in `unit`. `surfaces`: of each projector's light."""
+
+    captures: Captures
+    estimate: NetworkEstimate
+    surfaces: Mapping[str, Joined]
+    factor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """Between two devices, in metres."""
+
+    first: str
+    second: str
+    length_m: float
+
+    @classmethod
+    def parse(cls, text: str) -> "KnownDistance":
+        """As in left,stage,2.35m. Raises InputError."""
+        parts = text.split(",")
+        if len(parts) != 3:
+            raise InputError(f"--distance: expected two devices and a length, as in left,stage,2.35m, found '{text}'")
+        return cls(parts[0], parts[1], parse_length(parts[2], _METRES))
+
+
+def refuse_unknown(known: KnownDistance | None, captures: Captures) -> None:
+    """Raises InputError for devices that the captures do not have."""
+    for name in (known.first, known.second) if known else ():
+        if name not in captures.sizes:
+            raise InputError(f"--distance: no device is called '{name}'; there are {', '.join(sorted(captures.sizes))}")
+    if known and known.first == known.second:
+        raise InputError(f"--distance: {known.first} is given twice; a distance is between two devices")
+
+
+def solve_network(
+    captures: Captures, known: KnownDistance | None, squareness_deg: float, progress: Progress
+) -> SolvedNetwork:
+    """Raises RefusalError if no corner calibrates a pair, or a device does not connect."""
+    matches = {pair: capture.matches for pair, capture in captures.decoded.items()}
+    with progress.step("Calibrating all devices together"):
+        estimate = estimate_network(matches, captures.sizes, squareness_deg=squareness_deg)
+    factor, unit = 1.0, UNKNOWN_UNIT
+    if known is not None:
+        ends = [estimate.device(name).pose.translation for name in (known.first, known.second)]
+        factor, unit = known.length_m / float(np.linalg.norm(ends[1] - ends[0])), _METRES
+    with progress.step("Joining the cameras' surfaces"):
+        surfaces = {
+            projector: joined(estimate, projector, {c: found for (c, p), found in matches.items() if p == projector})
+            for projector in sorted({projector for _, projector in matches})
+        }
+    return SolvedNetwork(captures, estimate, surfaces, factor, unit)

@@ -1,0 +1,87 @@
+"""Can one trust this network? What the cameras say of each other, in plain words."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.refinement import Noise
+from scanner.networks.solve import SolvedNetwork
+from scanner.quantities import percent
+from scanner.results import MEASUREMENT_GRADE, Verdict
+
+# Of the depth, and of what noise makes of it: cameras that are further apart do not see one surface.
+_APART, _OF_NOISE = 0.002, 3.0
+_FAR_APART = 0.02
+# Projector pixels: cells of matches that are off by more follow another network than all others.
+_STRAINED_PX, _FOREIGN_PX = 0.25, 1.0
+
+MOVED = "Something moved between the captures, or a folder has another device's name: take these two again."
+
+
+def verdict_on(network: SolvedNetwork) -> Verdict:
+    """The most serious finding decides."""
+    estimate, reasons = network.estimate, tuple(_reasons(network))
+    found = [each for surface in network.surfaces.values() for each in surface.disagreements]
+    worst = max(found, key=lambda each: each.relative, default=None)
+    names = f"{len(estimate.names)} devices are one network"
+    strained = max(estimate.noise, key=lambda pair: _off_px(estimate.noise[pair]))
+    off_px = _off_px(estimate.noise[strained])
+    if off_px > _FOREIGN_PX:
+        return Verdict(
+            "refused",
+            f"{strained[0]} in the light of {strained[1]} contradicts the others: off by {off_px:.2g} projector px.",
+            reasons,
+            MOVED,
+        )
+    if worst is not None and worst.relative > _FAR_APART:
+        return Verdict(
+            "refused",
+            f"{worst.first} and {worst.second} do not see one surface: they are {percent(worst.relative)} apart.",
+            reasons,
+            MOVED,
+        )
+    if worst is not None and worst.relative > max(_APART, _OF_NOISE * worst.expected):
+        return Verdict(
+            "fair",
+            f"{names}, but {worst.first} and {worst.second} are {100 * worst.relative:.2g} % of the depth apart.",
+            reasons,
+            "Check that nothing moved between the captures, and that the projectors correct no keystone.",
+        )
+    if off_px > _STRAINED_PX:
+        return Verdict(
+            "fair",
+            f"{names}, but {strained[0]} in the light of {strained[1]} is off by {off_px:.2g} projector px.",
+            reasons,
+            "Check that nothing moved between the captures, and that the projectors correct no keystone.",
+        )
+    loose = max(estimate.names, key=lambda name: float(estimate.sigmas(name)[0]))
+    sigma = float(estimate.sigmas(loose)[0])
+    if sigma > MEASUREMENT_GRADE:
+        return Verdict(
+            "fair",
+            f"{names}, but the focal length of {loose} is known to {100 * sigma:.2g} % only.",
+            reasons,
+            "Let it see, or light, more of the walls that other devices share, from another side.",
+        )
+    if not found:
+        return Verdict("fair", f"{names}, but no two cameras see the same light, so nothing checks it.", reasons)
+    return Verdict("good", f"{names}, and the cameras agree where they see the same light.", reasons)
+
+
+def _off_px(noise: Noise) -> float:
+    """What stays in the means of cells, rough and smooth."""
+    return float(np.hypot(noise.systematic_px, noise.smooth_px))
+
+
+def _reasons(network: SolvedNetwork) -> Iterator[str]:
+    estimate = network.estimate
+    sigma = max(float(estimate.sigmas(name)[0]) for name in estimate.names)
+    yield f"All focal lengths are known to {100 * sigma:.2g} % or better."
+    for projector, surface in network.surfaces.items():
+        for each in surface.disagreements:
+            yield (
+                f"In the light of {projector}, {each.first} and {each.second} are {100 * each.relative:.2g} % of the "
+                f"depth apart at {each.count:,} places; noise alone makes it {100 * each.expected:.2g} %."
+            )
+        if np.isfinite(surface.gain):
+            yield f"Points of {projector} that several cameras see have sigmas {surface.gain:.2f} times smaller."

@@ -1,0 +1,47 @@
+import numpy as np
+
+from calib.geometry import Motion, rotation_about
+from calib.networks.growth import placed
+from calib.networks.network import Device, Network
+from calib.networks.sights import Sight
+from calib.refinement import Cells
+from calib.rooms.planes import RoomPlane
+
+
+def test_the_jacobian_is_that_of_the_prediction() -> None:
+    rng = np.random.default_rng(0)
+    lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
+    camera = Device(lens, Motion(rotation_about(np.array([0.1, 0.2, -0.1])), np.array([0.2, 0.1, -0.3])))
+    projector = Device(1.1 * lens, Motion(rotation_about(np.array([0.0, -0.3, 0.1])), np.array([1.0, 0.1, 0.2])))
+    plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
+    network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
+    pixels = rng.uniform((100, 100), (900, 700), (20, 2))
+    cells = Cells(pixels, pixels, np.ones(20, np.int32), np.ones(20), np.ones(20), 1.0, 0.0)
+    sight = Sight(1, 0, 1, cells)
+
+    _, jacobian, depths = sight.predict(network)
+
+    assert (depths > 1).all()
+    for at, column in enumerate(sight.columns(network)):
+        step = np.zeros(network.size)
+        step[column] = 1e-6
+        after, before = (sight.predict(network.moved(sign * step))[0] for sign in (1, -1))
+        slope = (after - before) / 2e-6
+        assert np.abs(jacobian[:, :, at] - slope).max() < 1e-4 * max(1.0, np.abs(slope).max())
+
+
+def test_a_device_is_placed_by_points_on_two_planes_and_not_by_one() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0, 1, (60, 3))
+    points[:30, 0], points[30:, 1] = 0.0, 0.0
+    pose = Motion(rotation_about(np.array([2.2, 0.3, 0.1])), np.array([1.5, 2.0, 3.5]))
+    before = (points - pose.translation) @ pose.rotation
+    pixels = 800 * before[:, :2] / before[:, 2:] + (320, 240)
+    assert (before[:, 2] > 0).all() or (before[:, 2] < 0).all()
+
+    device = placed(points, pixels)
+
+    assert device is not None
+    np.testing.assert_allclose(device.lens[:3], [800, 320, 240], rtol=1e-5)
+    np.testing.assert_allclose(device.pose.translation, pose.translation, rtol=1e-5)
+    assert placed(points[:30], pixels[:30]) is None

@@ -1,0 +1,100 @@
+"""`scan network` on captures of a made-up network, end to end."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.geometry import Intrinsics
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
+from tests.support.command_line import run
+from tests.support.network_captures import write_captures
+from tests.support.small_capture import write_capture
+
+OPTIONS = RoomOptions(
+    camera=Intrinsics(480, 400, (390.0, 390.0), (245.0, 204.0), (-0.06, 0.01, 0.0, 0.0, 0.0)),
+    projector=Intrinsics(400, 250, (360.0, 360.0), (203.0, 131.0), (-0.03, 0.0, 0.0, 0.0, 0.0)),
+    boxes=1,
+    count=6000,
+)
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[SyntheticNetwork, list[Path]]:
+    rng = np.random.default_rng(3)
+    network = random_network(rng, 2, 1, OPTIONS)
+    return network, write_captures(tmp_path_factory.mktemp("hall"), network, rng)
+
+
+def test_two_cameras_and_a_projector(taken: tuple[SyntheticNetwork, list[Path]], tmp_path: Path) -> None:
+    network, folders = taken
+    true = {name: pose.translation for name, pose in network.poses.items()}
+    length = float(np.linalg.norm(true["camera1"] - true["camera2"]))
+
+    assert run("network", *folders, "--out", tmp_path / "hall", "--distance", f"camera1,camera2,{length}m") == 0
+
+    found = yaml.safe_load((tmp_path / "hall" / "network.yaml").read_text())
+    devices = {each["name"]: each for each in found["devices"]}
+    assert found["verdict"]["grade"] == "good"
+    assert (found["unit"], set(devices)) == ("m", {"camera1", "camera2", "projector1"})
+    for name, device in devices.items():
+        off = device["focal_px"][0] - network.devices[name].focal_px[0]
+        assert 0 < abs(off) < 3 * device["sigma"]["focal_px"][0]
+        assert device["sigma"]["focal_px"][0] < 0.01 * device["focal_px"][0]
+    for one, other in (("camera1", "projector1"), ("camera2", "projector1")):
+        apart = np.subtract(devices[one]["translation"], devices[other]["translation"])
+        assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(true[one] - true[other]), rel=0.01)
+    (disagreement,) = found["disagreements"]
+    assert 0.5 < disagreement["relative"] / disagreement["expected"] < 2.0
+    report = (tmp_path / "hall" / "report.html").read_text()
+    assert "camera2" in report
+    assert "Which camera sees whose light" in report
+    assert b"network frame" in (tmp_path / "hall" / "network.ply").read_bytes()[:300]
+
+
+def test_pairs_that_share_no_device_are_named(
+    taken: tuple[SyntheticNetwork, list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, folders = taken
+    alone = shutil.copytree(folders[1], tmp_path / "camera2-other")
+
+    assert run("network", folders[0], alone, "--out", tmp_path / "hall") == 4
+
+    assert "not connected with" in capsys.readouterr().err
+    assert (tmp_path / "hall" / "refused.yaml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("names", "extra", "message"),
+    [
+        (["a-p"], (), "needs two captures or more, found 1"),
+        (["a-p", "b"], (), "expected a folder named <camera>-<projector>"),
+        (["a-p", "b-c-p"], (), "expected a folder named <camera>-<projector>"),
+        (["a-p", "x/a-p"], (), "each pair counts once"),
+        (["a-p", "p-q"], (), "'p' names a camera in one capture and a projector in another"),
+        (["a-p", "b-p"], ("--distance", "a,b"), "expected two devices and a length"),
+    ],
+)
+def test_what_is_no_network(
+    names: list[str], extra: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [write_capture(tmp_path / name) for name in names]
+
+    assert run("network", *folders, "--out", tmp_path / "hall", *extra) == 2
+
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "hall").exists()
+
+
+def test_a_device_of_two_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folders = [write_capture(tmp_path / name) for name in ("a-p", "b-p")]
+    listing = folders[1] / "capture.yaml"
+    content = yaml.safe_load(listing.read_text())
+    content["projector"] = {"width": 64, "height": 32}
+    listing.write_text(yaml.safe_dump(content))
+
+    assert run("network", *folders, "--out", tmp_path / "hall") == 2
+
+    assert "p has 64 × 32 pixels here and 48 × 32 in" in " ".join(capsys.readouterr().err.split())
