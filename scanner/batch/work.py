@@ -29,7 +29,7 @@ _THUMBNAIL_PX = 240
 
 @dataclass(frozen=True)
 class Delivery:
-    """Where a batch goes: folders of results, rows and pictures, each by the capture's name."""
+    """The destination of a batch: result folders, rows and pictures, each named after its capture."""
 
     out: str
 
@@ -143,7 +143,9 @@ def _of_calibration(row: Row, calibration: Calibration) -> Row:
 
 
 def _deliver_thumbnail(capture: Path, place: Location) -> None:
-    """Of the first frame, which is mostly white. A frame that cannot be read is for the decoder to name."""
+    """Deliver a thumbnail of the first frame, which is mostly white. An unreadable frame is left for the decoder to
+    report.
+    """
     try:
         recording = open_capture(capture)
         picture = photograph(read_image(recording.folder / recording.files[0]), _THUMBNAIL_PX)

@@ -49,7 +49,9 @@ class Missing:
 
 @dataclass(frozen=True)
 class FromBoards:
-    """What captures of a board gave. `found` has the calibration; `missing` are captures without the board."""
+    """The result of calibrating from captures of a board. `found` has the calibration; `missing` lists captures without
+    the board.
+    """
 
     target: Target
     seen: tuple[Seen, ...]

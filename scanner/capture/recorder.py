@@ -17,7 +17,7 @@ CAPTURE_FILE = "capture.yaml"
 
 
 def frame_file(index: int) -> str:
-    """Where the image of a frame is in a recording, relative to its folder."""
+    """Return the path of a frame's image within a recording, relative to its folder."""
     return f"frames/{index:03d}.png"
 
 

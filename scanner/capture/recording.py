@@ -193,7 +193,7 @@ def _listing_in(folder: Path) -> Path:
 
 
 def _frame_path(listing: Path, file: str) -> Path:
-    """Where a listed frame really is; it must be a file inside the capture folder, whatever links lead to it."""
+    """Return the real path of a listed frame. It must be a file inside the capture folder, after links are resolved."""
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
         raise InputError(f"{listing}: frame {shown(file)} must be a path inside the capture folder")
     root = listing.parent.resolve()

@@ -1,4 +1,4 @@
-"""From capture to capture: the rig is moved, by itself or by the operator."""
+"""Move the rig between captures, automatically or by the operator."""
 
 from hw.backends import RigSettings
 from hw.errors import DeviceError

@@ -34,7 +34,9 @@ def finest_period_px(patterns: Sequence[Pattern]) -> float:
 
 
 def amplitude_left(blur2: float, period_px: float) -> float:
-    """What a Gaussian blur of that square, in projector pixels, leaves of a sine (1: all)."""
+    """Return the amplitude that a Gaussian blur of that variance, in projector pixels squared, leaves of a sine (1:
+    all).
+    """
     return exp(-2 * pi**2 * max(0.0, blur2) / period_px**2)
 
 

@@ -37,7 +37,7 @@ _MOST_PERCENT = 0.5
 
 @dataclass(frozen=True)
 class Before:
-    """What was seen from the time `since_s` on: `light`, and the `levels` (H, W) of each of the fringes."""
+    """The state at time `since_s`: `light`, and the `levels` (H, W) of each of the fringes."""
 
     since_s: float
     light: Light
@@ -50,7 +50,7 @@ def patterns() -> tuple[Pattern, ...]:
 
 
 def levels_of(frames: Iterable[tuple[Pattern, Frame]]) -> Levels:
-    """Of frames of `patterns()`. Raises DeviceError."""
+    """Return the levels of frames of `patterns()`. Raises DeviceError."""
     return {(pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)}
 
 
@@ -105,7 +105,7 @@ def _moved(before: Before, now: Levels, projector_px: Floats, projector_size: tu
 
 
 def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -> Floats:
-    """By how much the coordinate that pixels (P,) look at has changed."""
+    """Return the change of the projector coordinate that pixels (P,) see."""
     change: Floats = _phase(axis, now, place) - _phase(axis, before, place)
     return PERIOD_PX * (change - np.rint(change))
 

@@ -1,4 +1,4 @@
-"""Every command: what it is for, its arguments, and the module that obeys, which is loaded when it is called."""
+"""Every command: its purpose, its arguments, and the module that runs it, which is imported on call."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
@@ -11,7 +11,9 @@ from scanner.commands.shared_arguments import add_quiet
 
 @dataclass(frozen=True)
 class Command:
-    """What it is for, in one line and in more; `add_arguments` declares them; `module` has `run(args)`, which obeys."""
+    """A command: its purpose in one line and in detail; `add_arguments` declares its arguments; `module` has
+    `run(args)`.
+    """
 
     about: str
     add_arguments: Callable[[ArgumentParser], None]
@@ -19,7 +21,7 @@ class Command:
     more: str = ""
 
     def load(self) -> Callable[[Namespace], None]:
-        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        """Import the function that does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
         run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
         return run
 

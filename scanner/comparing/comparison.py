@@ -113,7 +113,9 @@ def _grid(size: Size) -> Floats:
 
 
 def _depths(path: Path, calibration: Calibration) -> Floats:
-    """Those of the scene, where the result has one; else around where the middles of both pictures meet."""
+    """Return the depths of the scene where the result has a scene; else depths around the intersection of the two
+    centre rays.
+    """
     if (path / MATCHES_FILE).is_file():
         matches = read_matches(path)
         met = intersect(matches[:: max(1, len(matches) // _MOST_MATCHES)], calibration)

@@ -49,13 +49,15 @@ def summary(found: Comparison) -> Iterator[str]:
 
 
 def headings(found: Comparison) -> tuple[str, ...]:
-    """Of the columns of `rows`."""
+    """Return the column headings of `rows`."""
     name = shown_unit(found.unit).name
     return (f"depth, {name}", "px, rms", "max", "sigma", f"{name}, rms", "max", "sigma", "in sigmas")
 
 
 def rows(found: Comparison) -> list[tuple[str, ...]]:
-    """For each depth: differences in the projector's pixels and as lengths, and what one sigma of both allows."""
+    """Return a row per depth: differences in projector pixels and as lengths, and those expected from one sigma of both
+    results.
+    """
     return [_row(sheet, shown_unit(found.unit), known=any(found.known)) for sheet in found.sheets]
 
 
@@ -74,7 +76,7 @@ def _rms(values: Floats) -> float:
 
 
 def table(found: Comparison) -> Table:
-    """Those rows, for the terminal."""
+    """Return those rows as a table for the terminal."""
     made = Table(title="Differences by depth", title_justify="left", box=box.SIMPLE, pad_edge=False)
     for heading in headings(found):
         made.add_column(heading, justify="right", no_wrap=True)

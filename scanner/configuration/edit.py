@@ -125,7 +125,7 @@ def _value_of(mapping: yaml.MappingNode, name: str) -> yaml.Node | None:
 
 
 def _end_of(node: yaml.Node, text: str) -> int:
-    """Where a value ends; a block's mark is at what follows it, beyond blank lines and comments."""
+    """Return where a value ends. YAML's end mark of a block lies past the blank lines and comments that follow it."""
     end = int(node.end_mark.index)
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
         return max((_end_of(_last_of(node), text), int(node.start_mark.index)))

@@ -1,4 +1,4 @@
-"""What the history shows of a result: when it was made, its grade, and a picture."""
+"""Cards of the history: date of each result, its grade, and a picture."""
 
 from dataclasses import dataclass
 from functools import lru_cache

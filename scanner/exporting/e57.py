@@ -74,7 +74,7 @@ def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) 
 
 
 def _columns(scan: FinishedScan, metres_per_unit: float) -> dict[str, NDArray[np.generic]]:
-    """In the axes of an upright scanner at the camera's place."""
+    """Return the columns in the axes of an upright scanner at the camera's position."""
     points: Floats = metres_per_unit * scan.points @ _Z_UP_FROM_CAMERA.T
     data: dict[str, NDArray[np.generic]] = {
         f"cartesian{axis}": np.ascontiguousarray(points[:, i]) for i, axis in enumerate("XYZ")

@@ -42,7 +42,7 @@ class Extent:
         return first - _SLACK <= self.low and self.high <= last + _SLACK
 
     def reaches(self, first: int, last: int) -> int:
-        """How many ends were seen that depend on the projector's size."""
+        """Count the observed ends that depend on the projector's size."""
         return int(first > 0 and self.low - first <= _SLACK) + int(last - self.high <= _SLACK)
 
 
@@ -56,7 +56,7 @@ class SizeFound:
 
     @property
     def total(self) -> int:
-        """How many ends in all."""
+        """The number of all ends."""
         return sum(self.reached)
 
 
@@ -106,7 +106,7 @@ def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Fl
 
 
 def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> SizeFound | None:
-    """Whether the codes may be those of a projector of this size."""
+    """Whether the codes are possible on a projector of this size."""
     patterns, reached = candidate.for_size(size), [0, 0]
     if len(patterns) != len(candidate.files):
         return None

@@ -106,7 +106,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def parse_calibration(text: str, source: str) -> Calibration:
-    """As `read_calibration`, from a text that comes from `source`. Raises InputError."""
+    """Parse a calibration like `read_calibration`, from a text that comes from `source`. Raises InputError."""
     return _calibration(parse_mapping(text, source), source)
 
 
@@ -121,7 +121,7 @@ def _calibration(mapping: dict[str, Any], source: str) -> Calibration:
 
 
 def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
-    """Write a calibration, and `more` keys for those who know them. Numbers read back the same. Raises OSError."""
+    """Write a calibration and `more` keys. Numbers read back the same. Raises OSError."""
     lines = [
         f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
         f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",

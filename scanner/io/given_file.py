@@ -30,7 +30,9 @@ def _open_without_waiting(name: str, flags: int) -> int:
 
 
 def real_path(path: Path) -> Path:
-    """Where links lead; links in a circle, which `Path.resolve` raises RuntimeError for, are for who opens the file."""
+    """Resolve links. A circle of links, for which `Path.resolve` raises RuntimeError, is left for the function that
+    opens the file.
+    """
     return Path(os.path.realpath(path))
 
 

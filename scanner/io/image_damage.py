@@ -26,7 +26,7 @@ _NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
 
 
 def damage(data: bytes) -> str | None:
-    """What is wrong with an image file that OpenCV may accept all the same; None if nothing is known to be."""
+    """Return what is wrong with an image file, even one that OpenCV accepts; None if no damage is known."""
     if data.startswith(PNG_START):
         return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):
@@ -86,7 +86,7 @@ def _damage_of_deflated(tags: Mapping[int, Any], data: bytes) -> str | None:
 
 
 def _unpacked(unpacking: Any, part: memoryview) -> Iterator[int]:
-    """How many bytes come out, a few at a time, none of which are kept."""
+    """Count the decompressed bytes in small pieces, keeping none."""
     for start in range(0, len(part), _AT_ONCE_BYTES):
         packed: Any = part[start : start + _AT_ONCE_BYTES]
         while packed and not unpacking.eof:

@@ -85,7 +85,7 @@ def parse_ball_bar(text: str, unit: str) -> BallBar:
 
 
 def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) -> tuple[Error, ...]:
-    """Of one placement. Raises NoMeasurementError if a sphere is not found."""
+    """Compute the errors of one placement. Raises NoMeasurementError if a sphere is not found."""
     measured = measure(scan, scene, list(ball_bar.diameters), [])
     found: list[Error] = []
     for number, (sphere, nominal) in enumerate(zip(measured.spheres, ball_bar.diameters, strict=True), start=1):

@@ -38,7 +38,9 @@ class Row:
 
 
 def summary(acceptance: Acceptance) -> Iterator[Row]:
-    """For each kind of error: the largest, where it was, and how many there are of how many the standard asks for."""
+    """Return for each kind of error the largest, where it occurred, and how many of the number that the standard
+    requires were measured.
+    """
     unit = shown_unit(acceptance.unit)
     for quantity, (name, wanted) in NAMES.items():
         worst = acceptance.worst(quantity)
@@ -49,7 +51,7 @@ def summary(acceptance: Acceptance) -> Iterator[Row]:
 
 
 def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
-    """Each error of one kind."""
+    """Return the rows of one kind of error."""
     unit = shown_unit(acceptance.unit)
     for error in acceptance.of(quantity):
         sigma = 0.0 if error.budget is None else error.budget.sigma
@@ -60,7 +62,7 @@ def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
 
 
 def remarks(acceptance: Acceptance) -> Iterator[str]:
-    """What keeps this from being the standard's test."""
+    """Return how this differs from the standard's test."""
     few = [
         f"{name.lower()} {len(acceptance.of(quantity))} of {wanted}"
         for quantity, (name, wanted) in NAMES.items()

@@ -38,7 +38,9 @@ def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> Po
 
 
 def _budget(scan: FinishedScan, scene: Scene, points: Sequence[int], gradient: Floats) -> Budget | None:
-    """What makes a number err that depends on points (n) by `gradient` (3 n,); None where their noise is not known."""
+    """Return the error budget of a number that depends on points (n) by `gradient` (3 n,); None where their noise is
+    unknown.
+    """
     matches = scan.matches[np.array(points)]
     if matches.sigma_px is None:
         return None

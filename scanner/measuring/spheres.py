@@ -100,7 +100,7 @@ def _spread(scan: FinishedScan, on: Bools, sphere: Sphere, errors: SystematicErr
 
 
 def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:
-    """Points of pixels whose rays go into the ball: what is seen there is the ball, or hides it."""
+    """Select points whose pixel's ray meets the ball: they are on the ball, or on what occludes it."""
     ray = _rays(scan.points)
     from_ray = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
     from_centre = np.linalg.norm(scan.points - centre, axis=1)
