@@ -42,7 +42,7 @@ def scan(
 
     Take `captures` of the corner. Between them the rig is moved as a whole; the `operator` is asked to do so (default:
     the `terminal`). `progress` receives the progress (default: the `terminal`); if it raises, the scan ends as by
-    Ctrl-C, and what was captured is kept. `on_cloud` is called with the clouds, in a thread of its own, while they are
+    Ctrl-C, and what was captured is kept. `on_cloud` is called with the result, in a thread of its own, while it is
     being saved. Raises InputError, DeviceError, RefusalError.
     """
     # Whatever could be refused after the capture is asked before it.

@@ -26,8 +26,9 @@ _AlongAxis = Callable[[Axis, int], _Parts]
 
 
 def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
-    """Return the layouts with these `periods` per picture, in the order of the frames; None: the usual numbers of
-    periods, where any are usual.
+    """Return the layouts with these `periods` per picture, in the order of the frames.
+
+    None: try the usual sets of close periods; a single fringe with a Gray code has no usual number.
     """
     several = [periods] if periods else [order for usual in _USUAL for order in (usual, usual[::-1])]
     close = [partial(_close, counts) for counts in several if len(counts) > 1]

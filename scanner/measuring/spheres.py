@@ -100,7 +100,7 @@ def _spread(scan: FinishedScan, on: Bools, sphere: Sphere, errors: SystematicErr
 
 
 def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:
-    """Select points whose pixel's ray meets the ball: they are on the ball, or on what occludes it."""
+    """Select points on the ball: their ray passes well inside its outline, and they lie near its surface."""
     ray = _rays(scan.points)
     from_ray = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
     from_centre = np.linalg.norm(scan.points - centre, axis=1)

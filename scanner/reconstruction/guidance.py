@@ -21,14 +21,14 @@ _NOT_A_STEP = 0.05  # of the longest part of it
 
 @dataclass(frozen=True)
 class Guidance:
-    """What to tell an operator after some captures; `enough`: a further one is not needed for a measurement."""
+    """Advice to an operator after some captures; `enough`: a further one is not needed for a measurement."""
 
     sentences: tuple[str, ...]
     enough: bool
 
 
 def guide(captures: Sequence[Decoded], config: Config) -> tuple[Guidance, list[Decoded]]:
-    """What the captures so far are worth, and the same with the faces that were found in them."""
+    """Return advice from the captures so far, and the captures with the faces found in them."""
     try:
         labelled = label(captures, [*captures])
     except RefusalError as refusal:

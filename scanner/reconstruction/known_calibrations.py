@@ -13,7 +13,7 @@ _YAML = (".yaml", ".yml")
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether a path is that of a calibration file, or of a result that has a calibration and no matches."""
+    """Whether a path is a calibration file, or a result that has a calibration and no matches."""
     if path.is_dir():
         return (path / CALIBRATION_FILE).is_file() and not (path / MATCHES_FILE).exists()
     return path.suffix.lower() in _YAML

@@ -69,7 +69,7 @@ def average(
 
 
 def _zeros(*shape: int) -> Light:
-    """In memory, or in a file that has no name any more if they are many."""
+    """Allocate in memory, or in an unlinked temporary file if large."""
     if 4 * math.prod(shape) <= _MOST_BYTES_IN_MEMORY:
         return np.zeros(shape, np.float32)
     with tempfile.TemporaryFile() as file:

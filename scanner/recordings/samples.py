@@ -49,7 +49,7 @@ class VideoSamples:
 
     @cached_property
     def range(self) -> Floats:
-        """(R, C): from the darkest to the brightest frame, without the extreme ones, relative to that of luma."""
+        """The range (R, C) from the darkest to the brightest frame, without outliers, relative to the range of luma."""
         low, high = np.percentile(self.codes, (2, 98), axis=0)
         spread: Floats = (high - low) / (self.video.codes.white - self.video.codes.black)
         return spread

@@ -1,4 +1,4 @@
-"""How much of the later of two pictures is in each row of the frames around a change."""
+"""The share of the later of two pictures in each row of the frames around a change."""
 
 from dataclasses import dataclass
 
