@@ -157,9 +157,9 @@ def sequence_for(
 ) -> tuple[Pattern, ...]:
     """White, black, a code down to `cell` for each axis, then fringes of `periods` along both in `shifts` steps each.
 
-    Each fringe along y lies between the two halves of that along x, and its own steps run backwards relative to them.
-    So both are measured at the same time on average, and a slow drift shifts neither against the other. A sudden motion
-    between them splits the fringe along x, which is detected.
+    Each fringe along y lies between the two halves of that along x, the second of which runs backwards. So both are
+    measured at the same time on average, and a slow drift shifts neither against the other. A sudden motion between
+    them splits the fringe along x, which is detected.
 
     A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
     no fringe order depends on a single edge. `shifts` = 0 omits the fringes.

@@ -6,8 +6,8 @@ FACE_NAMES = ("A", "B", "C")
 
 
 def device_names(calibration: Calibration, number: int = 1, among: int = 1) -> tuple[str, str]:
-    """Return the names of both devices of capture `number` (from 1, the oldest) of `count`; photos have a single camera
-    instead.
+    """Return the names of both devices of capture `number` (from 1, the oldest) of `among`. Pairs of photos have one
+    camera.
 
     Every pair of photos includes the first; the newest pair is the one with the second.
     """

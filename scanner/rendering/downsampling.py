@@ -46,10 +46,11 @@ def extent(values: Map) -> tuple[int, int, int, int]:
 
 @compiled
 def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
-    """How many numbers of a map (H, W) are within ± `limit`; and where, row by row, of at most so many of them (n,).
+    """Count the numbers of a map (H, W) within ± `limit`, and return the positions of a sample of them (n,), row by
+    row.
 
-    Of each of so many stretches one is drawn at random, though always the same: at even distances they would fall into
-    step with the rows.
+    One is drawn at random, with a fixed seed, from each of equally many stretches; equal steps would alias with the
+    rows.
     """
     count = 0
     for row in range(values.shape[0]):

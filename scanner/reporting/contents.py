@@ -1,4 +1,4 @@
-"""What a report is made from."""
+"""The contents of a report."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,12 +62,12 @@ class ReportInput:
 
     @property
     def facts(self) -> CaptureMetadata:
-        """How the capture was taken."""
+        """The metadata of the capture."""
         return self.outcome.decoded.facts
 
     @property
     def matches(self) -> Matches:
-        """With face labels where faces were found."""
+        """The matches, with face labels where faces were found."""
         return self.outcome.decoded.matches
 
     @property
@@ -77,18 +77,18 @@ class ReportInput:
 
     @property
     def solution(self) -> SelfCalibration | None:
-        """What calibrated the capture; None after a refusal, or where the calibration was given."""
+        """The self-calibration of the capture; None after a refusal, or where the calibration was given."""
         return self.reconstructed.solution if self.reconstructed else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What decoding has found that a person should mind."""
+        """Warnings of the decoder."""
         decoding = self.outcome.decoded.decoding
         return decoding.warnings if decoding else ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else a person should know."""
+        """Further remarks on the capture."""
         return (*(self.solution.notes if self.solution else ()), *self.company.remarks)
 
     @cached_property
@@ -120,7 +120,9 @@ class ReportInput:
 
     @cached_property
     def in_cloud(self) -> tuple[int, Ints]:
-        """How many pixels of the camera have a point, and some of them by number (n,): 100,000 at most, row by row."""
+        """The number of camera pixels that have a point, and the indices of a sample of them (n,): 100,000 at most, row
+        by row.
+        """
         if self.reconstructed is None:
             return 0, np.zeros(0, np.int64)
         return places_within(self.reconstructed.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)

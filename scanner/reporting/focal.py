@@ -71,7 +71,7 @@ def _by_calibration(matches: Matches, calibration: Calibration) -> Objective:
 
 
 def _without_bend(pixels: Floats, device: Intrinsics) -> Floats:
-    """Where pixels (N, 2) would be without the lens's distortion; NaN where the lens model has no inverse."""
+    """Undistort pixels (N, 2); NaN where the lens model has no inverse."""
     straight: Floats = device.unproject(pixels)[:, :2] * np.array(device.focal_px) + np.array(device.principal_point_px)
     return straight
 

@@ -20,7 +20,7 @@ class Price:
 
 
 def price_of_principal_point(solution: SelfCalibration | None) -> Price:
-    """What an error of a principal point that was taken as known would cost."""
+    """Return the effect of an error in a principal point that was taken as known."""
     if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
         return Price()
     by_pixel = solution.uncertainty.by_principal_point[[CAMERA.start, PROJECTOR.start]]  # of log f

@@ -1,4 +1,4 @@
-"""The person at the rig, who is told things, and asked to move it."""
+"""The person at the rig, who receives messages, and is asked to move it."""
 
 from typing import Protocol
 

@@ -19,7 +19,7 @@ def shuffled(count: int) -> Ints:
 
 
 def statement(shown: int, total: int) -> str:
-    """How many points are shown, in words: 'showing 1 in 8 of 4.9 million points'."""
+    """State how many points are shown: 'showing 1 in 8 of 4.9 million points'."""
     if not 0 <= shown <= total:
         raise ValueError(f"expected 0 to {total} points to be shown, found {shown}")
     if shown == total:

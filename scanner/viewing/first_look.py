@@ -42,7 +42,9 @@ def _chosen(count: int) -> np.ndarray:
 
 
 def _rig(capture: Reconstructed, pose: Floats) -> Iterator[PlacedRig]:
-    """In the cloud's frame, by the pose (3, 4) of its camera; none without a picture of what the camera saw."""
+    """Return the devices in the cloud's frame, by the pose (3, 4) of its camera; none without the camera's white
+    picture.
+    """
     texture = capture.decoded.texture
     if texture is not None:
         yield PlacedRig(capture.calibration, pose[:, :3], pose[:, 3], photograph(texture))

@@ -55,7 +55,7 @@ class PlacedRig:
 
     @property
     def projector_centre(self) -> Floats:
-        """Where the projector is in the cloud's frame, (3,)."""
+        """The projector's centre in the cloud's frame, (3,)."""
         return self.to_cloud(self.calibration.projector_centre)
 
     def to_cloud(self, points: Floats) -> Floats:
@@ -94,12 +94,12 @@ class CaptureCloud(ViewedCloud):
 
     @property
     def matches(self) -> Matches:
-        """Of the points, row by row."""
+        """The matches of the points, row by row."""
         return self.scan.matches
 
     @property
     def calibration(self) -> Calibration:
-        """Of the rig that saw them."""
+        """The calibration of the rig that measured the points."""
         return self.scan.calibration
 
     @property
@@ -151,11 +151,11 @@ class ViewedResult:
 
     @cached_property
     def verdict(self) -> Verdict | None:
-        """What the report concludes; None for a result that does not say."""
+        """The verdict of the report; None if the result has none."""
         return read_verdict(self.folder / CALIBRATION_FILE)
 
     def _names(self) -> tuple[str, ...]:
-        """What can be looked at, the best first."""
+        """Return the names of the clouds, the best first."""
         if self._room is not None:
             return (WHOLE_ROOM, *self._captures)
         merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
@@ -177,7 +177,7 @@ class ViewedResult:
         return f"Capture {number}" if among > 1 else "The capture"
 
     def _cloud(self, name: str) -> ViewedCloud:
-        """What is called `name`. Raises InputError if its files are missing or damaged."""
+        """Read the cloud called `name`. Raises InputError if its files are missing or damaged."""
         if name == ALL_CAPTURES:
             return self._merged()
         if name == WHOLE_ROOM and self._room is not None:
@@ -231,7 +231,9 @@ class ViewedResult:
         return ViewedCloud(cloud.points, cloud.normals, cloud.colours, tuple(rigs), corner, up, unit, "corner")
 
     def _poses(self) -> Sequence[Floats | None]:
-        """Of the captures' cameras in the merged cloud, the newest first; None where an older result does not say."""
+        """Read the poses of the captures' cameras in the merged cloud, newest first; None if an older result has
+        none.
+        """
         path = self.folder / POSES_FILE
         return read_poses(path, len(self._captures))[::-1] if path.is_file() else [None] * len(self._captures)
 

@@ -21,12 +21,12 @@ class KnownScale:
 
     @property
     def keys(self) -> dict[str, float]:
-        """For the configuration file."""
+        """Return the scale as keys of the configuration file."""
         return {"scale.baseline_m": float(f"{self.baseline_m:.7g}"), "scale.sigma_m": float(f"{self.sigma_m:.3g}")}
 
     @property
     def line(self) -> str:
-        """As a person would write it there."""
+        """Return the scale as a line of the configuration file."""
         baseline_m, sigma_m = self.keys.values()
         return f"scale: {{baseline_m: {baseline_m}, sigma_m: {sigma_m}}}"
 
