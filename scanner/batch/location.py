@@ -1,4 +1,4 @@
-"""A folder of this machine, or one that is far away: whatever fsspec reads and writes, such as s3://bucket/folder."""
+"""A local folder or a remote one: any location that fsspec reads and writes, such as s3://bucket/folder."""
 
 import glob
 import os

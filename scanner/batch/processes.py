@@ -1,4 +1,4 @@
-"""The processors of this machine: a process each, which is started again if it dies or takes more than its share."""
+"""Worker processes, one per processor; a process is restarted if it dies or exceeds its share of the memory."""
 
 import contextlib
 import multiprocessing

@@ -59,7 +59,7 @@ def _line(value: object) -> str:
 
 
 def _synchronisation(measured: object) -> dict[str, str]:
-    """What a rig of real devices has written down about its acquisition, as far as it did."""
+    """Return what a real rig has recorded about its acquisition, as far as it is there."""
     if not isinstance(measured, Mapping):
         return {}
     rows = {

@@ -119,7 +119,7 @@ def _keys(values: Mapping[str, object]) -> str:
 
 
 def _sequence(patterns: Sequence[Pattern]) -> str:
-    """All that is going to be shown, so that a capture which stops early says what it lacks."""
+    """Return the complete planned sequence, so that a capture that stops early states what is missing."""
     return "sequence:\n" + "".join(f"  - {flow_yaml(pattern_to_dict(pattern))}\n" for pattern in patterns)
 
 

@@ -50,7 +50,7 @@ class _FrameEntry(Entry):
 
     @property
     def read_back(self) -> tuple[float | None, int | None]:
-        """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
+        """Read exposure and time stamp. Other programs may use these keys otherwise, which is no error."""
         found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
         exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None

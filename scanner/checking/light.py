@@ -59,7 +59,7 @@ class Light:
 
     @cached_property
     def lit(self) -> Bools:
-        """(H, W): where the projector's light falls directly, as far as brightness tells; nowhere if noise is all."""
+        """Return where the projector's light falls directly, (H, W), judged by brightness; nowhere if all is noise."""
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
         difference = (grey(self.black[-1]) - grey(self.black[-2])).reshape(-1)

@@ -25,7 +25,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One thing that was looked at: its `name`, its state, what was found, and what to do (empty: nothing)."""
+    """One checked item: its `name`, its state, the finding, and what to do (empty: nothing)."""
 
     name: str
     state: State

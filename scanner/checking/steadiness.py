@@ -1,8 +1,8 @@
-"""Does anything drift while the check goes on? The same fringes and the same white, seen again at its end.
+"""Detect drift during the check, from the same fringes and the same white at its beginning and its end.
 
-Each pixel's phase tells by how much its projector coordinate has changed; what a turn of the projector or of the camera
-does to all of them is fitted to that. The same pictures are compared, in frames that have settled, so that nothing else
-about them (a ghost, a bent response) is taken for motion. A lamp that is not warm yet changes its brightness.
+The phase gives the change of each pixel's projector coordinate. A rotation of the projector or of the camera is fitted
+to these changes. The same pictures are compared, in settled frames, so that no other effect (ghosting, a nonlinear
+response) is taken for motion. A lamp that is still warming up changes its brightness.
 """
 
 import time

@@ -24,7 +24,9 @@ _PLAUSIBLE_BASELINES = (2.0, 40.0)
 
 @dataclass(frozen=True)
 class Sheet:
-    """One depth of a comparison; all arrays (H, W) over the camera's picture, NaN where not both devices see."""
+    """One depth of a comparison; all arrays are (H, W) over the camera's picture, NaN outside the common field of
+    view.
+    """
 
     depth: float
     length: Floats

@@ -219,7 +219,7 @@ class CharucoSettings(Section):
 
 
 class ScaleSettings(Section):
-    """One length that is known; without one, lengths are in units of the baseline."""
+    """One known length; without it, lengths are in units of the baseline."""
 
     baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
     camera_to_corner_m: Number | None = Field(

@@ -30,7 +30,7 @@ def status_text(status: Status) -> str:
 
 
 def _time_text(status: Status) -> str:
-    """How long it still takes, or where nothing tells, how long it has taken; '' for a moment."""
+    """Return the remaining time or, where it is unknown, the elapsed time; '' during the first moment."""
     stage = status.stage
     if stage is None or not status.busy:
         return ""

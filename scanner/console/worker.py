@@ -1,4 +1,4 @@
-"""One thread that owns the rig, and does one thing at a time: live image, check, or scan."""
+"""The thread that owns the rig, and does one thing at a time: live image, check, or scan."""
 
 import logging
 import time
@@ -70,7 +70,7 @@ class Page(Protocol):
         """The camera has taken a frame."""
 
     def on_captured(self) -> None:
-        """All frames of a capture are taken."""
+        """Called when all frames of a capture are taken."""
 
     def on_row(self, row: CheckRow) -> None:
         """The check has found something."""

@@ -1,4 +1,4 @@
-"""The cloud as ASTM E57, by way of pye57, which is an optional dependency.
+"""Write the cloud as ASTM E57, with pye57, an optional dependency.
 
 E57 is in metres, and the programs that read it take z for up. So the camera's axes (x right, y down, z forward) become
 x right, y forward, z up, with the origin at the camera's centre: upright if the camera was. A whole room has a scan for

@@ -79,8 +79,9 @@ def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int],
 
 
 def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
-    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows; at middles of cells it
-    tells neither.
+    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows.
+
+    `middle`: the coordinate of the cell's middle, so that neighbours in the same cell do not count.
     """
     both = 0.0
     for axis in (0, 1):

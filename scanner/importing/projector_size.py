@@ -73,7 +73,7 @@ def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) ->
 
 
 def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tuple[Extent, Extent]:
-    """Of x and of y, by a candidate's matches."""
+    """Return the extents in x and in y, from a candidate's matches."""
     numbers = np.stack([_numbers(candidate.patterns, axis, matches.projector_px) for axis in (0, 1)], axis=1)
     inside = np.all(np.abs(matches.camera_px / camera_size - 0.5) < 0.5 - _BORDER, axis=1)
     x, y = (_extent(numbers[:, axis], numbers[:, 1 - axis], inside) for axis in (0, 1))

@@ -27,7 +27,7 @@ _Row = tuple[_Cosine, _Cosine, _Cosine]
 
 
 def _repeated(count: int) -> BeforeValidator:
-    """One number in place of `count` of them stands for each."""
+    """Expand a single number to `count` copies."""
     return BeforeValidator(lambda found: found if isinstance(found, list) else [found] * count)
 
 
@@ -148,7 +148,7 @@ def _device_to_dict(device: Intrinsics) -> dict[str, object]:
 
 
 def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
-    """By the keys of `_SigmaEntry`, in its order; what is unknown has none."""
+    """Return the sigmas by the keys of `_SigmaEntry`, in its order, without unknown ones."""
     camera, projector = sigma.camera, sigma.projector
     values = [
         *(_one_if_alike(camera.focal_px), camera.principal_point_px, camera.distortion),

@@ -63,7 +63,7 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """All of a regular file. Raises InputError as `opened` does."""
+    """Read all of a regular file. Raises InputError as `opened` does."""
     with opened(path, most_bytes) as file:
         return file.read(min(os.fstat(file.fileno()).st_size, most_bytes))
 

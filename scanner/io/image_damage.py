@@ -1,8 +1,7 @@
-"""Whether all of an image file is there, and as it was written, as far as its format can tell.
+"""Check that an image file is complete and undamaged, as far as its format allows.
 
-OpenCV decodes, and accepts much that is damaged. Pillow is a second opinion on TIFF, whose damage it tells where the
-pixels are compressed. A bit that was flipped in a format without check sums is a wrong pixel, which nothing in the file
-tells.
+OpenCV decodes, and accepts much that is damaged. Pillow is a second opinion on TIFF, where it detects damage in
+compressed pixels. In a format without checksums, a flipped bit is a wrong pixel, which cannot be detected.
 """
 
 import zlib

@@ -60,7 +60,7 @@ def png_of(image: Image) -> bytes:
 
 @dataclass(frozen=True)
 class _CheckSum:
-    """Adler-32 of so many bytes."""
+    """The Adler-32 checksum of `length` bytes."""
 
     adler: int
     length: int

@@ -31,7 +31,7 @@ NAMES = {
 
 @dataclass(frozen=True)
 class Row:
-    """One error, or the largest of a kind, as text: what it is, its cells, and what is to be minded."""
+    """One error, or the largest of a kind, as text: its name, its cells, and a remark."""
 
     name: str
     cells: tuple[str, ...]
@@ -98,7 +98,7 @@ def summary_table(acceptance: Acceptance) -> Table:
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:
-    """All errors for other programs. Raises OSError."""
+    """Write all errors for other programs. Raises OSError."""
     document = {"format": _FORMAT, **asdict(acceptance)}
     path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 

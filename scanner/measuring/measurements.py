@@ -97,7 +97,9 @@ class AngleMeasurement:
 
 @dataclass(frozen=True)
 class PointAngle:
-    """At the second of three `points` (3, 3), between the lines to the others; `budget` None where unknown."""
+    """The angle at the second of three `points` (3, 3), between the lines to the others; `budget` None where
+    unknown.
+    """
 
     points: Floats
     angle_deg: float

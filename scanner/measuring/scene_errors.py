@@ -56,7 +56,9 @@ def rig_errors(calibration: Calibration, uncertainty: Uncertainty | None) -> Sys
 
 
 def known_lengths(points: Floats, errors: SystematicErrors) -> KnownLengths | None:
-    """Around the middle of points (N, 3); None where the calibration's covariance is not known, or without points."""
+    """Return the uncertainty of lengths around the middle of points (N, 3); None without points, or without the
+    calibration's covariance.
+    """
     if not errors.known or not len(points):
         return None
     calibration = errors.calibration

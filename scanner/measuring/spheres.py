@@ -30,7 +30,9 @@ _LARGEST_SIZE_ERROR, _LARGEST_SCATTER = 0.15, 0.1
 def measure_spheres(
     scan: FinishedScan, diameters: list[float], errors: SystematicErrors
 ) -> tuple[SphereMeasurement, ...]:
-    """One sphere for each diameter, in the scan's unit; given twice, two different ones. Raises NoMeasurementError."""
+    """Fit one sphere for each diameter, in the scan's unit; a diameter given twice finds two spheres. Raises
+    NoMeasurementError.
+    """
     cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
     free = np.ones(len(scan), np.bool_)
     rng = np.random.default_rng(0)

@@ -29,7 +29,7 @@ class White:
 
 @dataclass(frozen=True)
 class Black:
-    """Nothing lit but the projector's black level."""
+    """The projector's black level."""
 
     def brightness(self, x: Floats, y: Floats) -> Floats:
         """Brightness 0 … 1 at projector coordinates of equal shape."""

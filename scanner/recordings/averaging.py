@@ -1,4 +1,4 @@
-"""The pictures of a capture, as weighted sums of the frames of a recording, which is read once more for them."""
+"""Compute the pictures of a capture as weighted sums of the frames of a recording, which is read once more."""
 
 import math
 import tempfile
@@ -41,7 +41,7 @@ def average(
     keep: Collection[int],
     progress: Progress,
 ) -> Averaged:
-    """Read a recording of so many frames again. Raises InputError."""
+    """Read a recording again and average its frames. Raises InputError."""
     lights = video.codes.light(tone)
     height, width = video.size.height, video.size.width
     sums = _zeros(len(weights), height, width)

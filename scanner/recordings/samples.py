@@ -1,4 +1,6 @@
-"""Some pixels of every frame of a recording: enough to tell both clocks, the tone curve and what the camera did."""
+"""Sample some pixels of every frame of a recording: enough for both clocks, the tone curve and changes by the
+camera.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property

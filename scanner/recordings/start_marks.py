@@ -85,7 +85,9 @@ def _brightness(samples: VideoSamples) -> Floats:
 
 
 def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: float) -> tuple[list[float], float]:
-    """Beginnings of the marks, in order, and the clocks' ratio, which is one of `_RATES` in all of them."""
+    """Return the beginnings of the marks, in order, and the ratio of the clocks, one of `_RATES`, the same for all
+    marks.
+    """
     best, best_rate = list[tuple[float, float]](), 1.0
     for rate in _RATES:
         found = _at_rate(times, brightness, mark, hold_s * float(rate))

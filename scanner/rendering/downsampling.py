@@ -102,10 +102,10 @@ def cells_over(size: tuple[int, int], most: int) -> tuple[int, int, int]:
 
 @compiled
 def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: int, columns: int) -> Ints:
-    """One of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
+    """Select one of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
 
-    Drawn at random, though always the same: the first, say, of each would beat with fringes in the image, and show a
-    pattern that is none. Where pixels are many, there are still a dozen or more to draw from.
+    The choice is random with a fixed seed: the first pixel of each cell, say, would alias with fringes in the image.
+    Where pixels are dense, each cell has a dozen or more to choose from.
     """
     drawn = np.full((rows, columns), -1, np.int64)
     lots = np.zeros((rows, columns), np.uint64)

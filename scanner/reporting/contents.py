@@ -21,8 +21,8 @@ _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 class CaptureRow:
     """One of several captures that were calibrated together.
 
-    `report` is where its own report is, relative to this one, '' for this one. `residual_px`, the cloud's
-    `statistics` and its `calibration` are None where a refusal came first.
+    `report` is the path of its own report, relative to this one; '' for this one. `residual_px`, the cloud's
+    `statistics` and its `calibration` are None if the scan was refused before.
     """
 
     name: str
@@ -93,7 +93,7 @@ class ReportInput:
 
     @cached_property
     def on_faces(self) -> Ints:
-        """Some of the matches with a face, by number (n,): all, or one in each cell of `cell_px` of the image."""
+        """Return indices (n,) of matches with a face: all, or one in each cell of `cell_px` of the image."""
         face = self.matches.face
         if face is None:
             return np.zeros(0, np.int64)
@@ -115,7 +115,7 @@ class ReportInput:
 
     @property
     def cell_px(self) -> int:
-        """Side of square cells that are fine enough for what a page shows of matches."""
+        """The side of the square cells in which a page samples matches."""
         return cells_over(self.facts.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property

@@ -32,7 +32,7 @@ class FocalLength:
 
 
 def focal_length(report: ReportInput) -> FocalLength | None:
-    """Both curves, as far as there are labelled faces; None if there is neither."""
+    """Plot both curves, as far as there are labelled faces; None if there is neither."""
     solution = report.solution
     likelihood = None
     if solution is not None and solution.method == "refined":

@@ -13,7 +13,9 @@ _SHIFT_PX = 10.0
 
 @dataclass(frozen=True)
 class Price:
-    """`sentences` for a person, none if there was no such assumption; `per_px`: the larger focal's relative change."""
+    """The effect of the assumption: `sentences` for a person, none without one; `per_px`: relative change of the larger
+    focal length.
+    """
 
     sentences: tuple[str, ...] = ()
     per_px: float = 0.0

@@ -86,8 +86,8 @@ def _may_take(out: Path, *, replacing: bool) -> bool:
 
 
 def keep_recording(partial: Path, out: Path) -> Path:
-    """Give the frames of a scan that came to no end a visible name, which is returned; the rest goes, for nothing in it
-    may be taken for a result. Raises OSError.
+    """Move the frames of an unfinished scan to a visible name, which is returned, and remove the rest, so that none of
+    it is taken for a result. Raises OSError.
     """
     for folder, recorded in [(partial, _RECORDED), *((each, _RECORDED_OF_SEVERAL) for each in _whole(partial))]:
         for path in folder.iterdir():

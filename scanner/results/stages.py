@@ -150,7 +150,7 @@ Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
 
 @dataclass(frozen=True)
 class Refused:
-    """A capture that got as far as `reached`, of a scan that was refused."""
+    """A capture of a refused scan, at the stage that it `reached`."""
 
     reached: Stage
     refusal: RefusalError

@@ -52,7 +52,7 @@ class Target:
 
     @property
     def points(self) -> Floats:
-        """All its points (N, 2) from its middle, in `UNIT`: row by row, tags with four corners each."""
+        """All points of the board (N, 2) relative to its middle, in `UNIT`: row by row, four corners for each tag."""
         if self.kind == "aprilgrid":
             points = self._tag_corners()
         else:

@@ -4,7 +4,7 @@ from typing import Protocol
 
 
 class Operator(Protocol):
-    """At a terminal, or at a page in the browser."""
+    """The operator, at a terminal or at a page in the browser."""
 
     @property
     def can_ask(self) -> bool:

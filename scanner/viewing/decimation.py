@@ -11,9 +11,9 @@ _SEED = 0
 
 
 def shuffled(count: int) -> Ints:
-    """All of `count` points in an order whose every beginning is spread evenly over them, (count,); always the same.
+    """Return a permutation of `count` points, (count,), whose every prefix is spread evenly over them; always the same.
 
-    Points in the order of the camera's rows would show stripes where every nth is taken.
+    Every nth point in the order of the camera's rows would show stripes.
     """
     return np.random.default_rng(_SEED).permutation(count)
 

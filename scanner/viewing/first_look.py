@@ -12,9 +12,9 @@ from scanner.viewing.result import PlacedRig, ViewedCloud
 
 
 def first_look(scan: Scan) -> tuple[ViewedCloud, int]:
-    """At most `DEFAULT_SHOWN` points of what is looked at first in the result, and how many there are of it.
+    """Return at most `DEFAULT_SHOWN` points of the result's first cloud, and how many points it has.
 
-    These are the merged cloud, or that of the newest capture. No corner is in it yet: its faces are still measured.
+    This is the merged cloud, or that of the newest capture. It has no corner yet: the faces are still being measured.
     """
     merged, newest = scan.merged, scan.newest
     if merged is not None:

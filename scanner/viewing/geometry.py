@@ -35,7 +35,7 @@ def typical_size(cloud: ViewedCloud) -> float:
 
 
 def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
-    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view.
+    """Return the view from behind, above and beside the newest camera into the corner, with cloud and devices in view.
 
     `aspect`: of the window, width over height.
     """

@@ -65,7 +65,7 @@ class PlacedRig:
 
 @dataclass(frozen=True, eq=False)
 class ViewedCloud:
-    """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
+    """A cloud and its devices, in the cloud's frame, except `corner`, which is in the frame of the first rig.
 
     `points` (N, 3), `normals` (N, 3), `colours` (N, 3) RGB; `rigs`, the newest first; `up` (3,) points up.
     """
@@ -138,7 +138,7 @@ class CaptureCloud(ViewedCloud):
 
 
 class ViewedResult:
-    """A result folder, read as far as it is looked at. Raises InputError if it is none, or its capture was refused."""
+    """A result folder, read on demand. Raises InputError if it is not one, or if its capture was refused."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -26,7 +26,9 @@ PLAIN = (90, 98, 106)  # of buttons that are not what one usually presses next
 
 
 class ViewControls:
-    """Of one cloud, in the container that is open when it is made; `name` is what a part of it is called as a file."""
+    """The controls of one cloud, in the GUI container that is open on creation; `name` is used for files of a part of
+    it.
+    """
 
     def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, name: str) -> None:
         self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
