@@ -120,7 +120,9 @@ def replay(
     Raises InputError, RefusalError.
     """
     if masks and calibration:
-        raise InputError("--masks says where to calibrate and --calibration that there is no need to: give one of them")
+        raise InputError(
+            "--masks selects what to calibrate from, and --calibration replaces calibrating: give one of them"
+        )
     settings = config or Config()
     recording = open_capture(capture)
     settings.principal_point(recording.camera_size)
@@ -171,7 +173,7 @@ def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[
             )
     if config.earlier:
         raise InputError(
-            "'earlier' says what to calibrate together with, and --calibration that there is no need to: give one "
+            "'earlier' adds captures to calibrate from, and --calibration replaces calibrating: give one "
             "of them, as with --set earlier=[]"
         )
     return calibration, read_uncertainty(path, calibration)

@@ -74,7 +74,7 @@ is known is shown in any case.
         "measure",
         """
 The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
-and the distance of their centres is told, too.
+and measures the distance of their centres, too.
 """,
     ),
     "accept": Command(
@@ -136,7 +136,7 @@ Exit codes: 4 if no two stations belong together, or if one could as well be tur
         arguments.of_compare,
         "compare",
         """
-Differences are told in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
+Differences are given in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
 is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
 """,
     ),

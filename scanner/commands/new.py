@@ -35,7 +35,7 @@ def run(args: Namespace) -> None:
 
 def _next(name: str, path: Path) -> str:
     if RIGS[name].backend:
-        return f"scan check --config {path} looks at both devices, and says what to set."
+        return f"scan check --config {path} tests both devices, and proposes settings."
     stations = " --stations 6" if name == "whole-room" else ""
     return f"scan --config {path}{stations} scans; the result goes to {default_out(path.stem, overwrite=True)}/"
 

@@ -19,7 +19,7 @@ def summary(found: Comparison) -> Iterator[str]:
     where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
     size = f"{unit.error(float(difference.length[worst]))} and {difference.px[worst]:.2g} projector px"
     if not any(found.known):
-        yield f"They differ by up to {size}, {where}. Neither says its covariance: nothing tells whether that is much."
+        yield f"They differ by up to {size}, {where}. Neither has a covariance: whether that is significant is unknown."
         return
     allowed = unit.error(float(difference.length_sigma[worst]))
     if difference.agree:
@@ -38,7 +38,7 @@ def summary(found: Comparison) -> Iterator[str]:
     )
     for name, known in zip(found.names, found.known, strict=True):
         if not known:
-            yield f"{name} says nothing of its covariance: the sigmas are those of the other one."
+            yield f"{name} has no covariance: the sigmas are those of the other calibration only."
     if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
         yield (
             f"{unit.error(difference.unexplained)} of it, root mean square, is of a kind that neither covariance "

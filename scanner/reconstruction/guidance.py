@@ -48,7 +48,7 @@ def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
     sigmas = relative_focal_sigmas(newest.calibration)
     enough = len(sigmas) == 2 and max(sigmas.values()) <= MEASUREMENT_GRADE
     known = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    sentences = [f"So far the focal lengths are known to {known}." if known else "How certain this is cannot be said."]
+    sentences = [f"So far the focal lengths are known to {known}." if known else "The uncertainty is unknown."]
     sentences += [note for note in newest.solution.notes if note.startswith(FROM_ONE_PLACE)]
     if len(calibrated) > 1:
         sentences.append(_on_overlap(calibrated))

@@ -42,7 +42,7 @@ def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCa
     """
     if solution.likely_percent > _MOST_PERCENT:
         cost = (
-            f"What may be left of the motion costs {solution.likely_percent:.2g} % of the intrinsics, of which this "
+            f"The remaining motion may cost {solution.likely_percent:.2g} % of the intrinsics, of which this "
             f"view is unsure by {solution.at_rest_percent:.2g} % anyway. Both are part of their sigmas."
         )
         solution = replace(solution, notes=(*solution.notes, cost))

@@ -117,5 +117,5 @@ def _on_rows(weights: list[PictureWeights]) -> tuple[str, ...]:
     if unmixed > 0:
         notes.append(f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures.")
     if lost > 0:
-        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be told from their neighbours.")
+        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be separated from other pictures.")
     return tuple(notes)

@@ -56,7 +56,7 @@ def read_calibration_of(folder: Path) -> Calibration:
         raise InputError(f"{folder}: expected a result folder, found {'a file' if folder.exists() else 'nothing'}")
     if (folder / MATCHES_FILE).is_file():
         raise InputError(
-            f"{folder}: has matches but no {CALIBRATION_FILE}: no trustworthy calibration could be had from this "
+            f"{folder}: has matches but no {CALIBRATION_FILE}: no trustworthy calibration was possible from this "
             "capture; its report.html says why and what to do"
         )
     raise InputError(f"{folder}: expected a result folder, with {CALIBRATION_FILE} and {CLOUD_FILE}, found neither")

@@ -74,7 +74,7 @@ def warning(host: str) -> str:
         return ""
     return (
         f"Warning: this page is offered to the network at {host}, unencrypted: whoever learns the address below, with "
-        "its token, can press its buttons. Leave --host out to keep it private."
+        "its token, can press its buttons. Omit --host to keep it private."
     )
 
 
