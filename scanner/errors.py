@@ -23,12 +23,14 @@ class StorageError(Exception):
 
 
 def is_of_the_disk(error: BaseException) -> bool:
-    """Whether the disk is what an error is about, and nothing that was read from it."""
+    """Whether an error concerns the disk itself, not the content that was read from it."""
     return isinstance(error, StorageError) or (isinstance(error, OSError) and error.errno in DISK_TROUBLE)
 
 
 def cannot_write(where: object, error: OSError, what: str = "written") -> StorageError | InputError:
-    """What is said of an error in writing: a disk that does not take it, or a path where nothing can be `what`."""
+    """Return the error for a failed write: StorageError if the disk refused it, InputError if `where` cannot be
+    `what`.
+    """
     said = f"{where}: cannot be {what}: {error.strerror or error}"
     if error.errno in DISK_TROUBLE or error.errno in _REMEDIES:
         return StorageError(f"{said}; {_REMEDIES.get(error.errno or 0, _FULL)}")

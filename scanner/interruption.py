@@ -62,7 +62,9 @@ def _come_again(number: int) -> None:
 
 
 def _swallowed(what: "sys.UnraisableHookArgs") -> None:
-    """Where nothing can be raised (in a destructor, in what C calls), an interruption comes a moment later."""
+    """Repeat an interruption a moment later if it came where nothing can be raised: in a destructor, or in a callback
+    from C.
+    """
     if issubclass(what.exc_type, KeyboardInterrupt):
         _thread.start_new_thread(_come_again, (signal.SIGINT,))
     else:
@@ -79,7 +81,7 @@ def on_ending(handler: Handler | signal.Handlers) -> None:
 
 @contextmanager
 def handlers_restored() -> Iterator[None]:
-    """What the block sets by `on_ending` is as it was when it is over."""
+    """Restore on exit the handlers that the block sets by `on_ending`."""
     before = {number: signal.getsignal(number) for number in _ENDING}
     hook, sys.unraisablehook = sys.unraisablehook, _swallowed
     try:
@@ -93,9 +95,9 @@ def handlers_restored() -> Iterator[None]:
 
 @contextmanager
 def finishing(*, ending: bool = False) -> Iterator[None]:
-    """The block is not interrupted: what came meanwhile comes after it, if it ends well.
+    """Defer interruptions until the block ends; one that arrived meanwhile is delivered if the block succeeds.
 
-    `ending`: the program is on its way out already, so that nothing need come any more.
+    `ending`: the program is ending anyway, so that no interruption is delivered.
     """
     came: list[int] = []
     with handlers_restored():

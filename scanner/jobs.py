@@ -40,10 +40,10 @@ def scan(
 ) -> Scan:
     """Scan with the configured rig: capture, calibrate, reconstruct.
 
-    `captures` of the corner, between which the rig is moved as a whole, for which the `operator` is asked in place of
-    the `terminal`. `progress` is told of it in place of the `terminal`; what it raises ends the scan as Ctrl-C does:
-    what was captured so far is kept. `on_cloud` is called, in a thread of its own, with what is being saved by then.
-    Raises InputError, DeviceError, RefusalError.
+    Take `captures` of the corner. Between them the rig is moved as a whole; the `operator` is asked to do so (default:
+    the `terminal`). `progress` receives the progress (default: the `terminal`); if it raises, the scan ends as by
+    Ctrl-C, and what was captured is kept. `on_cloud` is called with the result, in a thread of its own, while it is
+    being saved. Raises InputError, DeviceError, RefusalError.
     """
     # Whatever could be refused after the capture is asked before it.
     config.principal_point(config.camera_size)
@@ -78,11 +78,11 @@ def resume(
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
 ) -> tuple[Scan, Path]:
-    """Take what is missing of the capture in what a scan has left that was broken off, and make a result of all of it.
+    """Complete the capture of an interrupted scan, and make a result of all its captures.
 
-    `folder` stays as it is. Whole captures in it are calibrated together with this one. `config` (default: what the
-    recording was made with, with KEY=VALUE `overrides`) and `out` (default: what the scan would have made) are of the
-    new result. Raises InputError, also if rig or scene are not as they were, DeviceError, RefusalError.
+    `folder` stays unchanged. Complete captures in it are calibrated together with this one. `config` (default: the
+    recording's own, with KEY=VALUE `overrides`) and `out` (default: the name that the scan would have used) apply to
+    the new result. Raises InputError, also if rig or scene have changed, DeviceError, RefusalError.
     """
     named = folder if folder.name not in ("", "..") else folder.absolute()
     out = out or unused(named.with_name(_NOT_INCOMPLETE.sub("", named.name)))
@@ -113,14 +113,16 @@ def replay(
     keep_recording: bool = True,
     terminal: Terminal = _SILENT,
 ) -> Scan:
-    """Reconstruct from a recorded capture, whoever made it; with a `calibration` nothing is calibrated.
+    """Reconstruct from a recorded capture; a given `calibration` is used as it is.
 
-    `keep_recording`: a copy of it becomes part of the result.
+    `keep_recording`: copy the recording into the result.
 
     Raises InputError, RefusalError.
     """
     if masks and calibration:
-        raise InputError("--masks says where to calibrate and --calibration that there is no need to: give one of them")
+        raise InputError(
+            "--masks selects what to calibrate from, and --calibration replaces calibrating: give one of them"
+        )
     settings = config or Config()
     recording = open_capture(capture)
     settings.principal_point(recording.camera_size)
@@ -171,7 +173,7 @@ def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[
             )
     if config.earlier:
         raise InputError(
-            "'earlier' says what to calibrate together with, and --calibration that there is no need to: give one "
+            "'earlier' adds captures to calibrate from, and --calibration replaces calibrating: give one "
             "of them, as with --set earlier=[]"
         )
     return calibration, read_uncertainty(path, calibration)

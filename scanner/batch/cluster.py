@@ -57,7 +57,7 @@ class DaskWorkers:
                 yield job, error
 
     def __str__(self) -> str:
-        """How many workers there are, of how much memory, and where to watch them."""
+        """Return the number of workers, their memory, and where to watch them."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         limits = sorted({worker["memory_limit"] for worker in workers})
         memory = " to ".join(f"{limit / 2**30:.1f} GiB" for limit in (limits[:1] + limits[1:][-1:])) or "no memory yet"

@@ -39,7 +39,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Asked:
-    """What the command line asks of every capture that a list says nothing else of."""
+    """What the command line asks of every capture; an entry of the list may override it."""
 
     config: Path | None = None
     overrides: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""A folder of this machine, or one that is far away: whatever fsspec reads and writes, such as s3://bucket/folder."""
+"""A local folder or a remote one: any location that fsspec reads and writes, such as s3://bucket/folder."""
 
 import glob
 import os
@@ -43,7 +43,7 @@ class Location:
         return tuple(path.strip("/").split("/"))
 
     def walk(self) -> Iterator[tuple["Location", list[str], list[str]]]:
-        """As `os.walk`, from the top: folders that are taken out of the list are not gone into."""
+        """Walk the tree from the top, like `os.walk`: folders that the caller removes from the list are not entered."""
         if self.local:
             for folder, folders, files in os.walk(self.local):
                 yield Location(folder), folders, files
@@ -53,7 +53,7 @@ class Location:
             yield Location(str(system.unstrip_protocol(folder))), folders, files
 
     def glob(self) -> list["Location"]:
-        """What a URL with * in it means, sorted."""
+        """Return the sorted locations that match a URL with *."""
         if self.local:
             return [Location(found) for found in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
         system, path = self._resolved()

@@ -20,7 +20,7 @@ _WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused"
 
 
 def write_page(place: Location, rows: Sequence[Row]) -> None:
-    """Write it. It needs no network, and of other files those of the results. Raises OSError."""
+    """Write the page. It needs no network; it links to the results and to no other files. Raises OSError."""
     counts = Counter(_state(row) for row in rows)
     page = (
         environment()

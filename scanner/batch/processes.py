@@ -1,4 +1,4 @@
-"""The processors of this machine: a process each, which is started again if it dies or takes more than its share."""
+"""Worker processes, one per processor; a process is restarted if it dies or exceeds its share of the memory."""
 
 import contextlib
 import multiprocessing
@@ -116,7 +116,7 @@ def _started() -> _Worker:
 
 
 def _serve(connection: Connection) -> None:
-    """What a process does: one job after the other, until its connection ends."""
+    """Run one job after another in a worker process until its connection closes."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # of the terminal; the batch ends its processes itself
     while True:

@@ -1,4 +1,4 @@
-"""What a batch's table says of a capture."""
+"""A row of a batch's table: the outcome of one capture."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -15,10 +15,10 @@ _LARGEST = 2**63 - 1  # of a table's whole numbers
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a capture. `exit_code` as of a command of its own; what is not known is None.
+    """The outcome of one capture. `exit_code` is that of the equivalent single command; unknown values are None.
 
-    `asked` identifies what was asked of it, configuration and calibration included. `seconds` of work on `worker`,
-    from `started` (UTC) on.
+    `asked` identifies the request, including configuration and calibration. `seconds` is the time of work on `worker`,
+    starting at `started` (UTC).
     """
 
     name: str
@@ -46,12 +46,12 @@ class Row:
     worker: str = ""
 
     def to_json(self) -> bytes:
-        """For a file."""
+        """Return the row as JSON."""
         return json.dumps(asdict(self), ensure_ascii=False, indent=1).encode()
 
     @staticmethod
     def from_json(data: bytes, where: str) -> "Row":
-        """From a file. Raises InputError if it is none."""
+        """Read a row from JSON. Raises InputError if it is not one."""
         try:
             row = _CHECKED.validate_json(data, strict=True)
             if row.grade not in (None, *get_args(Grade)) or any(

@@ -41,7 +41,7 @@ class Batch:
 
     @property
     def counts(self) -> Counter[int]:
-        """How many captures came to which exit code."""
+        """Count the captures per exit code."""
         return Counter(row.exit_code for row in self.rows)
 
 

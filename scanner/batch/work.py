@@ -1,4 +1,4 @@
-"""One capture of a batch, on whatever worker it comes to: a result, a picture, a row."""
+"""Process one capture of a batch, on any worker: a result, a picture, a row."""
 
 import socket
 import time
@@ -29,7 +29,7 @@ _THUMBNAIL_PX = 240
 
 @dataclass(frozen=True)
 class Delivery:
-    """Where a batch goes: folders of results, rows and pictures, each by the capture's name."""
+    """The destination of a batch: result folders, rows and pictures, each named after its capture."""
 
     out: str
 
@@ -38,7 +38,7 @@ class Delivery:
         return Location(self.out) / RESULTS / name
 
     def row(self, name: str) -> Location:
-        """A row of the table, which is written last: where it is, all else is."""
+        """The location of the table's row, which is written last: if it exists, everything else does."""
         return Location(self.out) / ROWS / f"{name}{ENDING}"
 
     def thumbnail(self, name: str) -> Location:
@@ -143,7 +143,9 @@ def _of_calibration(row: Row, calibration: Calibration) -> Row:
 
 
 def _deliver_thumbnail(capture: Path, place: Location) -> None:
-    """Of the first frame, which is mostly white. A frame that cannot be read is for the decoder to name."""
+    """Deliver a thumbnail of the first frame, which is mostly white. An unreadable frame is left for the decoder to
+    report.
+    """
     try:
         recording = open_capture(capture)
         picture = photograph(read_image(recording.folder / recording.files[0]), _THUMBNAIL_PX)
@@ -153,6 +155,6 @@ def _deliver_thumbnail(capture: Path, place: Location) -> None:
 
 
 def _use_one_processor() -> None:
-    """Side by side with other workers, threads of one are in the way of another's."""
+    """Use one processor: workers side by side would compete with each other's threads."""
     use_processors(1)
     cv2.setNumThreads(1)

@@ -49,7 +49,9 @@ class Missing:
 
 @dataclass(frozen=True)
 class FromBoards:
-    """What captures of a board gave. `found` has the calibration; `missing` are captures without the board."""
+    """The result of calibrating from captures of a board. `found` has the calibration; `missing` lists captures without
+    the board.
+    """
 
     target: Target
     seen: tuple[Seen, ...]
@@ -108,7 +110,7 @@ def calibrate_seen(
 
 
 def _names(recordings: Sequence[Recording]) -> list[str]:
-    """The folders, as short as tells them apart."""
+    """Return the shortest distinct names of the folders."""
     parts = [recording.folder.resolve().parts for recording in recordings]
     longest = max(len(each) for each in parts)
     names = (["/".join(each[-length:]) for each in parts] for length in range(1, longest + 1))

@@ -1,4 +1,4 @@
-"""Boards before a live rig: the operator moves the board, and is told after each capture what it added."""
+"""Calibrate a live rig from boards: after each capture the operator learns what it added, and moves the board."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -78,7 +78,7 @@ def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettin
 
 
 def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal: Terminal) -> None:
-    """What the last capture added, and how to hold the board next."""
+    """Show what the last capture added, and how to hold the board next."""
     last = looked[-1]
     if isinstance(last, Missing):
         terminal.show(f"{last.name} does not count: {last.why}.")

@@ -52,7 +52,9 @@ def write_page(path: Path, result: FromBoards) -> None:
 
 
 def rows(result: FromBoards) -> list[tuple[str, ...]]:
-    """Each board, predicted by the others: name, error, what was expected, error in sigmas, moves of the focals."""
+    """Return a row per board, predicted from the others: name, error, expected error, error in sigmas, change of the
+    focal lengths.
+    """
     focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
     return [
         (
@@ -67,7 +69,9 @@ def rows(result: FromBoards) -> list[tuple[str, ...]]:
 
 
 def _halves(result: FromBoards) -> list[tuple[str, str, str, str]]:
-    """What, by how much the halves differ, the sigma of that, and how many sigmas it is."""
+    """Return a row per parameter: its name, the difference between the halves, the sigma of the difference, and their
+    ratio.
+    """
     halves = result.found.halves
     if halves is None:
         return []
@@ -84,12 +88,12 @@ def _halves(result: FromBoards) -> list[tuple[str, str, str, str]]:
 
 
 def _ray_rows(sigmas: Floats) -> list[list[str]]:
-    """Every third of the grid, as text; '' where the other device does not see."""
+    """Return every third value of the grid as text; '' where the other device does not see."""
     return [["" if np.isnan(value) else f"{value:.2f}" for value in row] for row in sigmas[::3, ::3]]
 
 
 def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
-    """Where in a picture the boards were."""
+    """Plot where the boards were in a picture."""
     every = np.concatenate(pixels)
     every = every[:: max(1, len(every) // _DOTS)]
     radius = max(size) / 220

@@ -31,7 +31,7 @@ def printed_target(text: str, square: float | None) -> tuple[Target, str]:
 
 
 def write_pdf(path: Path, target: Target, sheet: str) -> None:
-    """One page. Raises InputError if the board does not fit the sheet, OSError."""
+    """Write the board as one page. Raises InputError if the board does not fit the sheet, OSError."""
     per_mm = _DPI / _MM_PER_INCH
     side_px = round(target.square * per_mm)
     board = draw_target(target, side_px).image[side_px:-side_px, side_px:-side_px]

@@ -31,7 +31,7 @@ def save_result(result: FromBoards, folder: Path) -> None:
 
 
 def _more(result: FromBoards) -> dict[str, Any]:
-    """Keys beside the calibration, for those who know them."""
+    """Return the keys of calibration.yaml beyond the calibration itself."""
     found = result.found
     halves = found.halves
     return {
@@ -64,7 +64,7 @@ def _more(result: FromBoards) -> dict[str, Any]:
 
 
 def summary(result: FromBoards) -> Table:
-    """Each board, predicted by the others, for the terminal."""
+    """Return a table for the terminal: each board, predicted from the others."""
     table = Table(
         title="Each board, predicted by the others (projector px)", title_justify="left", box=box.SIMPLE, pad_edge=False
     )

@@ -1,4 +1,4 @@
-"""What a recording says about itself: sizes, patterns, devices, exposures."""
+"""Metadata of a recording: sizes, patterns, devices, exposures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,11 +11,11 @@ from scanner.shown_text import shortened, shown
 
 @dataclass(frozen=True)
 class CaptureMetadata:
-    """How the capture was taken; what is not known is left out.
+    """How a capture was taken; unknown values are omitted.
 
-    `identity` names devices and whatever else the recording says about itself. `exposure_us`: the frames' exposures.
-    `photos`: what stands for the projector is the camera at a second place. `truth` is known of simulated rigs, and
-    only for showing it.
+    `identity` names the devices and holds whatever else the recording states about itself. `exposure_us`: the frames'
+    exposures. `photos`: a camera at a second place takes the role of the projector. `truth` is known for simulated rigs
+    only, and is only displayed.
     """
 
     camera_size: Size
@@ -28,7 +28,7 @@ class CaptureMetadata:
 
     @property
     def pixels(self) -> str:
-        """What residuals are measured in."""
+        """The name of the pixels in which residuals are measured."""
         return "px" if self.photos else "projector px"
 
     @property
@@ -59,7 +59,7 @@ def _line(value: object) -> str:
 
 
 def _synchronisation(measured: object) -> dict[str, str]:
-    """What a rig of real devices has written down about its acquisition, as far as it did."""
+    """Return what a real rig has recorded about its acquisition, as far as it is there."""
     if not isinstance(measured, Mapping):
         return {}
     rows = {

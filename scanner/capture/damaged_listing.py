@@ -1,4 +1,4 @@
-"""What is left of a frame that was being written when its recording was broken off."""
+"""Read the listing of a recording that was broken off while its last line was being written."""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -17,7 +17,7 @@ CAPTURE_FILE = "capture.yaml"
 
 
 def frame_file(index: int) -> str:
-    """Where the image of a frame is in a recording, relative to its folder."""
+    """Return the path of a frame's image within a recording, relative to its folder."""
     return f"frames/{index:03d}.png"
 
 
@@ -119,7 +119,7 @@ def _keys(values: Mapping[str, object]) -> str:
 
 
 def _sequence(patterns: Sequence[Pattern]) -> str:
-    """All that is going to be shown, so that a capture which stops early says what it lacks."""
+    """Return the complete planned sequence, so that a capture that stops early states what is missing."""
     return "sequence:\n" + "".join(f"  - {flow_yaml(pattern_to_dict(pattern))}\n" for pattern in patterns)
 
 

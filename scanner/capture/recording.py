@@ -51,7 +51,7 @@ class _FrameEntry(Entry):
 
     @property
     def read_back(self) -> tuple[float | None, int | None]:
-        """Exposure and time stamp; other programs may mean something else by these keys, which is no error."""
+        """Read exposure and time stamp. Other programs may use these keys otherwise, which is no error."""
         found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
         exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
@@ -200,7 +200,7 @@ def _listing_in(folder: Path) -> Path:
 
 
 def _frame_path(listing: Path, file: str) -> Path:
-    """Where a listed frame really is; it must be a file inside the capture folder, whatever links lead to it."""
+    """Return the real path of a listed frame. It must be a file inside the capture folder, after links are resolved."""
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
         raise InputError(f"{listing}: frame {shown(file)} must be a path inside the capture folder")
     root = listing.parent.resolve()

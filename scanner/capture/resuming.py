@@ -62,7 +62,7 @@ def _require_first(begun: Recording, planned: Sequence[Pattern], repeats: int) -
 
 
 def _witnesses(taken: Sequence[Pattern]) -> tuple[Pattern, ...]:
-    """White, and along each axis the finest stripes of the code and of the fringes, as far as there are any."""
+    """Return white and, along each axis, the finest stripes of the code and of the fringes, where there are any."""
     chosen: list[Pattern] = []
     chosen += [pattern for pattern in taken if isinstance(pattern, White)][:1]
     for axis in ("x", "y"):

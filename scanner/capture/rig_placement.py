@@ -1,4 +1,4 @@
-"""From capture to capture: the rig is moved, by itself or by the operator."""
+"""Move the rig between captures, automatically or by the operator."""
 
 from hw.backends import RigSettings
 from hw.errors import DeviceError
@@ -23,9 +23,9 @@ def check_places(settings: RigSettings, number: int, operator: Operator) -> None
 def next_place(
     settings: RigSettings, step: int, number: int, operator: Operator, *, enough: bool = False
 ) -> RigSettings | None:
-    """The rig where it takes capture `step` of `number` from; None if the operator has had enough.
+    """Return the rig, placed for capture `step` of `number`; None if the operator ends the scan.
 
-    `enough`: so much is known by now that a further capture is not needed.
+    `enough`: a further capture is not needed.
     """
     if step and not moves_by_itself(settings):
         if_wanted = ", if you want one more" if enough else ""

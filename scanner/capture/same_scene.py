@@ -101,9 +101,9 @@ def _grey(image: Image) -> Floats:
 
 
 def _brightness(one: Floats, other: Floats) -> tuple[float, float]:
-    """Gain and offset by which most pixels of one become those of the other, robustly.
+    """Fit robustly the gain and offset that turn one image into the other at most pixels.
 
-    Black stays black, with little weight: so a picture without contrast tells of a gain, and not of an offset.
+    A weak prior keeps black at black, so that an image without contrast determines a gain and no offset.
     """
     step = max(1, one.size // _MOST_PIXELS)
     x, y = np.append(one.reshape(-1)[::step], 0.0), np.append(other.reshape(-1)[::step], 0.0)

@@ -81,7 +81,7 @@ def shows_single_pixels(metadata: Mapping[str, object]) -> bool:
 
 
 def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
-    """What the operator should know of what a recording says of them."""
+    """Return remarks for the operator on the recorded contrast of one-pixel lines."""
     kept = metadata.get(LINES_KEY)
     if isinstance(kept, int | float) and kept < _LEAST_KEPT:
         yield (

@@ -1,4 +1,4 @@
-"""What a camera changed by itself while a capture was taken, as its rig measured it."""
+"""Settings that the camera changed by itself during a capture, as measured by the rig."""
 
 from collections.abc import Iterator, Mapping
 
@@ -8,7 +8,7 @@ _ADVICE = "Turn that off in the camera, its driver or its app, and capture again
 
 
 def remarks_on_camera(metadata: Mapping[str, object]) -> Iterator[str]:
-    """What the operator should know of what a recording, or a rig's account, says of it."""
+    """Return remarks for the operator on what a recording, or the rig, states about the camera's steadiness."""
     found = metadata.get("camera_changed")
     if not isinstance(found, Mapping):
         return

@@ -85,7 +85,7 @@ def _pictures(
 
 
 def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
-    """What the camera cannot do is said before the first frame. Raises DeviceError."""
+    """Check that the camera can set the exposures, before the first frame. Raises DeviceError."""
     camera = exposure_control(rig.camera)
     became = [camera.expose_for(exposure_us) for exposure_us in exposures_us]
     for number, (wanted, found) in enumerate(zip(exposures_us, became, strict=True)):

@@ -1,1 +1,1 @@
-"""What can be told about a rig before a scan, in seconds: devices, light, lenses, and what this view is worth."""
+"""A check of a rig before a scan, in seconds: devices, light, lenses, and how well this view will calibrate."""

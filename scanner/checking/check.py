@@ -91,7 +91,7 @@ class _Bench:
 
 
 class Checking:
-    """What is known so far."""
+    """The state of a check: what is known so far."""
 
     def __init__(self, on_row: OnRow | None) -> None:
         self.rows: list[CheckRow] = []
@@ -115,7 +115,7 @@ class Checking:
         self.add(CheckRow("devices", State.FAILED, str(error)))
 
     def report(self) -> CheckReport:
-        """What came of it."""
+        """Return the report of the check."""
         return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
 
 
@@ -144,7 +144,7 @@ def _check(bench: _Bench, checking: Checking) -> None:
 
 
 def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
-    """From a quick capture; the configured one follows where the quick one is refused or patchy, which takes longer."""
+    """Check the view from a quick capture. If that is refused or patchy, take the configured one, which is slower."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     before = Before(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))

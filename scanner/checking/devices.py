@@ -46,7 +46,7 @@ def opened(config: Config) -> Iterator[Rig]:
 
 
 def device_rows(rig: Rig) -> Iterator[CheckRow]:
-    """What the devices are, and how late the light follows."""
+    """Return rows that describe the devices and the latency from projector to camera."""
     camera, projector = rig.camera.size, rig.projector.size
     yield CheckRow("camera", State.OK, f"{rig.identity.get('camera', 'simulated')}, {camera[0]} × {camera[1]} pixels")
     about = rig.identity.get("projector", "simulated")

@@ -52,7 +52,7 @@ class Seen:
 
     @property
     def is_dark(self) -> bool:
-        """Nothing is lit."""
+        """Whether nothing is lit."""
         return bool(np.isnan(self.brightest)) and not self.is_clipped
 
 
@@ -70,7 +70,7 @@ class Proposal:
 
 
 def look(light: Light, exposure_us: float) -> Seen:
-    """What white and black frames tell about their exposure."""
+    """Measure the exposure of white and black frames."""
     lit = int(light.lit.sum())
     if lit == 0:
         everything = float(np.median(light.mean_white) >= CLIPPED * light.highest)  # black pictures are white, too
@@ -129,7 +129,7 @@ def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, 
 
 
 def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: bool) -> CheckRow:
-    """How the configured exposure is, and which is better; `bracketed`: the sequence has exposures of its own."""
+    """Grade the configured exposure and propose a better one; `bracketed`: the sequence has exposures of its own."""
     first = proposal.first
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:

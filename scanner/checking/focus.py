@@ -53,7 +53,9 @@ class BlurSamples:
 
 
 def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, projector_px: Floats) -> BlurSamples:
-    """From fringes of two or more periods, where pixels are `usable` (H, W) and `projector_px` (H, W, 2) is known."""
+    """Measure blur from fringes of two or more periods, where pixels are `usable` (H, W) and `projector_px` (H, W, 2)
+    is known.
+    """
     height, width = usable.shape
     size = cell_size(usable.shape)
     blur2, span, where, doubt2 = [], [], [], []
@@ -126,7 +128,7 @@ def _power(fringe: Fringe, part: tuple[slice, slice], good: Bools) -> float | No
 
 
 def _squares(period: float, slope: Floats) -> float:
-    """What the averaging of a projector pixel and of a camera pixel leaves of a fringe."""
+    """Return the amplitude that remains of a fringe after averaging over a projector pixel and a camera pixel."""
     return float(np.sinc(1 / period) * np.prod(np.sinc(slope / period)))
 
 

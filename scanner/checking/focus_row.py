@@ -34,7 +34,9 @@ def finest_period_px(patterns: Sequence[Pattern]) -> float:
 
 
 def amplitude_left(blur2: float, period_px: float) -> float:
-    """What a Gaussian blur of that square, in projector pixels, leaves of a sine (1: all)."""
+    """Return the amplitude that a Gaussian blur of that variance, in projector pixels squared, leaves of a sine (1:
+    all).
+    """
     return exp(-2 * pi**2 * max(0.0, blur2) / period_px**2)
 
 
@@ -45,7 +47,7 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
             _NAME,
             State.FAILED if samples.lost > 0.5 else State.POOR,
             "stripes are blurred away, or too few are seen to tell",
-            "Focus the projector on the corner until single pixels can be told on the wall, then the camera.",
+            "Focus the projector on the corner until single pixels are distinct on the wall, then the camera.",
         )
     left = amplitude_left(lenses.total_px**2, period_px)
     finding = f"{100 * left:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
@@ -59,7 +61,7 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
 def _advice(sure: list[str], lenses: Lenses, period_px: float) -> str:
     if not sure and not _told_apart(lenses):
         return (
-            "Which lens it is cannot be told from this view. Focus the projector until single pixels can be told on "
+            "This view does not show which lens it is. Focus the projector until single pixels can be distinguished on "
             f"the wall, then the camera; check again after each.{_MOVING_PIXELS}"
         )
     guilty = sure or _blurred(lenses, period_px, doubted=False)
@@ -98,7 +100,7 @@ def _told_apart(lenses: Lenses) -> bool:
 def _split_in_words(lenses: Lenses) -> str:
     total = f"a blur of {lenses.total_px:.1f} px"
     if not _told_apart(lenses):
-        return f"{total}; which lens it comes from cannot be told"
+        return f"{total}; this view does not show which lens causes it"
     projector, camera = np.sqrt(np.maximum([lenses.projector2, lenses.camera2], 0.0))
     return f"{total}: the projector's {projector:.1f}, the camera's {camera:.1f}"
 

@@ -20,8 +20,8 @@ CELLS_ACROSS = 24
 
 @dataclass(frozen=True)
 class Fringe:
-    """Of one axis and period: mean square amplitude of each camera pixel's sine over 4 steps, and the part of it that
-    is noise; (H, W), in squared grey levels.
+    """A fringe of one axis and period: mean square amplitude of each camera pixel's sine over 4 steps, and the noise in
+    it; (H, W), in squared grey levels.
     """
 
     power: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""What white and black pictures tell: where there is light, how much is the room's own, and whether it flickers."""
+"""Light measured on white and black pictures: where the projector's light arrives, ambient light, and flicker."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ class Light:
 
     @cached_property
     def lit(self) -> Bools:
-        """(H, W): where the projector's light falls directly, as far as brightness tells; nowhere if noise is all."""
+        """Return where the projector's light falls directly, (H, W), judged by brightness; nowhere if all is noise."""
         contrast = self.mean_white - self.mean_black
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
         difference = (grey(self.black[-1]) - grey(self.black[-2])).reshape(-1)
@@ -103,10 +103,10 @@ def ambient_share(light: Light) -> float:
 
 
 def _ambient(light: Light) -> CheckRow:
-    """Ambient light takes range from the fringes and adds its own shot noise.
+    """Grade ambient light, which takes range from the fringes and adds shot noise.
 
-    With the white level held just below saturation, a share a of ambient light leaves an amplitude of 1 − a of what
-    darkness would give, while the noise stays that of the white level or below.
+    If the white level is held just below saturation, a share a of ambient light reduces the amplitude to 1 − a of its
+    value in darkness. The noise is at most that of the white level.
     """
     share = ambient_share(light)
     finding = f"a black picture is {100 * share:.1f} % as bright as a white one"

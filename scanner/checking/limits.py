@@ -1,8 +1,8 @@
-"""From where on something is poor: one rule for light and lenses.
+"""The limit below which a quantity is poor: one rule for light and lenses.
 
-The sigma of a match is proportional to the noise over the amplitude of the fringes, and that of a calibration to it
-over the root of the number of matches. Something is poor where it costs a factor of √2 in sigma, which is as much as
-throwing away half of the frames or half of the pixels.
+The sigma of a match is proportional to the noise over the amplitude of the fringes, and the sigma of a calibration to
+that over the root of the number of matches. A quantity is poor if it costs a factor of √2 in sigma, as much as losing
+half of the frames or half of the pixels.
 """
 
 from math import sqrt

@@ -1,4 +1,4 @@
-"""What the check saw, as pictures for a person, in colours that everyone can tell apart."""
+"""Pictures of what the check found, in colours that everyone can tell apart."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -99,7 +99,7 @@ def _with_legend(picture: Pixels, entries: tuple[tuple[tuple[int, int, int], str
 
 
 def _enlarged(picture: Pixels) -> Pixels:
-    """By a whole number, so that the legend has room below."""
+    """Enlarge by an integer factor, to make room for the legend below."""
     factor = -(-_LEAST_WIDTH_PX // picture.shape[1])
     return picture.repeat(factor, axis=0).repeat(factor, axis=1)
 

@@ -1,4 +1,4 @@
-"""What a check says: a row for each thing that was looked at, and what follows from them."""
+"""The report of a check: a row for each thing checked, and the conclusions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ Pixels = NDArray[np.uint8]
 
 
 class State(StrEnum):
-    """How it is with one thing."""
+    """The grade of one row."""
 
     OK = "ok"
     POOR = "poor"
@@ -25,7 +25,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One thing that was looked at: its `name`, its state, what was found, and what to do (empty: nothing)."""
+    """One checked item: its `name`, its state, the finding, and what to do (empty: nothing)."""
 
     name: str
     state: State

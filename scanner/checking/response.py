@@ -44,7 +44,7 @@ def measure_ramp(rig: Rig, light: Light) -> Ramp | None:
 
 
 def ramp_of(relative: Floats) -> Ramp:
-    """From the brightness (n,) relative to black and white."""
+    """Return the ramp from the brightness (n,) relative to black and white."""
     if np.any(np.diff(relative) < _LEAST_RISE):
         return Ramp(relative, None)
     return Ramp(relative, ProjectorResponse((0.0, *(float(value) for value in relative[1:-1]), 1.0)))

@@ -1,8 +1,8 @@
-"""Does anything drift while the check goes on? The same fringes and the same white, seen again at its end.
+"""Detect drift during the check, from the same fringes and the same white at its beginning and its end.
 
-Each pixel's phase tells by how much its projector coordinate has changed; what a turn of the projector or of the camera
-does to all of them is fitted to that. The same pictures are compared, in frames that have settled, so that nothing else
-about them (a ghost, a bent response) is taken for motion. A lamp that is not warm yet changes its brightness.
+The phase gives the change of each pixel's projector coordinate. A rotation of the projector or of the camera is fitted
+to these changes. The same pictures are compared, in settled frames, so that no other effect (ghosting, a nonlinear
+response) is taken for motion. A lamp that is still warming up changes its brightness.
 """
 
 import time
@@ -37,7 +37,7 @@ _MOST_PERCENT = 0.5
 
 @dataclass(frozen=True)
 class Before:
-    """What was seen from the time `since_s` on: `light`, and the `levels` (H, W) of each of the fringes."""
+    """The state at time `since_s`: `light`, and the `levels` (H, W) of each of the fringes."""
 
     since_s: float
     light: Light
@@ -50,7 +50,7 @@ def patterns() -> tuple[Pattern, ...]:
 
 
 def levels_of(frames: Iterable[tuple[Pattern, Frame]]) -> Levels:
-    """Of frames of `patterns()`. Raises DeviceError."""
+    """Return the levels of frames of `patterns()`. Raises DeviceError."""
     return {(pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)}
 
 
@@ -105,7 +105,7 @@ def _moved(before: Before, now: Levels, projector_px: Floats, projector_size: tu
 
 
 def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -> Floats:
-    """By how much the coordinate that pixels (P,) look at has changed."""
+    """Return the change of the projector coordinate that pixels (P,) see."""
     change: Floats = _phase(axis, now, place) - _phase(axis, before, place)
     return PERIOD_PX * (change - np.rint(change))
 

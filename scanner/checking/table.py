@@ -13,7 +13,7 @@ _STYLES = {State.OK: "cyan", State.POOR: "yellow", State.FAILED: "bold magenta"}
 
 
 def signs_for(encoding: str | None) -> dict[State, str]:
-    """✓, ! and ✗, or plain letters where the encoding of the terminal has no such signs."""
+    """Return ✓, ! and ✗, or plain letters where the terminal's encoding lacks them."""
     try:
         "".join(_SIGNS.values()).encode(encoding or "ascii")
     except (UnicodeEncodeError, LookupError):

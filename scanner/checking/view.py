@@ -43,8 +43,8 @@ _MIRRORED = "Switch off rear projection, or ceiling mount, in its menu; do not p
 
 @dataclass(frozen=True)
 class Capture:
-    """What a sequence showed; where its frames do not decode, `decoded` is None, `problem` says why, and `advice` what
-    to do.
+    """The outcome of a sequence. If its frames do not decode, `decoded` is None, `problem` gives the reason and
+    `advice` the remedy.
     """
 
     decoded: Decoded | None
@@ -127,7 +127,7 @@ class Coverage:
 
 
 def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage:
-    """From the matches of a capture; there has to be one."""
+    """Compute the coverage from the matches of a capture; at least one is required."""
     height, width = decoding.reasons.shape
     across = _SQUARES_ACROSS
     down = max(1, round(across * projector_size[1] / projector_size[0]))
@@ -149,13 +149,13 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
 
 
 def decoded_share(decoding: Decoding) -> float:
-    """Of the pixels that patterns light, how many have a match; 1 if none is lit."""
+    """Return the share of lit pixels that have a match; 1 if none is lit."""
     lit = int(np.sum(decoding.reasons != MaskReason.DARK))
     return float(np.sum(decoding.reasons == MaskReason.KEPT)) / lit if lit else 1.0
 
 
 def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
-    """How much of the two pictures overlaps, and which way to turn what does not."""
+    """Grade the overlap of the two pictures, and say which way to turn the devices to improve it."""
     finding = (
         f"{100 * coverage.camera:.0f} % of the camera's pixels see the projector's light, and the camera sees "
         f"{100 * coverage.projector:.0f} % of it"
@@ -185,7 +185,7 @@ def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
 
 
 def predict(decoded: Decoded, config: Config, earlier: Sequence[Decoded]) -> SelfCalibration:
-    """What a capture calibrates, together with earlier ones if there are any. Raises RefusalError."""
+    """Predict the calibration from a capture, together with earlier ones if there are any. Raises RefusalError."""
     captures = [*earlier, decoded]
     return solve(label(captures, [*captures], config), config.model_copy(update={"method": "refined"}))[-1]
 
@@ -217,7 +217,7 @@ def view_row(
 
 
 def nothing_lit() -> CheckRow:
-    """Where a white picture looks like a black one."""
+    """Whether a white picture looks like a black one."""
     return CheckRow(
         _COVERAGE,
         State.FAILED,

@@ -1,4 +1,4 @@
-"""What can be typed after each command. Knows nothing of what they do, so that help comes at once."""
+"""Arguments of each command. This file imports nothing that does the work, so that help appears at once."""
 
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Every command: what it is for, its arguments, and the module that obeys, which is loaded when it is called."""
+"""Every command: its purpose, its arguments, and the module that runs it, which is imported on call."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
@@ -11,7 +11,9 @@ from scanner.commands.shared_arguments import add_quiet
 
 @dataclass(frozen=True)
 class Command:
-    """What it is for, in one line and in more; `add_arguments` declares them; `module` has `run(args)`, which obeys."""
+    """A command: its purpose in one line and in detail; `add_arguments` declares its arguments; `module` has
+    `run(args)`.
+    """
 
     about: str
     add_arguments: Callable[[ArgumentParser], None]
@@ -19,7 +21,7 @@ class Command:
     more: str = ""
 
     def load(self) -> Callable[[Namespace], None]:
-        """What does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
+        """Import the function that does the work; it raises InputError, StorageError, DeviceError, RefusalError."""
         run: Callable[[Namespace], None] = import_module(f"scanner.commands.{self.module}").run
         return run
 
@@ -72,7 +74,7 @@ is known is shown in any case.
         "measure",
         """
 The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
-and the distance of their centres is told, too.
+and measures the distance of their centres, too.
 """,
     ),
     "accept": Command(
@@ -154,7 +156,7 @@ keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C end
         arguments.of_compare,
         "compare",
         """
-Differences are told in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
+Differences are given in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
 is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
 """,
     ),

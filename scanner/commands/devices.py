@@ -16,7 +16,7 @@ _ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: h
 
 @dataclass(frozen=True)
 class _Device:
-    """How a device is called, what it can do, and the lines of a configuration that choose it."""
+    """A device: its name, its capabilities, and the configuration lines that select it."""
 
     name: str
     abilities: str
@@ -36,7 +36,7 @@ class Found:
     nothing: bool
 
     def paragraphs(self) -> Iterator[str]:
-        """For a person: what there is of each."""
+        """Return a paragraph for each kind of device, for people."""
         for heading, told in self.told.items():
             yield "\n  ".join([heading, *(told or ["none found"])])
 

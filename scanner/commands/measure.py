@@ -54,6 +54,6 @@ def run(args: Namespace) -> None:
         terminal.show(_ASSUMED_ANGLES)
     terminal.show(f"Written: {out} ({MEASURE_FILE}{f', {FIGURE_FILE}' if measured.pictured else ''})")
     if not args.shares:
-        terminal.show("→ The same command with --shares --overwrite tells where each sigma comes from.")
+        terminal.show("→ The same command with --shares --overwrite shows where each sigma comes from.")
     else:
         terminal.show(f"→ scan view {args.result} measures between points that are clicked on.")

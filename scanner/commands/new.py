@@ -35,7 +35,7 @@ def run(args: Namespace) -> None:
 
 def _next(name: str, path: Path) -> str:
     if RIGS[name].backend:
-        return f"scan check --config {path} looks at both devices, and says what to set."
+        return f"scan check --config {path} tests both devices, and proposes settings."
     stations = " --stations 6" if name == "whole-room" else ""
     return f"scan --config {path}{stations} scans; the result goes to {default_out(path.stem, overwrite=True)}/"
 
@@ -48,7 +48,7 @@ def _renamed(text: str, example_name: str, path: Path) -> str:
 
 
 def filled_in(text: str, found: dict[str, dict[str, Any]], where: str) -> str:
-    """A configuration's text with keys such as rig.camera set; one that is there as a comment is put in its place.
+    """Set keys such as rig.camera in a configuration's text; a commented key is replaced in its place.
 
     Raises InputError if that cannot be done.
     """

@@ -1,4 +1,4 @@
-"""What a successful command tells: the calibration, how true it is, and where the files are."""
+"""The summary after a successful command: the calibration, its accuracy, and where the files are."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `scan new` offers: a row for each rig, with the configuration that explains itself."""
+"""The rigs that `scan new` offers, each with its commented configuration."""
 
 from dataclasses import dataclass
 

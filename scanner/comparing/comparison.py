@@ -24,7 +24,9 @@ _PLAUSIBLE_BASELINES = (2.0, 40.0)
 
 @dataclass(frozen=True)
 class Sheet:
-    """One depth of a comparison; all arrays (H, W) over the camera's picture, NaN where not both devices see."""
+    """One depth of a comparison; all arrays are (H, W) over the camera's picture, NaN outside the common field of
+    view.
+    """
 
     depth: float
     length: Floats
@@ -113,7 +115,9 @@ def _grid(size: Size) -> Floats:
 
 
 def _depths(path: Path, calibration: Calibration) -> Floats:
-    """Those of the scene, where the result has one; else around where the middles of both pictures meet."""
+    """Return the depths of the scene where the result has a scene; else depths around the intersection of the two
+    centre rays.
+    """
     if (path / MATCHES_FILE).is_file():
         matches = read_matches(path)
         met = intersect(matches[:: max(1, len(matches) // _MOST_MATCHES)], calibration)

@@ -19,7 +19,7 @@ def summary(found: Comparison) -> Iterator[str]:
     where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
     size = f"{unit.error(float(difference.length[worst]))} and {difference.px[worst]:.2g} projector px"
     if not any(found.known):
-        yield f"They differ by up to {size}, {where}. Neither says its covariance: nothing tells whether that is much."
+        yield f"They differ by up to {size}, {where}. Neither has a covariance: whether that is significant is unknown."
         return
     allowed = unit.error(float(difference.length_sigma[worst]))
     if difference.agree:
@@ -38,7 +38,7 @@ def summary(found: Comparison) -> Iterator[str]:
     )
     for name, known in zip(found.names, found.known, strict=True):
         if not known:
-            yield f"{name} says nothing of its covariance: the sigmas are those of the other one."
+            yield f"{name} has no covariance: the sigmas are those of the other calibration only."
     if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
         yield (
             f"{unit.error(difference.unexplained)} of it, root mean square, is of a kind that neither covariance "
@@ -49,13 +49,15 @@ def summary(found: Comparison) -> Iterator[str]:
 
 
 def headings(found: Comparison) -> tuple[str, ...]:
-    """Of the columns of `rows`."""
+    """Return the column headings of `rows`."""
     name = shown_unit(found.unit).name
     return (f"depth, {name}", "px, rms", "max", "sigma", f"{name}, rms", "max", "sigma", "in sigmas")
 
 
 def rows(found: Comparison) -> list[tuple[str, ...]]:
-    """For each depth: differences in the projector's pixels and as lengths, and what one sigma of both allows."""
+    """Return a row per depth: differences in projector pixels and as lengths, and those expected from one sigma of both
+    results.
+    """
     return [_row(sheet, shown_unit(found.unit), known=any(found.known)) for sheet in found.sheets]
 
 
@@ -74,7 +76,7 @@ def _rms(values: Floats) -> float:
 
 
 def table(found: Comparison) -> Table:
-    """Those rows, for the terminal."""
+    """Return those rows as a table for the terminal."""
     made = Table(title="Differences by depth", title_justify="left", box=box.SIMPLE, pad_edge=False)
     for heading in headings(found):
         made.add_column(heading, justify="right", no_wrap=True)

@@ -17,10 +17,10 @@ _MARK = "\ufeff"  # of UTF-8, where a text editor has put one
 
 
 def set_keys(path: Path, values: Mapping[str, object]) -> Path:
-    """Set keys such as 'rig.exposure_us' in a configuration file; returns where the file as it was at first is kept.
+    """Set keys such as 'rig.exposure_us' in a configuration file; return the path of the backup of the original file.
 
     The file is replaced as a whole or not at all. Raises InputError, with nothing changed, if the file cannot be read
-    or written, or if the text cannot be changed so that it means the same but for these keys.
+    or written, or if the text cannot be edited without changing the meaning of other keys.
     """
     real = path.resolve()
     read_text(real)
@@ -96,7 +96,7 @@ def _parsed(text: str, where: str) -> Any:
 
 
 def _changed(text: str, section: str, name: str, shown: str) -> str | None:
-    """None where the text is of a form that is not understood."""
+    """Return the edited text; None if its form is not supported."""
     root = yaml.compose(text, yaml.SafeLoader)
     newline = "\r\n" if "\r\n" in text else "\n"
     if not isinstance(root, yaml.MappingNode) or root.flow_style:
@@ -125,7 +125,7 @@ def _value_of(mapping: yaml.MappingNode, name: str) -> yaml.Node | None:
 
 
 def _end_of(node: yaml.Node, text: str) -> int:
-    """Where a value ends; a block's mark is at what follows it, beyond blank lines and comments."""
+    """Return where a value ends. YAML's end mark of a block lies past the blank lines and comments that follow it."""
     end = int(node.end_mark.index)
     if isinstance(node, yaml.CollectionNode) and not node.flow_style:
         return max((_end_of(_last_of(node), text), int(node.start_mark.index)))

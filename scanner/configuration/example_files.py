@@ -1,4 +1,4 @@
-"""The configurations that explain themselves: those of configs/, to which a link in this folder leads."""
+"""Commented example configurations: those of configs/, to which this folder has a link."""
 
 from importlib.resources import files
 

@@ -48,7 +48,7 @@ class _DeviceSettings(Section):
 
 
 class PrincipalPointSettings(Section):
-    """What is known of the camera's principal point: where it is, or only that it is near the image's centre."""
+    """Prior knowledge of the camera's principal point: its position, or only that it is near the image's centre."""
 
     known: Pair | None = Field(
         default=None, description="(x, y) in pixels, if it was measured; the centre of the top left pixel is (0, 0)."
@@ -92,7 +92,7 @@ class ProjectorSettings(_DeviceSettings):
 
     @property
     def known_response(self) -> ProjectorResponse | None:
-        """What scan check has measured, if it is in the configuration."""
+        """The response that scan check measured, if the configuration has it."""
         return None if self.response is None else ProjectorResponse(self.response)
 
 
@@ -162,7 +162,7 @@ class CornerSettings(Section):
 
 
 class LensSettings(Section):
-    """What is known of both lenses before any match is seen; what is not given is as for ordinary ones."""
+    """Prior knowledge of both lenses; values that are not given default to those of ordinary lenses."""
 
     decentering: Number | None = Field(
         default=None,
@@ -219,7 +219,7 @@ class CharucoSettings(Section):
 
 
 class ScaleSettings(Section):
-    """One length that is known; without one, lengths are in units of the baseline."""
+    """One known length; without it, lengths are in units of the baseline."""
 
     baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
     camera_to_corner_m: Number | None = Field(
@@ -285,7 +285,7 @@ class Config(Section):
 
     @property
     def recorded(self) -> dict[str, Any]:
-        """What was set, as it is written into a recording, to be read back by `recorded_config`."""
+        """Return the settings in the form written into a recording, which `recorded_config` reads back."""
         data = self.model_dump(mode="json", exclude_unset=True, by_alias=True)
         if self.lens.source is not None:
             data["lens"] = {"from": str(self.lens.source.absolute())}
@@ -300,12 +300,12 @@ class Config(Section):
 
     @property
     def camera_size(self) -> Size:
-        """Of the camera's image. Raises InputError if it is not configured."""
+        """The size of the camera's image. Raises InputError if it is not configured."""
         return _required_size("camera", self.camera.size)
 
     @property
     def projector_size(self) -> Size:
-        """Of the projector's image. Raises InputError if it is not configured."""
+        """The size of the projector's image. Raises InputError if it is not configured."""
         return _required_size("projector", self.projector.size)
 
     def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
@@ -318,9 +318,9 @@ class Config(Section):
                 raise InputError(f"{path}: its {name} is {size}, but the configuration's is {expected}")
 
     def principal_point(self, camera_size: Size) -> PrincipalPoint:
-        """What is known of the camera's principal point, for images of that size.
+        """Return the prior of the camera's principal point, for images of that size.
 
-        Raises InputError if a known point belongs to images of another size, or is nowhere near the image.
+        Raises InputError if a known point belongs to images of another size, or lies far outside the image.
         """
         width, height = camera_size
         setting = self.camera.principal_point

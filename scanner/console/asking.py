@@ -1,4 +1,4 @@
-"""The operator at the page, who is told what captures are worth, and asked to move the rig between them."""
+"""The operator at the page: learns what captures add, and is asked to move the rig between them."""
 
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
@@ -10,7 +10,7 @@ _LOOKED_EVERY_S = 0.2
 
 
 class PageOperator:
-    """`scanner.ui.Operator`. `on_asked` is given what was told, and the question ('' for none)."""
+    """A `scanner.ui.Operator`. `on_asked` receives the message and the question ('' for none)."""
 
     def __init__(self, cancelled: Event, on_asked: Callable[[tuple[str, ...], str], None]) -> None:
         self._cancelled, self._on_asked = cancelled, on_asked
@@ -23,7 +23,7 @@ class PageOperator:
         return True
 
     def tell(self, *sentences: str) -> None:
-        """Show it until something else is told."""
+        """Show a message until the next one."""
         self._told = sentences
         self._on_asked(sentences, "")
 

@@ -77,7 +77,7 @@ class CameraView:
             self._change(exposure_us=1000 * float(self._exposure.value))
 
     def _add_gain(self, gui: viser.GuiApi, settings: RigSettings) -> None:
-        """Only some real cameras have one."""
+        """Add the gain control, which only some real cameras have."""
         if not isinstance(settings, CameraRigSettings) or not settings.has_gain:
             return
         gain = gui.add_number("Gain", float(settings.gain or 0.0), step=0.1, hint="In the camera's own unit, mostly dB")

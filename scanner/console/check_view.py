@@ -1,4 +1,4 @@
-"""What a check has found, row by row, with its grade, its pictures, and the exposure that it proposes."""
+"""The findings of a check, row by row: grade, pictures, and the proposed exposure."""
 
 from collections.abc import Callable
 from pathlib import Path

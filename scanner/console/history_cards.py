@@ -1,4 +1,4 @@
-"""What the history shows of a result: when it was made, its grade, and a picture."""
+"""Cards of the history: date of each result, its grade, and a picture."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,7 +25,7 @@ class Card:
 
 @lru_cache(maxsize=256)
 def card_of(folder: Path, made_s: float) -> Card:
-    """Of a result folder that was made then, read anew only if it was made anew."""
+    """Return the card of a result folder with that time stamp, cached until the result changes."""
     try:
         verdict = verdict_of(folder)
     except InputError:

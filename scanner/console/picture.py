@@ -18,7 +18,7 @@ _DARK_SHARE = 0.02
 
 @dataclass(frozen=True)
 class Exposed:
-    """How a frame is exposed: `clipped` and `dark` are shares of its pixels; `median` is a share of the full scale."""
+    """The exposure of a frame: `clipped` and `dark` are shares of its pixels; `median` is a share of the full scale."""
 
     clipped: float
     dark: float

@@ -27,9 +27,9 @@ class CancelledError(Exception):
 
 @dataclass(frozen=True)
 class Stage:
-    """What is being done now; `done` of `total` things, or 0 of 0 where they cannot be counted.
+    """The current step; `done` of `total` items, or 0 of 0 where they cannot be counted.
 
-    `began_s`: when, by `time.monotonic`; `usual_s`: how long it took the last time, None if that is not known.
+    `began_s`: its start, by `time.monotonic`; `usual_s`: how long it took the last time, None if unknown.
     """
 
     what: str
@@ -40,11 +40,11 @@ class Stage:
 
     @property
     def percent(self) -> float:
-        """From 0 to 100."""
+        """Return the progress from 0 to 100."""
         return 100.0 * self.done / self.total if self.total else 0.0
 
     def left_s(self, now_s: float) -> float | None:
-        """How long it will take from now on, as far as can be told."""
+        """Estimate the remaining time in seconds."""
         elapsed_s = now_s - self.began_s
         if self.total and self.done:
             whole_s = elapsed_s * self.total / self.done

@@ -1,4 +1,4 @@
-"""What the operator has set on the page."""
+"""The operator's settings on the page."""
 
 import re
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ _LONGEST_NAME = 80
 
 
 class Picture(StrEnum):
-    """What the projector shows while nothing is scanned."""
+    """What the projector shows between scans."""
 
     WHITE = "White"
     BLACK = "Black"
@@ -51,17 +51,19 @@ class Settings:
         return load_config(self.config, [*self.overrides, *changed])
 
     def destination(self, ending: str = "") -> Path:
-        """Where the next result goes: a new folder in scans/, of the name that was typed, or of the configuration's."""
+        """Return the next result's folder: a new one in scans/, named as typed or else after the configuration."""
         return default_out((self.name or self.config.stem) + ending, overwrite=False)
 
 
 def plain_name(text: str) -> str:
-    """What an operator typed as the name of a folder: letters, digits, dashes; '' for nothing of these."""
+    """Reduce typed text to a folder name of letters, digits and dashes; '' if none remain."""
     return re.sub(r"[^\w.-]+", "-", text).strip("-.")[:_LONGEST_NAME]
 
 
 def drawn(picture: Picture, sequence: Iterable[Pattern], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """What to project, (H, W) for a projector of `size` (width, height): the stripes are the finest of the sequence."""
+    """Draw what to project, (H, W) for a projector of `size` (width, height). The stripes are the finest of the
+    sequence.
+    """
     match picture:
         case Picture.WHITE:
             return draw(White(), size)

@@ -1,4 +1,4 @@
-"""A sound for somebody who does not look at the page."""
+"""A sound for an operator who does not look at the page."""
 
 import base64
 import wave

@@ -1,4 +1,4 @@
-"""What the page says, as Markdown and HTML."""
+"""Texts of the page, as Markdown and HTML."""
 
 import time
 from datetime import datetime
@@ -16,7 +16,7 @@ _WORTH_TELLING_S = 5.0
 
 
 def status_text(status: Status) -> str:
-    """What is being done, or how the last thing ended."""
+    """Describe the current activity, or how the last one ended."""
     if status.message:
         return bold(status.message)
     if status.question:
@@ -30,7 +30,7 @@ def status_text(status: Status) -> str:
 
 
 def _time_text(status: Status) -> str:
-    """How long it still takes, or where nothing tells, how long it has taken; '' for a moment."""
+    """Return the remaining time or, where it is unknown, the elapsed time; '' during the first moment."""
     stage = status.stage
     if stage is None or not status.busy:
         return ""
@@ -48,7 +48,7 @@ def _duration(seconds: float) -> str:
 
 
 def told_text(told: tuple[str, ...]) -> str:
-    """What the operator is told between captures."""
+    """Return the message to the operator between captures."""
     return "\n".join(f"- {escaped(sentence)}" for sentence in told)
 
 
@@ -63,7 +63,7 @@ def rows_text(rows: list[CheckRow]) -> str:
 
 
 def grade_text(rows: list[CheckRow]) -> str:
-    """What all rows of a check come to."""
+    """Return the overall grade of a check."""
     failed, poor = (sum(row.state is state for row in rows) for state in (State.FAILED, State.POOR))
     if failed:
         return f"**✗ A scan would fail**: {failed} of {len(rows)} lines say why."

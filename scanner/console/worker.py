@@ -1,4 +1,4 @@
-"""One thread that owns the rig, and does one thing at a time: live image, check, or scan."""
+"""The thread that owns the rig, and does one thing at a time: live image, check, or scan."""
 
 import logging
 import time
@@ -32,7 +32,7 @@ _LEAVING_S = 30.0
 
 
 class Activity(StrEnum):
-    """What the worker is doing."""
+    """The worker's current activity."""
 
     NOTHING = "Ready"
     LIVE = "Live image"
@@ -43,9 +43,9 @@ class Activity(StrEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """`message`: how the last activity ended if not well, as the terminal would show it; '' if well.
+    """The worker's status. `message`: why the last activity failed, as the terminal would show it; '' if it succeeded.
 
-    `told` and `question`: to the operator, who is asked something if there is a question.
+    `told` and `question` are addressed to the operator; `question` is '' if nothing is asked.
     """
 
     activity: Activity = Activity.NOTHING
@@ -62,7 +62,7 @@ class Status:
 
 
 class Page(Protocol):
-    """Who is told what happens. Called from the worker's thread."""
+    """The observer of the worker. Its methods are called from the worker's thread."""
 
     def on_status(self, status: Status) -> None:
         """The worker's status has changed."""
@@ -74,7 +74,7 @@ class Page(Protocol):
         """The camera has taken a frame."""
 
     def on_captured(self) -> None:
-        """All frames of a capture are taken."""
+        """Called when all frames of a capture are taken."""
 
     def on_row(self, row: CheckRow) -> None:
         """The check has found something."""
@@ -114,12 +114,12 @@ class Worker:
 
     @property
     def status(self) -> Status:
-        """What the worker is doing now."""
+        """The current status of the worker."""
         return self._status
 
     @property
     def settings(self) -> Settings:
-        """What is set now."""
+        """The current settings."""
         return self._settings
 
     def change(self, **changes: Any) -> None:
@@ -145,7 +145,7 @@ class Worker:
                 self._tell(replace(self._status, cancelling=True))
 
     def answer(self, *, more: bool) -> None:
-        """To the question that the status has: go on with one more, or with what there is."""
+        """Answer the question in the status: take another capture, or continue with those there are."""
         self._operator.answer(more=more)
 
     def close(self) -> Status:

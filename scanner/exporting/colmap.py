@@ -28,7 +28,7 @@ _HALF_PIXEL = 0.5
 
 @dataclass(frozen=True)
 class ModelSize:
-    """How many of the cloud's points a model got, one from each square of `step` × `step` camera pixels."""
+    """The number of the cloud's points in a model: one from each square of `step` × `step` camera pixels."""
 
     points: int
     step: int
@@ -129,7 +129,7 @@ def _images(every: Sequence[_Chosen]) -> Iterator[str]:
 
 
 def _points(every: Sequence[_Chosen]) -> Iterator[str]:
-    """Each point was seen by both devices, as the image point of the same place in either's list."""
+    """Format the points; each is observed by both devices."""
     yield "# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"
     first = 1
     for number, each in enumerate(every):

@@ -1,4 +1,4 @@
-"""The cloud as ASTM E57, by way of pye57, which is an optional dependency.
+"""Write the cloud as ASTM E57, with pye57, an optional dependency.
 
 E57 is in metres, and the programs that read it take z for up. So the camera's axes (x right, y down, z forward) become
 x right, y forward, z up, with the origin at the camera's centre: upright if the camera was. A whole room has a scan for
@@ -74,7 +74,7 @@ def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) 
 
 
 def _columns(scan: FinishedScan, metres_per_unit: float) -> dict[str, NDArray[np.generic]]:
-    """In the axes of an upright scanner at the camera's place."""
+    """Return the columns in the axes of an upright scanner at the camera's position."""
     points: Floats = metres_per_unit * scan.points @ _Z_UP_FROM_CAMERA.T
     data: dict[str, NDArray[np.generic]] = {
         f"cartesian{axis}": np.ascontiguousarray(points[:, i]) for i, axis in enumerate("XYZ")

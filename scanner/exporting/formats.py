@@ -11,7 +11,9 @@ DEFAULT_POINTS = 20_000
 
 @dataclass(frozen=True)
 class Request:
-    """What to export where: `result` is a result folder; `most_points` is for formats that hold some points only."""
+    """An export and its destination. `result` is a result folder; `most_points` applies to formats that hold a subset
+    of the points.
+    """
 
     result: Path
     out: Path

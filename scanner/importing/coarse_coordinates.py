@@ -1,4 +1,4 @@
-"""The projector's coordinate at sampled pixels, as well as it can be told without a decoder."""
+"""Coarse projector coordinates at sampled pixels, without the decoder."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -39,8 +39,9 @@ class Coordinates:
 
 
 def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Coordinates | str | None:
-    """From the Gray code of an axis, else its longest fringe, or several close ones; None if it has neither; or what
-    is wrong with them.
+    """Return the coordinates from the Gray code of an axis, else from its longest fringe or from several close periods.
+
+    Returns None if the axis has neither, or a problem in words.
     """
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
     for index, pattern in enumerate(patterns):
@@ -78,8 +79,9 @@ def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int],
 
 
 def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
-    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows; at middles of cells it
-    tells neither.
+    """Whether a fringe's phase (H, W) falls from pixel to pixel where the coordinate grows.
+
+    `middle`: the coordinate of the cell's middle, so that neighbours in the same cell do not count.
     """
     both = 0.0
     for axis in (0, 1):

@@ -20,9 +20,10 @@ _NEAR_CELLS, _NEAR_SHARE = 4, 1 / 64
 
 
 def broken_order(lines: Samples, patterns: Sequence[Pattern], axis: Axis) -> str | None:
-    """What speaks against patterns along one axis, by rows or columns that cross their stripes; None if nothing does.
+    """Return what contradicts patterns along one axis, tested on rows or columns across the stripes; None if nothing
+    does.
 
-    Of fringes nothing can be told.
+    Fringes alone cannot be tested.
     """
     bits = max((p.bits for p in patterns if isinstance(p, Gray) and p.axis == axis), default=0)
     if not bits:

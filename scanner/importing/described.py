@@ -1,4 +1,4 @@
-"""An order of patterns in words, by which two orders can be told apart."""
+"""Describe an order of patterns in words that distinguish it from other orders."""
 
 from collections.abc import Sequence
 from itertools import groupby

@@ -26,7 +26,10 @@ _AlongAxis = Callable[[Axis, int], _Parts]
 
 
 def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
-    """Those of so many `periods` to a picture, in the order of the frames; None: of usual ones, if any are."""
+    """Return the layouts with these `periods` per picture, in the order of the frames.
+
+    None: try the usual sets of close periods; a single fringe with a Gray code has no usual number.
+    """
     several = [periods] if periods else [order for usual in _USUAL for order in (usual, usual[::-1])]
     close = [partial(_close, counts) for counts in several if len(counts) > 1]
     count = periods[0] if periods and len(periods) == 1 else 0.0
@@ -93,7 +96,7 @@ def _beside(count: float, code: Callable[[Axis, int, int], list[Gray]], axis: Ax
 
 
 def _complementary(axis: Axis, length: int, period: int) -> list[Gray]:
-    """A code of half periods: that of whole ones and one bit more, whose edges are not where the phase wraps."""
+    """A code of half periods: that of whole periods plus one bit, whose edges do not coincide with the phase wraps."""
     return [*gray_bits(axis, length, period // 2, inverses=False)]
 
 

@@ -29,7 +29,7 @@ _AS_CLOSE = 1.5
 
 
 class Stage(IntEnum):
-    """How far a look at the frames came."""
+    """The stage that a quick look at the frames has reached."""
 
     LIGHT = 0
     SIGNALS = 1

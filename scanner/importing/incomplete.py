@@ -1,7 +1,7 @@
-"""What else a folder may be that is no capture in an order that is known: one without white or black, or one that has
-a frame twice.
+"""Folders that hold no capture in a known order: white or black are missing, or a frame occurs twice.
 
-A camera that triggers once too often takes the same picture again, and who has inverses may do without white and black.
+A camera that triggers once too often takes the same picture again, and sequences with inverses may omit white and
+black.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What a layout is: somebody's order of frames, as a function of the projector's size."""
+"""A layout: an order of frames, as a function of the projector's size."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ _MOST_APART = 4  # bits of the longer axis beyond those of the shorter
 
 @dataclass(frozen=True)
 class Given:
-    """What is known beforehand: the projector's size (width, height), the length of a Gray code's cells in pixels, and
-    how many `codes` there are in x and in y.
+    """Values known beforehand: the projector's size (width, height), the length of a Gray code's cells in pixels, and
+    the number of `codes` in x and in y.
     """
 
     projector_size: Size | None = None
@@ -27,7 +27,7 @@ class Given:
     codes: Size | None = None
 
     def or_else(self, other: "Given") -> "Given":
-        """What is not known here, from the other."""
+        """Fill unknown values from the other."""
         return Given(self.projector_size or other.projector_size, self.cell or other.cell, self.codes or other.codes)
 
 

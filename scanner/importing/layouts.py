@@ -89,7 +89,7 @@ def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
 
 
 def _sltk(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
-    """As many bits of the shorter axis as of the longer one, in pairs."""
+    """As many bits for the shorter axis as for the longer one, in pairs."""
     del frames
     bits = max(bits_of(length, cell) for length in size)
     return tuple(bit for axis, length in x_and_y(size) for bit in gray_bits(axis, length, cell, least=bits))

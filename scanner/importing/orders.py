@@ -12,7 +12,7 @@ ENDS: tuple[tuple[Pattern, ...], ...] = ((White(), Black()), (Black(), White()))
 
 
 def bits_of(length: int, cell: int = 1) -> int:
-    """How many bits tell apart the cells along an axis."""
+    """Return the number of bits that distinguish the cells along an axis."""
     return max(1, ceil(log2(ceil(length / cell))))
 
 

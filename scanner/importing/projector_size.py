@@ -42,7 +42,7 @@ class Extent:
         return first - _SLACK <= self.low and self.high <= last + _SLACK
 
     def reaches(self, first: int, last: int) -> int:
-        """How many ends were seen that depend on the projector's size."""
+        """Count the observed ends that depend on the projector's size."""
         return int(first > 0 and self.low - first <= _SLACK) + int(last - self.high <= _SLACK)
 
 
@@ -56,7 +56,7 @@ class SizeFound:
 
     @property
     def total(self) -> int:
-        """How many ends in all."""
+        """The number of all ends."""
         return sum(self.reached)
 
 
@@ -73,7 +73,7 @@ def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) ->
 
 
 def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tuple[Extent, Extent]:
-    """Of x and of y, by a candidate's matches."""
+    """Return the extents in x and in y, from a candidate's matches."""
     numbers = np.stack([_numbers(candidate.patterns, axis, matches.projector_px) for axis in (0, 1)], axis=1)
     inside = np.all(np.abs(matches.camera_px / camera_size - 0.5) < 0.5 - _BORDER, axis=1)
     x, y = (_extent(numbers[:, axis], numbers[:, 1 - axis], inside) for axis in (0, 1))
@@ -106,7 +106,7 @@ def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Fl
 
 
 def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> SizeFound | None:
-    """Whether the codes may be those of a projector of this size."""
+    """Whether the codes are possible on a projector of this size."""
     patterns, reached = candidate.for_size(size), [0, 0]
     if len(patterns) != len(candidate.files):
         return None

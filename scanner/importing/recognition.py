@@ -27,7 +27,8 @@ _OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
 
 @dataclass(frozen=True)
 class Recognised:
-    """A layout that fits: which pattern each of the `files` shows, on a projector of (width, height). `how`: why so.
+    """A layout that fits: the pattern that each of the `files` shows, on a projector of (width, height). `how`: the
+    reason.
 
     `likely`: whether such projectors are usual, and how many ends of their codes were seen.
     """

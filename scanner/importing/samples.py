@@ -1,4 +1,4 @@
-"""Some rows and columns of every frame: enough to see what the frames are."""
+"""Sample some rows and columns of every frame: enough to recognise the patterns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -106,7 +106,9 @@ class _Partial:
             self.begin()
 
     def take_over(self) -> bool:
-        """Take the lock of a process that was killed; False if it is alive, or that cannot be told. Raises OSError."""
+        """Take the lock of a process that was killed. Returns False if that process is alive, or if this cannot be
+        determined. Raises OSError.
+        """
         self._file = os.open(self._lock, os.O_RDWR | os.O_NOFOLLOW)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -116,7 +118,7 @@ class _Partial:
         return True
 
     def path(self, name: str) -> Path:
-        """Where a file is as long as it is not whole."""
+        """The path of the file until it is complete."""
         return self._lock.with_name(f"{self._stem}{_PARTIAL}{name}")
 
     def publish(self, names: Sequence[str]) -> None:
@@ -144,7 +146,7 @@ class _Partial:
         return f"What a program that was killed had written of {told} in {folder} is removed." if left else ""
 
     def end(self) -> None:
-        """What has not got its name is removed, and the lock."""
+        """Remove the lock and every file that has not been moved to its final name."""
         with suppress(OSError):  # of a disk that takes nothing, which is said already
             for path in self._partial_files():
                 path.unlink(missing_ok=True)

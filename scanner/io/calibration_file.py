@@ -27,7 +27,7 @@ _Row = tuple[_Cosine, _Cosine, _Cosine]
 
 
 def _repeated(count: int) -> BeforeValidator:
-    """One number in place of `count` of them stands for each."""
+    """Expand a single number to `count` copies."""
     return BeforeValidator(lambda found: found if isinstance(found, list) else [found] * count)
 
 
@@ -106,7 +106,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def parse_calibration(text: str, source: str) -> Calibration:
-    """As `read_calibration`, from a text that comes from `source`. Raises InputError."""
+    """Parse a calibration like `read_calibration`, from a text that comes from `source`. Raises InputError."""
     return _calibration(parse_mapping(text, source), source)
 
 
@@ -121,7 +121,7 @@ def _calibration(mapping: dict[str, Any], source: str) -> Calibration:
 
 
 def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, Any] | None = None) -> None:
-    """Write a calibration, and `more` keys for those who know them. Numbers read back the same. Raises OSError."""
+    """Write a calibration and `more` keys. Numbers read back the same. Raises OSError."""
     lines = [
         f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
         f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",
@@ -148,7 +148,7 @@ def _device_to_dict(device: Intrinsics) -> dict[str, object]:
 
 
 def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
-    """By the keys of `_SigmaEntry`, in its order; what is unknown has none."""
+    """Return the sigmas by the keys of `_SigmaEntry`, in its order, without unknown ones."""
     camera, projector = sigma.camera, sigma.projector
     values = [
         *(_one_if_alike(camera.focal_px), camera.principal_point_px, camera.distortion),

@@ -1,4 +1,4 @@
-"""What makes files outlast a power cut, and folders change places in one step."""
+"""Make files survive a power cut, and exchange folders in one step."""
 
 import ctypes
 import errno

@@ -30,7 +30,9 @@ def _open_without_waiting(name: str, flags: int) -> int:
 
 
 def real_path(path: Path) -> Path:
-    """Where links lead; links in a circle, which `Path.resolve` raises RuntimeError for, are for who opens the file."""
+    """Resolve links. A circle of links, for which `Path.resolve` raises RuntimeError, is left for the function that
+    opens the file.
+    """
     return Path(os.path.realpath(path))
 
 
@@ -61,7 +63,7 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """All of a regular file. Raises InputError as `opened` does."""
+    """Read all of a regular file. Raises InputError as `opened` does."""
     with opened(path, most_bytes) as file:
         return file.read(min(os.fstat(file.fileno()).st_size, most_bytes))
 

@@ -1,8 +1,7 @@
-"""Whether all of an image file is there, and as it was written, as far as its format can tell.
+"""Check that an image file is complete and undamaged, as far as its format allows.
 
-OpenCV decodes, and accepts much that is damaged. Pillow is a second opinion on TIFF, whose damage it tells where the
-pixels are compressed. A bit that was flipped in a format without check sums is a wrong pixel, which nothing in the file
-tells.
+OpenCV decodes, and accepts much that is damaged. Pillow is a second opinion on TIFF, where it detects damage in
+compressed pixels. In a format without checksums, a flipped bit is a wrong pixel, which cannot be detected.
 """
 
 import zlib
@@ -26,7 +25,7 @@ _NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
 
 
 def damage(data: bytes) -> str | None:
-    """What is wrong with an image file that OpenCV may accept all the same; None if nothing is known to be."""
+    """Return what is wrong with an image file, even one that OpenCV accepts; None if no damage is known."""
     if data.startswith(PNG_START):
         return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):
@@ -86,7 +85,7 @@ def _damage_of_deflated(tags: Mapping[int, Any], data: bytes) -> str | None:
 
 
 def _unpacked(unpacking: Any, part: memoryview) -> Iterator[int]:
-    """How many bytes come out, a few at a time, none of which are kept."""
+    """Count the decompressed bytes in small pieces, keeping none."""
     for start in range(0, len(part), _AT_ONCE_BYTES):
         packed: Any = part[start : start + _AT_ONCE_BYTES]
         while packed and not unpacking.eof:

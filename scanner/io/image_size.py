@@ -1,8 +1,9 @@
-"""How large an image file says that it is, and what it takes to decode: told from its header alone.
+"""The size of an image, and the memory to decode it, from the header of its file alone.
 
-OpenCV has no such function. Pillow has, but reads more than the size, and gives up at what OpenCV never looks at, such
-as a PNG's broken comment: a file must not choose who measures it. So the common formats are measured here. Decoders of
-some formats hold more than the pixels: all coefficients of a progressive JPEG, JPEG 2000 in whole numbers of 32 bits.
+OpenCV has no such function. Pillow has one, but it reads more than the size, and fails on parts that OpenCV never
+reads, such as a PNG's broken comment: the content of a file must not select the reader that measures it. So the common
+formats are measured here. Decoders of some formats hold more than the pixels: all coefficients of a progressive JPEG,
+32-bit integers for JPEG 2000.
 """
 
 import re
@@ -71,7 +72,7 @@ def _of_png(data: bytes) -> tuple[int, int, int]:
 
 
 def _of_jpeg(data: bytes) -> tuple[int, int, int]:
-    """Where the components do not come together in one scan, all coefficients are held until the last has come."""
+    """Where the components are spread over several scans, the decoder holds all coefficients until the last scan."""
     frame, is_progressive = b"", False
     for marker, content in segments(data):
         if marker in FRAMES:
@@ -86,7 +87,9 @@ def _of_jpeg(data: bytes) -> tuple[int, int, int]:
 
 
 def _coefficient_bytes(factors: bytes) -> int:
-    """Of 16 bits each, for one pixel; `factors`: how finely each component is sampled, across and down."""
+    """Return the bytes of the 16-bit coefficients for one pixel; `factors`: horizontal and vertical sampling of each
+    component.
+    """
     sampled = [(factor >> 4) * (factor & 15) for factor in factors]
     return ceil(2 * sum(sampled) / max(sampled))
 
@@ -133,7 +136,9 @@ def _depth(image: Image.Image, data: bytes) -> int:
 
 
 def _depth_of_jpeg2000(data: bytes) -> int:
-    """By the codestream (ISO/IEC 15444-1, A.5.1), behind boxes of a length and a name each (I.4)."""
+    """Read the depth from the codestream (ISO/IEC 15444-1, A.5.1), after boxes that each have a length and a name
+    (I.4).
+    """
     at = 0
     while data[at : at + 4] != _CODESTREAM:
         length, name = struct.unpack_from(">I4s", data, at)

@@ -1,8 +1,8 @@
-"""Whether the compressed data of a JPEG decode to exactly its pixels (ITU-T T.81, annexes B and F).
+"""Check that the compressed data of a JPEG decode to exactly its pixels (ITU-T T.81, annexes B and F).
 
-JPEG has no check sums, and decoders make something of anything. But a bit that was flipped shifts the codes after it:
-sooner or later comes one that there is none of, or the data end before the pixels or after them. Sequential Huffman
-coding is followed here, which is what cameras write; of other kinds nothing is said.
+JPEG has no checksums, and decoders accept almost anything. But a flipped bit shifts all codes after it: sooner or later
+an undefined code follows, or the data end before or after the last pixel. Only sequential Huffman coding is checked,
+which cameras write; other kinds pass unchecked.
 """
 
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ _PROBLEMS = (
 
 @dataclass
 class _Read:
-    """What the headers have said so far; `lookup` (8, 65536): length and symbol of the code that 16 bits begin with."""
+    """The headers read so far; `lookup` (8, 65536): length and symbol of the code at the beginning of 16 bits."""
 
     size: tuple[int, int] = (0, 0)
     factors: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -36,7 +36,9 @@ class _Read:
 
 
 def problem_of_jpeg(data: bytes) -> str | None:
-    """What is wrong with the compressed data of a JPEG; None if nothing is, or if they are of another kind."""
+    """Return what is wrong with the compressed data of a JPEG; None if nothing is, or if they are of an unchecked
+    kind.
+    """
     read, at = _Read(), 2
     pixels = np.frombuffer(data, np.uint8)
     while at + 4 <= len(data):
@@ -84,7 +86,9 @@ def _note(read: _Read, marker: int, segment: bytes) -> None:
 
 
 def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.int32]:
-    """For each 16 bits the length of the code at their beginning, times 256, and its symbol; 0 for none."""
+    """Return for each 16-bit word the length of the code at its beginning, times 256, plus its symbol; 0 where no code
+    begins.
+    """
     table, first, number = np.zeros(1 << 16, np.int32), 0, 0
     for length, count in enumerate(counts, start=1):
         for _ in range(count):
@@ -95,7 +99,7 @@ def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.int32]:
 
 
 def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tuple[int, int] | None:
-    """Where the data of a scan end, and what is wrong with them; None where it cannot be told."""
+    """Return where the data of a scan end, and what is wrong with them; None where that cannot be determined."""
     parts = [segment[1 + 2 * i : 3 + 2 * i] for i in range(segment[0])]
     tables = {part[0]: (part[1] >> 4 & 3, _AC + (part[1] & 3)) for part in parts}
     if not all(table in read.known for pair in tables.values() for table in pair) or min(read.size) < 1:

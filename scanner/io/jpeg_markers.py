@@ -1,4 +1,4 @@
-"""What a JPEG file is made of (ITU-T T.81, annex B): its segments in turn, without the compressed data between them."""
+"""Segments of a JPEG file (ITU-T T.81, annex B) in order, without the compressed data between them."""
 
 import re
 from collections.abc import Iterator

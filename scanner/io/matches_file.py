@@ -147,9 +147,9 @@ def read_only_axis(path: Path) -> Literal["x", "y"] | None:
 
 
 def refuse_one_axis(path: Path) -> None:
-    """Raise InputError if a matches file says that one projector coordinate follows from a calibration.
+    """Raise InputError if one projector coordinate of a matches file was computed from a calibration.
 
-    To calibrate from such matches would be to find that calibration again, and to look sure of it.
+    Calibrating from such matches would only reproduce that calibration, with sigmas that are too small.
     """
     if read_only_axis(path) is not None:
         raise InputError(
@@ -182,7 +182,7 @@ def _member(archive: zipfile.ZipFile, name: str) -> zipfile.ZipInfo | None:
 
 
 def _array(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
-    """One array, whose header is read first: its shape and type are believed if it has as many bytes."""
+    """Read one array, its header first: shape and type are trusted only if the file has as many bytes."""
     with archive.open(member) as stream:
         version = npy.read_magic(stream)
         shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(stream)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """The folder and those on the way to it, as far as they are not there, deepest first. Raises OSError."""
+    """Return the folder and its parents that do not exist yet, deepest first. Raises OSError."""
     return [each for each in (folder, *folder.parents) if not each.exists()]
 
 

@@ -15,7 +15,7 @@ from scanner.io.given_file import opened, refuse_bomb
 
 
 class _Column(NamedTuple):
-    """What a vertex has: the array's name, the type of its components, their names in the file."""
+    """A vertex property: the array's name, the type of its components, their names in the file."""
 
     name: str
     kind: str
@@ -49,7 +49,7 @@ _CORNER_FRAME = "corner frame: origin at the corner's vertex, axes along its edg
 
 
 class PointCloud(Protocol):
-    """What is written: `points` (NaN for none), `normals` and RGB `colours` (..., 3)."""
+    """The cloud to write: `points` (NaN for none), `normals` and RGB `colours` (..., 3)."""
 
     @property
     def points(self) -> NDArray[np.floating]: ...  # noqa: D102
@@ -174,7 +174,7 @@ def read_cloud(path: Path) -> CloudPoints:
 
 
 def _vertex_layout(path: Path, header: list[str]) -> tuple[int, np.dtype[np.void]]:
-    """How many vertices there are, and the type of one."""
+    """Return the number of vertices and the type of one."""
     words = [line.split() for line in header if line.split()]
     elements = [index for index, line in enumerate(words) if line[0] == "element" and len(line) == 3]
     count = words[elements[0]][2] if elements and words[elements[0]][1] == "vertex" else ""

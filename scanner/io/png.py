@@ -60,13 +60,15 @@ def png_of(image: Image) -> bytes:
 
 @dataclass(frozen=True)
 class _CheckSum:
-    """Adler-32 of so many bytes."""
+    """The Adler-32 checksum of `length` bytes."""
 
     adler: int
     length: int
 
     def followed_by(self, other: "_CheckSum") -> "_CheckSum":
-        """Of these bytes and others behind them (RFC 1950, section 9, the two sums of which are `low` and `high`)."""
+        """Return the checksum of these bytes followed by others (RFC 1950, section 9, whose two sums are `low` and
+        `high`).
+        """
         (high, low), (other_high, other_low) = (divmod(each.adler, 1 << 16) for each in (self, other))
         joined = (low + other_low - 1) % _ADLER
         joined += (high + other_high + other.length * (low - 1)) % _ADLER << 16

@@ -41,7 +41,7 @@ class StoredStation:
 
 @dataclass(frozen=True)
 class StoredRoom:
-    """What of a room other files need."""
+    """The part of a room that other files need."""
 
     unit: str
     stations: tuple[StoredStation, ...]

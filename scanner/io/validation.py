@@ -1,4 +1,4 @@
-"""From what a file says to typed values: one place that turns pydantic's findings into sentences for people."""
+"""Validate parsed files into typed values: the one place that turns pydantic's findings into sentences for people."""
 
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher

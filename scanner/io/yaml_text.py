@@ -113,7 +113,7 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
 
 
 def _words(problem: str | None) -> str:
-    """What the parser says, which may quote the file."""
+    """Return the parser's message, which may quote the file."""
     return shortened(harmless(" ".join(str(problem).split())), 200)
 
 

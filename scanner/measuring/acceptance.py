@@ -34,11 +34,11 @@ class BallBar:
 
 @dataclass(frozen=True)
 class Error:
-    """One error: `value` is measured less calibrated, or a range, which nothing but the scanner and the artefact cause.
+    """One error: `value` is measured minus calibrated, or a range that is due to the scanner and the artefact only.
 
     `quantity`: PF, PS, SD or F; `of`: what it was measured on; `placement`: the result's name. `budget`: of the
-    measured value, None for ranges. `dispersion`: for ranges, the one that 95 % of the points are within. `strays`:
-    share of the points that were left out before.
+    measured value, None for ranges. `dispersion`: for ranges, the one that contains 95 % of the points. `strays`: share
+    of the points that were removed before.
     """
 
     quantity: str
@@ -52,7 +52,7 @@ class Error:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """All errors of all placements, in `unit`, with how well lengths are known by each result itself."""
+    """All errors of all placements, in `unit`, and the uncertainty of lengths stated by each result."""
 
     unit: str
     ball_bar: BallBar
@@ -64,7 +64,7 @@ class Acceptance:
         return tuple(error for error in self.errors if error.quantity == quantity)
 
     def worst(self, quantity: str) -> Error | None:
-        """The largest of a kind, which is the one that counts; None if there is none."""
+        """Return the largest error of a kind, which is the one that counts; None if there is none."""
         return max(self.of(quantity), key=lambda error: abs(error.value), default=None)
 
 
@@ -85,7 +85,7 @@ def parse_ball_bar(text: str, unit: str) -> BallBar:
 
 
 def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) -> tuple[Error, ...]:
-    """Of one placement. Raises NoMeasurementError if a sphere is not found."""
+    """Compute the errors of one placement. Raises NoMeasurementError if a sphere is not found."""
     measured = measure(scan, scene, list(ball_bar.diameters), [])
     found: list[Error] = []
     for number, (sphere, nominal) in enumerate(zip(measured.spheres, ball_bar.diameters, strict=True), start=1):

@@ -31,14 +31,16 @@ NAMES = {
 
 @dataclass(frozen=True)
 class Row:
-    """One error, or the largest of a kind, as text: what it is, its cells, and what is to be minded."""
+    """One error, or the largest of a kind, as text: its name, its cells, and a remark."""
 
     name: str
     cells: tuple[str, ...]
 
 
 def summary(acceptance: Acceptance) -> Iterator[Row]:
-    """For each kind of error: the largest, where it was, and how many there are of how many the standard asks for."""
+    """Return for each kind of error the largest, where it occurred, and how many of the number that the standard
+    requires were measured.
+    """
     unit = shown_unit(acceptance.unit)
     for quantity, (name, wanted) in NAMES.items():
         worst = acceptance.worst(quantity)
@@ -49,7 +51,7 @@ def summary(acceptance: Acceptance) -> Iterator[Row]:
 
 
 def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
-    """Each error of one kind."""
+    """Return the rows of one kind of error."""
     unit = shown_unit(acceptance.unit)
     for error in acceptance.of(quantity):
         sigma = 0.0 if error.budget is None else error.budget.sigma
@@ -60,7 +62,7 @@ def rows(acceptance: Acceptance, quantity: str) -> Iterator[Row]:
 
 
 def remarks(acceptance: Acceptance) -> Iterator[str]:
-    """What keeps this from being the standard's test."""
+    """Return how this differs from the standard's test."""
     few = [
         f"{name.lower()} {len(acceptance.of(quantity))} of {wanted}"
         for quantity, (name, wanted) in NAMES.items()
@@ -96,7 +98,7 @@ def summary_table(acceptance: Acceptance) -> Table:
 
 
 def write_acceptance(path: Path, acceptance: Acceptance) -> None:
-    """All errors for other programs. Raises OSError."""
+    """Write all errors for other programs. Raises OSError."""
     document = {"format": _FORMAT, **asdict(acceptance)}
     path.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 

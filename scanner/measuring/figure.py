@@ -70,7 +70,7 @@ class _Frame:
         return float(np.min(np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM]) / (self.high - self.low)))
 
     def place(self, x: float, y: float) -> tuple[int, int]:
-        """Of a pixel of the camera."""
+        """Return the position of a camera pixel in the panel."""
         return round(_LEFT + self.scale * (x - self.low[0])), round(_TOP + self.scale * (y - self.low[1]))
 
 
@@ -121,7 +121,7 @@ def _draw_axes(drawing: ImageDraw.ImageDraw, frame: _Frame) -> None:
 
 
 def _draw_scale(image: Image.Image, limit: float, text: str, at: tuple[int, int]) -> None:
-    """What the colours mean, from −`limit` to `limit`; its lower left corner is `at`."""
+    """Draw the colour scale from −`limit` to `limit`; its lower left corner is `at`."""
     drawing = ImageDraw.Draw(image)
     left, bottom = at
     shades = Image.fromarray(np.ascontiguousarray(_SHADES[::-1, None])).resize((_BAR_WIDTH, bottom - _TOP))

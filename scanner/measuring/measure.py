@@ -17,7 +17,7 @@ PixelPair = tuple[float, float, float, float]
 
 
 def read_scene(folder: Path, calibration: Calibration) -> Scene:
-    """What a result with that calibration has measured, as its report says. Raises InputError."""
+    """Return the scene that a result with that calibration has measured, as its report states it. Raises InputError."""
     uncertainty = read_uncertainty(folder / CALIBRATION_FILE, calibration)
     return measure_scene(read_matches(folder), calibration, uncertainty)
 

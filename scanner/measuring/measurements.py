@@ -1,4 +1,4 @@
-"""What can be measured; every length is in the result's unit."""
+"""Measurements; every length is in the result's unit."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _DIAMETER = np.array([[0.0, 0.0, 0.0, 2.0]])  # from centre and radius
 
 @dataclass(frozen=True)
 class FitErrors:
-    """How far points are from what was fitted to them.
+    """Distances of points from the fitted surface.
 
     `residual` (N,): signed distances; `pixel` (N, 2): the camera's column and row of each. For a sphere positive is
     outside, for a plane towards the camera.
@@ -61,12 +61,12 @@ class SphereMeasurement:
 
     @property
     def diameter_budget(self) -> Budget:
-        """What makes the diameter err."""
+        """The error budget of the diameter."""
         return self.spread.through(_DIAMETER).budget()
 
     @property
     def centre_budgets(self) -> tuple[Budget, ...]:
-        """What makes each coordinate of the centre err."""
+        """The error budget of each coordinate of the centre."""
         return tuple(self.spread.budget(axis) for axis in range(3))
 
 
@@ -97,7 +97,9 @@ class AngleMeasurement:
 
 @dataclass(frozen=True)
 class PointAngle:
-    """At the second of three `points` (3, 3), between the lines to the others; `budget` None where unknown."""
+    """The angle at the second of three `points` (3, 3), between the lines to the others; `budget` None where
+    unknown.
+    """
 
     points: Floats
     angle_deg: float
@@ -130,7 +132,7 @@ class Scene:
 
     @property
     def sentence(self) -> str:
-        """How well lengths are known."""
+        """State the uncertainty of lengths in a sentence."""
         return ONLY_SCATTER if self.lengths is None else self.lengths.sentence
 
 
@@ -145,7 +147,7 @@ class Measurements:
 
     @property
     def faces(self) -> tuple[FaceMeasurement, ...]:
-        """Those of the corner."""
+        """The faces of the corner."""
         return self.scene.faces
 
     @property

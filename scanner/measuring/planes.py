@@ -33,7 +33,7 @@ _MOST_POINTS = 100_000
 
 
 def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None) -> Scene:
-    """From all matches of a scan, of which at most 100,000 are used, always the same; no faces if they have none."""
+    """Measure the scene from all matches of a scan, or a fixed sample of 100,000; no faces if the matches have none."""
     part = matches[_sample(matches, calibration)]
     errors = rig_errors(calibration, uncertainty)
     met = intersect(part, calibration)

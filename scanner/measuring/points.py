@@ -24,7 +24,9 @@ def distance_between(scan: FinishedScan, scene: Scene, ends: tuple[int, int]) ->
 
 
 def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> PointAngle:
-    """At the second of three different points of a scan, by number, between the lines to the others."""
+    """Measure the angle at the second of three different points of a scan, given by index, between the lines to the
+    others.
+    """
     points = scan.points[[*ends]]
     to_first, to_last = points[0] - points[1], points[2] - points[1]
     first, last = to_first / np.linalg.norm(to_first), to_last / np.linalg.norm(to_last)
@@ -38,7 +40,9 @@ def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> Po
 
 
 def _budget(scan: FinishedScan, scene: Scene, points: Sequence[int], gradient: Floats) -> Budget | None:
-    """What makes a number err that depends on points (n) by `gradient` (3 n,); None where their noise is not known."""
+    """Return the error budget of a number that depends on points (n) by `gradient` (3 n,); None where their noise is
+    unknown.
+    """
     matches = scan.matches[np.array(points)]
     if matches.sigma_px is None:
         return None

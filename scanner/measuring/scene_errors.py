@@ -1,4 +1,4 @@
-"""What errs in a scan besides single matches, and what that does to lengths: in one sentence, for every page."""
+"""Errors of a scan that its matches share, and their effect on lengths, in one sentence for every page."""
 
 from dataclasses import dataclass
 from math import floor, log10
@@ -17,7 +17,9 @@ ONLY_SCATTER = (
 
 @dataclass(frozen=True)
 class KnownLengths:
-    """How well lengths in the middle of a scene are known: `budget` is relative; `middle` (3,): where, in `unit`."""
+    """The uncertainty of lengths in the middle of a scene: `budget` is relative; `middle` (3,) is the position, in
+    `unit`.
+    """
 
     budget: Budget
     middle: Floats
@@ -48,13 +50,15 @@ def _two_digits(value: float) -> str:
 
 
 def rig_errors(calibration: Calibration, uncertainty: Uncertainty | None) -> SystematicErrors:
-    """With the baseline as what fixes the scale."""
+    """Return the rig's errors, with the scale fixed by the baseline."""
     sigma = calibration.sigma.known_baseline or 0.0
     return SystematicErrors.of(calibration, uncertainty, sigma / calibration.baseline)
 
 
 def known_lengths(points: Floats, errors: SystematicErrors) -> KnownLengths | None:
-    """Around the middle of points (N, 3); None where the calibration's covariance is not known, or without points."""
+    """Return the uncertainty of lengths around the middle of points (N, 3); None without points, or without the
+    calibration's covariance.
+    """
     if not errors.known or not len(points):
         return None
     calibration = errors.calibration

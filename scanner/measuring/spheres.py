@@ -30,7 +30,9 @@ _LARGEST_SIZE_ERROR, _LARGEST_SCATTER = 0.15, 0.1
 def measure_spheres(
     scan: FinishedScan, diameters: list[float], errors: SystematicErrors
 ) -> tuple[SphereMeasurement, ...]:
-    """One sphere for each diameter, in the scan's unit; given twice, two different ones. Raises NoMeasurementError."""
+    """Fit one sphere for each diameter, in the scan's unit; a diameter given twice finds two spheres. Raises
+    NoMeasurementError.
+    """
     cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
     free = np.ones(len(scan), np.bool_)
     rng = np.random.default_rng(0)
@@ -100,7 +102,7 @@ def _spread(scan: FinishedScan, on: Bools, sphere: Sphere, errors: SystematicErr
 
 
 def _on_ball(scan: FinishedScan, centre: Floats, radius: float) -> Bools:
-    """Points of pixels whose rays go into the ball: what is seen there is the ball, or hides it."""
+    """Select points on the ball: their ray passes well inside its outline, and they lie near its surface."""
     ray = _rays(scan.points)
     from_ray = np.linalg.norm(centre - (ray @ centre)[:, None] * ray, axis=1)
     from_centre = np.linalg.norm(scan.points - centre, axis=1)

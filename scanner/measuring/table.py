@@ -46,7 +46,7 @@ def angle_cells(angle: AngleMeasurement | PointAngle) -> tuple[str, str]:
 
 
 def shares_table(measured: Measurements) -> Table:
-    """Where each sigma comes from."""
+    """Return a table of the contributions to each sigma."""
     unit = shown_unit(measured.unit)
     table = empty_table("Shares of the sigmas", "sigma", *_SHARES)
     rows: list[tuple[str, Budget, float]] = []

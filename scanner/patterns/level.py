@@ -25,7 +25,7 @@ def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
 
 
 def kind(pattern: Pattern) -> Hashable:
-    """What a pattern shares with those that complete it."""
+    """Return a key that a pattern shares with those that complete it."""
     match pattern:
         case White() | Black():
             return White()
@@ -44,5 +44,5 @@ def _is_whole(group: Sequence[Pattern]) -> bool:
 
 
 def _shift(pattern: Pattern) -> float:
-    """Of a cycle; 0 of what has none."""
+    """The shift as a share of a cycle; 0 for patterns without one."""
     return pattern.shift % 1 if isinstance(pattern, Phase) else 0.0

@@ -29,7 +29,7 @@ class White:
 
 @dataclass(frozen=True)
 class Black:
-    """Nothing lit but the projector's black level."""
+    """The projector's black level."""
 
     def brightness(self, x: Floats, y: Floats) -> Floats:
         """Brightness 0 … 1 at projector coordinates of equal shape."""
@@ -59,8 +59,8 @@ class Gray:
 class Xor:
     """One bit of a Gray code, exclusive or its bit `base`: its stripes are as fine as those of that bit.
 
-    Light that bounces averages over fine stripes and reaches a place in equal parts, whatever the pattern, so that it
-    turns over no bit (Gupta et al., CVPR 2011). The base itself is shown as a bit of the Gray code.
+    Interreflected light averages over fine stripes and adds the same level to all patterns, so that it does not flip a
+    bit (Gupta et al., CVPR 2011). The base itself is shown as a bit of the Gray code.
     """
 
     axis: Axis
@@ -157,12 +157,12 @@ def sequence_for(
 ) -> tuple[Pattern, ...]:
     """White, black, a code down to `cell` for each axis, then fringes of `periods` along both in `shifts` steps each.
 
-    Each fringe along y comes between the two halves of that along x, the second one backwards. So both are measured at
-    the same time on average, and a slow drift shifts neither against the other; what moves suddenly between them breaks
-    the fringe along x in two, and is seen.
+    Each fringe along y lies between the two halves of that along x, the second of which runs backwards. So both are
+    measured at the same time on average, and a slow drift shifts neither against the other. A sudden motion between
+    them splits the fringe along x, which is detected.
 
     A cell of half the longest period leaves a quarter of that period as slack on either side of each Gray edge, so that
-    no fringe order hangs on a single edge. `shifts` = 0 leaves the fringes out.
+    no fringe order depends on a single edge. `shifts` = 0 omits the fringes.
     """
     patterns: list[Pattern] = [White(), Black()]
     axes: tuple[tuple[Axis, int], ...] = (("x", size[0]), ("y", size[1]))

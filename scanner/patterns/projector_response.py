@@ -1,4 +1,6 @@
-"""How bright a projector makes its grey levels, and what to send so that light comes out in proportion to a pattern."""
+"""The projector's response: its brightness per grey level, and the levels to send for light proportional to a
+pattern.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -22,12 +22,12 @@ _KINDS: dict[str, type[Pattern]] = {kind.__name__.lower(): kind for kind in (Whi
 
 
 class _Shown(Entry):
-    """What a frame shows: the fields of a pattern, with the limits of what can be drawn and decoded."""
+    """The pattern of a frame: its fields, with the limits of what can be drawn and decoded."""
 
     kind: str
 
     def pattern(self) -> Pattern:
-        """What the entry describes."""
+        """The pattern that the entry describes."""
         return _KINDS[self.kind](**self.model_dump(exclude={"kind"}))
 
 

@@ -1,4 +1,4 @@
-"""Every pixel of two calibrated photos matched: rectified, then OpenCV's semi-global matching (Hirschmüller 2008)."""
+"""Dense matching of two calibrated photos: rectification, then OpenCV's semi-global matching (Hirschmüller 2008)."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,8 @@ class DenseCloud:
 
 @dataclass(frozen=True)
 class _Rectified:
-    """A photo in a frame whose x axis is the baseline: `low` (2,) is its first pixel, `focal_px` that of both photos.
+    """A photo in a frame whose x axis is the baseline: `low` (2,) is its first pixel, `focal_px` is common to both
+    photos.
 
     `rotation` (3, 3): from the photo's frame into the common one.
     """
@@ -45,7 +46,7 @@ class _Rectified:
     size: tuple[int, int]
 
     def rays(self) -> Floats:
-        """Of its pixels in the common frame, (H, W, 3) at z = 1."""
+        """Return the rays of its pixels in the common frame, (H, W, 3) at z = 1."""
         width, height = self.size
         x, y = np.meshgrid(np.arange(width) + self.low[0], np.arange(height) + self.low[1])
         return np.stack([x / self.focal_px, y / self.focal_px, np.ones_like(x)], axis=-1)

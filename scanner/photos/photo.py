@@ -45,7 +45,7 @@ class Photo:
 
     @property
     def size(self) -> Size:
-        """Of the photo as it is meant to be seen."""
+        """The size of the upright photo."""
         return Size.of(self.pixels)
 
 

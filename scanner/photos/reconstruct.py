@@ -84,7 +84,7 @@ def refuse_unsuitable(config: Config) -> None:
 
 
 def principal_point(config: Config, size: Size) -> PrincipalPoint:
-    """What is known of the principal point: nothing, unless the configuration says otherwise."""
+    """Return the prior of the principal point: none, unless the configuration gives one."""
     setting = config.camera.principal_point
     if setting.known is None and setting.prior is None and setting.sigma_px is None:
         return anywhere(size)
@@ -195,7 +195,9 @@ def _alike(pair: SelfCalibrated, first: SelfCalibrated) -> SelfCalibrated:
 
 
 def _distance(pair: SelfCalibrated) -> float:
-    """From the first photo's place to the corner's vertex, in the unit of the pair's calibration."""
+    """Return the distance from the first photo's position to the corner's vertex, in the unit of the pair's
+    calibration.
+    """
     return float(np.linalg.norm(pair.corner.vertex))
 
 

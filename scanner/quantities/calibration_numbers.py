@@ -29,7 +29,7 @@ class Quantity:
 
     @property
     def decimals(self) -> int:
-        """As many as show two digits of sigma, or five significant digits where there is none."""
+        """The number of decimals that shows two digits of sigma, or five significant digits where there is no sigma."""
         if self.sigma:
             return max(0, 1 - floor(log10(self.sigma)))
         size = max(abs(self.value), 1.0 if self.unit else 1e-4)
@@ -124,7 +124,7 @@ def _distortion(device: Intrinsics, true: Intrinsics | None, sigmas: DeviceSigma
 
 
 def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list[Quantity]:
-    """How the two devices stand to each other; lengths only against a truth of the same unit."""
+    """Return the relative pose of the two devices; lengths are compared only with a truth of the same unit."""
     same_unit = truth is not None and truth.unit == calibration.unit
     turned = Rotation.from_matrix(calibration.rotation).magnitude()
     first, second = device_names(calibration)
@@ -155,7 +155,7 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
 
 
 def relative_focal_sigmas(calibration: Calibration) -> dict[str, float]:
-    """Of the devices' focal lengths, by device, the larger of two axes; without those that are not known."""
+    """Return the relative sigma of each device's focal length, the larger of two axes; unknown ones are omitted."""
     devices = {
         "camera": (calibration.camera, calibration.sigma.camera),
         "projector": (calibration.projector, calibration.sigma.projector),

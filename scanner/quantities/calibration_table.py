@@ -51,7 +51,7 @@ def _truth_cells(quantity: Quantity) -> tuple[str, str, str]:
 
 
 def truth_line(calibration: Calibration, truth: Calibration) -> str:
-    """How far the calibration is from the truth, in one line."""
+    """State the calibration's errors against the truth, in one line."""
     percent = np.abs(intrinsic_errors_percent(calibration, truth)).mean()
     turned = np.degrees(Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude())
     found, true = calibration.translation, truth.translation

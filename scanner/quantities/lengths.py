@@ -40,7 +40,7 @@ class ShownUnit:
 
 
 def shown_unit(unit: str) -> ShownUnit:
-    """What lengths of a result in `unit` are shown in."""
+    """Return the unit in which lengths of a result in `unit` are shown."""
     if unit in _METRIC:
         return ShownUnit(METRES[unit] / METRES["mm"], "mm")
     return ShownUnit(1.0, unit_name(unit))

@@ -1,4 +1,4 @@
-"""What things are called on every page and in every table."""
+"""Names of quantities and devices, the same on every page and in every table."""
 
 from calib.geometry import Calibration
 
@@ -6,9 +6,10 @@ FACE_NAMES = ("A", "B", "C")
 
 
 def device_names(calibration: Calibration, number: int = 1, among: int = 1) -> tuple[str, str]:
-    """Of both devices of capture `number` (from 1, the oldest) of so many, which only photos have one camera for.
+    """Return the names of both devices of capture `number` (from 1, the oldest) of `among`. Pairs of photos have one
+    camera.
 
-    Every pair of photos has the first one; the newest pair is that with the second.
+    Every pair of photos includes the first; the newest pair is the one with the second.
     """
     if calibration.one_camera:
         return "photo 1", f"photo {among - number + 2}"

@@ -19,7 +19,9 @@ _LENGTH = re.compile(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?) *([^0-9. ]*)")
 
 
 def metres_per(unit: str) -> float:
-    """How long a unit is. Raises InputError if it is not known; that of a result without a scale is not."""
+    """Return the length of a unit in metres. Raises InputError if it is unknown, as is that of a result without a
+    scale.
+    """
     if unit == UNKNOWN_UNIT:
         raise InputError(
             "the result has no known length, its unit is the baseline; make it again with a scale, as in "

@@ -41,9 +41,10 @@ def refuse_impossible(config: Config, count: int) -> None:
 def label(
     captures: Sequence[Decoded], reached: list[Stage], config: Config, masks: Bools | None = None
 ) -> list[Decoded]:
-    """Matches → matches with faces, which are found, drawn by hand, or labelled already.
+    """Label matches with faces, which are found, drawn by hand, or labelled already.
 
-    `masks` (3, H, W) are of the newest capture. Raises RefusalError; `reached` is told how far each capture got.
+    `masks` (3, H, W) apply to the newest capture. Raises RefusalError; `reached` receives the stage that each capture
+    has reached.
     """
     labelled: list[Decoded] = []
     for number, capture in enumerate(captures):

@@ -41,7 +41,7 @@ def read_captures(
 
 
 def _places(path: Path) -> Iterator[Path]:
-    """Where the captures of a matches file or a result folder are, oldest first."""
+    """Return the locations of the captures in a matches file or a result folder, oldest first."""
     if (path / CAPTURES_FOLDER).is_dir():
         inner = [place for place in (path / CAPTURES_FOLDER).iterdir() if place.name.isdecimal()]
         yield from sorted(inner, key=lambda place: int(place.name))

@@ -21,14 +21,14 @@ _NOT_A_STEP = 0.05  # of the longest part of it
 
 @dataclass(frozen=True)
 class Guidance:
-    """What to tell an operator after some captures; `enough`: a further one is not needed for a measurement."""
+    """Advice to an operator after some captures; `enough`: a further one is not needed for a measurement."""
 
     sentences: tuple[str, ...]
     enough: bool
 
 
 def guide(captures: Sequence[Decoded], config: Config) -> tuple[Guidance, list[Decoded]]:
-    """What the captures so far are worth, and the same with the faces that were found in them."""
+    """Return advice from the captures so far, and the captures with the faces found in them."""
     try:
         labelled = label(captures, [*captures], config)
     except RefusalError as refusal:
@@ -48,7 +48,7 @@ def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
     sigmas = relative_focal_sigmas(newest.calibration)
     enough = len(sigmas) == 2 and max(sigmas.values()) <= MEASUREMENT_GRADE
     known = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    sentences = [f"So far the focal lengths are known to {known}." if known else "How certain this is cannot be said."]
+    sentences = [f"So far the focal lengths are known to {known}." if known else "The uncertainty is unknown."]
     sentences += [note for note in newest.solution.notes if note.startswith(FROM_ONE_PLACE)]
     if len(calibrated) > 1:
         sentences.append(_on_overlap(calibrated))

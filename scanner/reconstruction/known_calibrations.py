@@ -13,7 +13,7 @@ _YAML = (".yaml", ".yml")
 
 
 def is_calibration(path: Path) -> bool:
-    """Whether a path is that of a calibration file, or of a result that has a calibration and no matches."""
+    """Whether a path is a calibration file, or a result that has a calibration and no matches."""
     if path.is_dir():
         return (path / CALIBRATION_FILE).is_file() and not (path / MATCHES_FILE).exists()
     return path.suffix.lower() in _YAML
@@ -22,7 +22,7 @@ def is_calibration(path: Path) -> bool:
 def read_known(paths: Sequence[Path], camera_size: Size, projector_size: Size) -> KnownCalibration | None:
     """The one calibration among these paths; None if all are captures.
 
-    Raises InputError if there are two, or if it is of another rig, or says nothing of its covariance.
+    Raises InputError if there are two, or if it is of another rig, or has no covariance.
     """
     given = [path for path in paths if is_calibration(path)]
     if not given:
@@ -50,7 +50,6 @@ def _read(file: Path, camera_size: Size, projector_size: Size) -> KnownCalibrati
     uncertainty = read_uncertainty(file, calibration)
     if uncertainty is None:
         raise InputError(
-            f"{file}: says nothing of its covariance, without which it cannot be weighed against captures: make it "
-            "with scan board"
+            f"{file}: has no covariance, without which it cannot be weighed against captures: make it with scan board"
         )
     return KnownCalibration(calibration, uncertainty)

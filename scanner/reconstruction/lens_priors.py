@@ -1,4 +1,4 @@
-"""What a configuration says of both lenses, as a prior for every estimate."""
+"""Priors of both lenses from a configuration, for every estimate."""
 
 from calib.geometry import DeviceSigmas, Intrinsics, Size
 from calib.refinement import ORDINARY_LENSES, LensPrior
@@ -11,8 +11,10 @@ _SUREST = 1e-6  # nothing is known better of a term
 
 
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:
-    """Of camera and projector with images of these sizes. Raises InputError if a calibration is named that is of
-    neither, or does not say how sure its lens terms are.
+    """Return the lens priors of camera and projector with images of these sizes.
+
+    Raises InputError if a named calibration belongs to neither device, or does not state the uncertainty of its lens
+    terms.
     """
     setting = config.lens
     camera, projector = ORDINARY_LENSES

@@ -116,7 +116,9 @@ def _sees(view: View, points: Floats) -> Bools:
 
 
 def _from_surface(cloud: Cloud, view: View, points: Floats) -> Floats:
-    """Of points (N, 3) in a view's frame those that it saw, (M,): their distance along its normals, relative."""
+    """Select the points (N, 3) in a view's frame that the view saw. Return their relative distance along its normals,
+    (M,).
+    """
     seen = points[_sees(view, points)]
     column, row = np.rint(view.camera.project(seen)).astype(np.int64).T
     along = np.sum((seen - cloud.points[row, column]) * cloud.normals[row, column], axis=1)

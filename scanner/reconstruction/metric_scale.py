@@ -11,10 +11,11 @@ from scanner.quantities import UNKNOWN_UNIT
 
 
 def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings | None) -> Calibration:
-    """The calibration in metres if a length is known; as it is if none is, or if it has a unit already.
+    """Return the calibration in metres if a length is known; unchanged if none is, or if it has a unit already.
 
-    `corner` is in the calibration's unit. The result's `sigma` says which length was known, and how well: 0 for
-    exactly. Raises InputError if the known length is that to a corner and there is none, or that of a sheet.
+    `corner` is in the calibration's unit. The result's `sigma` records which length was known, and its sigma: 0 if
+    exact. Raises InputError if the known length is the distance to a corner and there is none, or if it is that of a
+    sheet.
     """
     if scale is None or calibration.unit != UNKNOWN_UNIT:
         return calibration

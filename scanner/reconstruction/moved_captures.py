@@ -28,7 +28,7 @@ def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> Non
 
 
 def shifts_of(capture: Decoded) -> Shifts:
-    """By what all matches of a capture may be shifted."""
+    """Return the shifts that all matches of a capture may have in common."""
     motion = capture.decoding.motion if capture.decoding else None
     of_motion = Shifts() if motion is None else motion.shifts
     of_panel = capture.panel.shifts if capture.panel else ()
@@ -37,10 +37,12 @@ def shifts_of(capture: Decoded) -> Shifts:
 
 
 def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
-    """The same with notes on what a motion costs, and on what nobody can have seen, where there is such a thing."""
+    """Add notes on the loss of accuracy by motion, and on motion that the capture cannot reveal, where either
+    applies.
+    """
     if solution.likely_percent > _MOST_PERCENT:
         cost = (
-            f"What may be left of the motion costs {solution.likely_percent:.2g} % of the intrinsics, of which this "
+            f"The remaining motion may cost {solution.likely_percent:.2g} % of the intrinsics, of which this "
             f"view is unsure by {solution.at_rest_percent:.2g} % anyway. Both are part of their sigmas."
         )
         solution = replace(solution, notes=(*solution.notes, cost))

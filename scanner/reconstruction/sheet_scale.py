@@ -18,7 +18,7 @@ _MM = 1e-3
 
 @dataclass(frozen=True)
 class _Sheet:
-    """What is known of the sheet: its points in metres, and the standard deviation of a length's logarithm on it."""
+    """The measured sheet: its points in metres, and the standard deviation of a length's logarithm on it."""
 
     target: Target
     log_sigma: float

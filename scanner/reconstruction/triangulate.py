@@ -24,7 +24,9 @@ _OF_ANOTHER_RIG = "Check that it belongs to this rig, and that nothing has moved
 
 
 def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: Progress) -> tuple[Reconstructed, ...]:
-    """A cloud for each capture. Raises RefusalError; `reached` is told how far each capture got."""
+    """Triangulate a cloud for each capture. Raises RefusalError; `reached` receives the stage that each capture has
+    reached.
+    """
     reconstructed = []
     for number, capture in enumerate(captures):
         with progress.step("Triangulating"), naming(capture.decoded, among=len(captures)):

@@ -1,4 +1,4 @@
-"""The pictures of a capture, as weighted sums of the frames of a recording, which is read once more for them."""
+"""Compute the pictures of a capture as weighted sums of the frames of a recording, which is read once more."""
 
 import math
 import tempfile
@@ -41,7 +41,7 @@ def average(
     keep: Collection[int],
     progress: Progress,
 ) -> Averaged:
-    """Read a recording of so many frames again. Raises InputError."""
+    """Read a recording again and average its frames. Raises InputError."""
     lights = video.codes.light(tone)
     height, width = video.size.height, video.size.width
     sums = _zeros(len(weights), height, width)
@@ -69,7 +69,7 @@ def average(
 
 
 def _zeros(*shape: int) -> Light:
-    """In memory, or in a file that has no name any more if they are many."""
+    """Allocate in memory, or in an unlinked temporary file if large."""
     if 4 * math.prod(shape) <= _MOST_BYTES_IN_MEMORY:
         return np.zeros(shape, np.float32)
     with tempfile.TemporaryFile() as file:

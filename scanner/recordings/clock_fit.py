@@ -29,7 +29,7 @@ _INDEPENDENT = 300  # of the shares: those of neighbouring rows err alike
 
 
 def fit_clocks(samples: VideoSamples, programme: Programme, loops: tuple[Loop, ...]) -> Clocks:
-    """From loops as their marks tell them."""
+    """Fit the clocks to loops located by their start marks."""
     still = tuple(np.zeros(len(programme.loop) + 1) for _ in loops)
     exposure = min(samples.frame_interval_s / 2, programme.hold_s / 4)
     clocks = Clocks(exposure, 0.0, loops, still, ToneCurve(), 0.0)

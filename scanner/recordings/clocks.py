@@ -29,12 +29,12 @@ class Clocks:
     scatter_s: float
 
     def changes(self, number: int) -> Floats:
-        """When the slots of a loop begin, and the last one ends, (slots + 1,) in the camera's time."""
+        """Return when the slots of a loop begin, and the last one ends, (slots + 1,) in the camera's time."""
         loop, shifts = self.loops[number], self.shifts_s[number]
         times: Floats = loop.start_s + loop.slot_s * np.arange(len(shifts)) + shifts
         return times
 
     def row_delays(self, rows: Floats, middle_row: float) -> Floats:
-        """How much later than the middle row others are exposed, in seconds."""
+        """Return the delay of rows relative to the middle row, in seconds."""
         delays: Floats = (rows - middle_row) * self.line_s
         return delays

@@ -1,4 +1,4 @@
-"""When rows of frames were exposed, and whether within the time of one picture."""
+"""When rows of frames were exposed, and whether a single picture was shown throughout."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def margin_s(clocks: Clocks) -> float:
 
 
 def begins_of(samples: VideoSamples, clocks: Clocks, numbers: Ints, rows: Floats) -> Floats:
-    """When rows of frames begin to be exposed, (n, rows)."""
+    """Return when rows of frames begin to be exposed, (n, rows)."""
     delays = clocks.row_delays(rows, samples.middle_row)
     begins: Floats = samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
     return begins

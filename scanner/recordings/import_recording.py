@@ -1,4 +1,4 @@
-"""From a recording to a capture folder."""
+"""Import a recording into a capture folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +26,9 @@ _PPM = 1e6
 
 @dataclass(frozen=True)
 class Imported:
-    """What was found out about a recording; `frames_per_picture`: on average over pictures and rows.
+    """The findings about a recording; `frames_per_picture`: on average over pictures and rows.
 
-    `smooth_px`: as of `smooth_px`, None if nothing tells it.
+    `smooth_px`: see `smooth_px`; None if it cannot be measured.
     """
 
     clocks: Clocks
@@ -68,7 +68,7 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
 
 
 def _frames(weights: PictureWeights) -> float:
-    """How many frames make a picture: the median over its rows."""
+    """Return the number of frames that make a picture: the median over its rows."""
     return float(np.median(np.count_nonzero(weights.weights, axis=0)))
 
 
@@ -117,5 +117,5 @@ def _on_rows(weights: list[PictureWeights]) -> tuple[str, ...]:
     if unmixed > 0:
         notes.append(f"{unmixed:.1%} of the pictures' rows were unmixed from frames that show two pictures.")
     if lost > 0:
-        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be told from their neighbours.")
+        notes.append(f"{lost:.1%} of the pictures' rows are lost: they could not be separated from other pictures.")
     return tuple(notes)

@@ -11,10 +11,11 @@ from scanner.recordings.weights import PictureWeights
 
 
 def noise_of(samples: VideoSamples, weights: Sequence[PictureWeights], clocks: Clocks) -> list[float]:
-    """Of each picture: standard deviation of its light, relative to the range from 0 to 1; the median over its rows.
+    """Estimate the noise of each picture: the standard deviation of its light, relative to the range 0 to 1, as median
+    over rows.
 
-    That of a frame is told by the frames of equal weight in the sampled rows; of a picture that has one only, by the
-    others'.
+    The noise of a frame is estimated from frames of equal weight in the sampled rows; for a picture that has only one
+    frame, from the other pictures.
     """
     rows = samples.rows.astype(np.intp)
     of_frames = np.array([_of_a_frame(samples, clocks, each.numbers, each.weights[:, rows]) for each in weights])

@@ -43,7 +43,7 @@ def write_player_video(path: Path, programme: Programme) -> None:
 
 
 def _pictures(programme: Programme) -> Iterator[tuple[NDArray[np.uint8], int]]:
-    """Each picture, and for how many frames."""
+    """Yield each picture, and for how many frames it is shown."""
     width, height = programme.size
     fields = {WHITE: np.full((height, width), 255, np.uint8), BLACK: np.zeros((height, width), np.uint8)}
     hold = round(programme.hold_s * FRAMES_PER_SECOND)

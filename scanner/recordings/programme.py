@@ -1,7 +1,7 @@
-"""What a video of a sequence shows when: a start mark before each loop and after the last one, each picture as long.
+"""The schedule of a sequence's video: a start mark before each loop and after the last one; all pictures equally long.
 
 The start mark is a rhythm of white and black fields. It needs no geometry: the pictures are decoded in pixels of the
-video, so that a player that scales them resamples them, and a mirrored picture shows in what is decoded.
+video, so that scaling by the player only resamples them, and a mirrored picture shows in the decoded coordinates.
 """
 
 import zlib
@@ -54,7 +54,7 @@ class Programme:
 
     @cached_property
     def rhythm_slots(self) -> int:
-        """How many slots of the mark are the same for every sequence."""
+        """The number of slots of the mark that are the same for every sequence."""
         return 1 + len(_RHYTHM)
 
     @property
@@ -64,11 +64,13 @@ class Programme:
 
     @cached_property
     def loop(self) -> tuple[int, ...]:
-        """What each slot shows from a start mark to the end of the next one: WHITE, BLACK, or a pattern's number.
+        """Return the contents of each slot from a start mark to the end of the next: WHITE, BLACK, or a pattern's
+        number.
 
-        There and back: encoders, cameras that take noise off, and slow panels leave a share of each picture in the next
-        one, which shifts fringes of successive steps all to the same side, and back in reverse order. All pictures are
-        shown at the same time on average, so that slow drift shifts none of them against another.
+        The patterns run forwards, then backwards. Encoders, temporal denoising in cameras, and slow panels leave a
+        share of each picture in the next one (ghosting). That shifts fringes of successive steps to one side, and to
+        the other side in reverse order. All pictures are shown at the same time on average, so that slow drift shifts
+        none of them against another.
         """
         there = range(len(self.patterns))
         return (*self.mark, *there, *reversed(there), *self.mark)
@@ -79,34 +81,34 @@ class Programme:
         return len(self.mark) + len(self.patterns)
 
     def slots_of(self, pattern: int) -> tuple[int, int]:
-        """Where in a loop a pattern is shown: there, and back."""
+        """Return the slots in a loop that show a pattern: forwards and backwards."""
         return len(self.mark) + pattern, 2 * self.turn - len(self.mark) - 1 - pattern
 
     @property
     def slots_between_marks(self) -> int:
-        """From the beginning of a mark to that of the next."""
+        """Return the slots from the beginning of a mark to that of the next."""
         return len(self.loop) - len(self.mark)
 
     @property
     def slots(self) -> tuple[int, ...]:
-        """What the whole video shows, without the black before and after it."""
+        """Return the contents of the whole video, without the black before and after it."""
         return self.loops * self.loop[: self.slots_between_marks] + self.mark
 
     @property
     def length_s(self) -> float:
-        """How long the video is."""
+        """The duration of the video."""
         return LEAD_IN_S + len(self.slots) * self.hold_s + LEAD_OUT_S
 
     def as_dict(self, file: str) -> dict[str, object]:
-        """What `sequence.yaml` says of a video."""
+        """Return the entry of `sequence.yaml` that describes a video."""
         return {"file": file, "frames_per_second": FRAMES_PER_SECOND, "hold_s": self.hold_s, "loops": self.loops}
 
 
 def programme_of(patterns: Sequence[Pattern], size: Size, hold_s: float, loops: int) -> Programme:
-    """With pictures of whole video frames, of `hold_s` at least. Raises ValueError.
+    """Return a schedule whose pictures last a whole number of video frames, and `hold_s` at least. Raises ValueError.
 
-    Of an odd number of frames: a camera at half the rate then meets changes at two moments of its frames, without which
-    it could not tell exposure and line time apart from the phase of both clocks.
+    The number of frames is odd: a camera at half the frame rate then meets changes at two phases of its frames.
+    Otherwise exposure and line time could not be separated from the phase between the clocks.
     """
     _require_duration(hold_s)
     frames = ceil(hold_s * FRAMES_PER_SECOND - 1e-6) | 1
@@ -140,7 +142,7 @@ class _SequenceEntry(Entry):
 
 
 def read_programme(path: Path) -> Programme:
-    """What `scan patterns --video` wrote beside its video. Raises InputError."""
+    """Read the schedule that `scan patterns --video` wrote beside its video. Raises InputError."""
     data = read_yaml(path)
     if isinstance(data, dict) and "video" not in data:
         raise InputError(f"{path}: expected the sequence.yaml of a video, as scan patterns --video writes it")

@@ -1,4 +1,6 @@
-"""Some pixels of every frame of a recording: enough to tell both clocks, the tone curve and what the camera did."""
+"""Sample some pixels of every frame of a recording: enough for both clocks, the tone curve and changes by the
+camera.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,7 +51,7 @@ class VideoSamples:
 
     @cached_property
     def range(self) -> Floats:
-        """(R, C): from the darkest to the brightest frame, without the extreme ones, relative to that of luma."""
+        """The range (R, C) from the darkest to the brightest frame, without outliers, relative to the range of luma."""
         low, high = np.percentile(self.codes, (2, 98), axis=0)
         spread: Floats = (high - low) / (self.video.codes.white - self.video.codes.black)
         return spread

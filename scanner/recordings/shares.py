@@ -1,4 +1,4 @@
-"""How much of the later of two pictures is in each row of the frames around a change."""
+"""The share of the later of two pictures in each row of the frames around a change."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ def predicted(times: Floats, changes: Floats, delays: Floats, exposure_s: float)
 
 
 def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shares:
-    """The shares that the light in the samples tells under the clocks' tone curve."""
+    """Estimate the shares from the light in the samples, under the clocks' tone curve."""
     frames, changes = list[Ints](), list[Ints]()
     before, after, alone = list[Light](), list[Light](), list[Bools]()
     per_loop = len(programme.loop) + 1

@@ -33,7 +33,7 @@ def with_shifts(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
 
 
 def with_scatter(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Clocks:
-    """How far off their times the changes still are."""
+    """Return the clocks with the remaining scatter of the changes around their predicted times."""
     measured = _measured_shifts(samples, programme, clocks)
     off = np.concatenate([times - kept for (times, _, _), kept in zip(measured, clocks.shifts_s, strict=True)])
     off = off[np.isfinite(off)]

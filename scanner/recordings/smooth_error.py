@@ -1,7 +1,7 @@
-"""By what compression shifts fringes alike over whole faces, from what pictures there and back differ by.
+"""Estimate the smooth fringe shift due to video compression, from the difference of the forward and the backward pass.
 
-An encoder errs anew each time that a picture is shown, and what it leaves of a picture in the next one has the other
-sign in reverse order. So half of what separates the two passes is as large as the error of their mean.
+An encoder errs independently each time a picture is shown, and what a picture leaves in the next one has the opposite
+sign in reverse order. So half the difference of the two passes is as large as the error of their mean.
 """
 
 import math
@@ -28,7 +28,9 @@ _WELL_LIT = 98.0
 
 
 def smooth_px(programme: Programme, weights: Sequence[PictureWeights], averaged: Averaged) -> float | None:
-    """As of `calib.refinement.Shifts`, in projector pixels, for the shortest fringes; None where there are none."""
+    """Return the `smooth_px` of `calib.refinement.Shifts`, in projector pixels, for the shortest fringes; None without
+    fringes.
+    """
     fringes = defaultdict[tuple[Axis, float], list[tuple[int, Phase]]](list)
     for number, pattern in enumerate(programme.patterns):
         if isinstance(pattern, Phase):

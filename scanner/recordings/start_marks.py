@@ -1,4 +1,4 @@
-"""Where in a recording the start marks are, to a fraction of a frame."""
+"""Locate the start marks in a recording, to a fraction of a frame."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,7 +24,7 @@ _MOST_STRETCH = 0.012  # of a loop beside its marks: of a few frames that were d
 
 @dataclass(frozen=True)
 class Loop:
-    """From a start mark that begins at `start_s` to the end of the next; slots of `slot_s`, in the camera's time."""
+    """A loop from a start mark at `start_s` to the end of the next mark; slots of `slot_s`, in the camera's time."""
 
     start_s: float
     slot_s: float
@@ -85,7 +85,9 @@ def _brightness(samples: VideoSamples) -> Floats:
 
 
 def _found(times: Floats, brightness: Floats, mark: tuple[int, ...], hold_s: float) -> tuple[list[float], float]:
-    """Beginnings of the marks, in order, and the clocks' ratio, which is one of `_RATES` in all of them."""
+    """Return the beginnings of the marks, in order, and the ratio of the clocks, one of `_RATES`, the same for all
+    marks.
+    """
     best, best_rate = list[tuple[float, float]](), 1.0
     for rate in _RATES:
         found = _at_rate(times, brightness, mark, hold_s * float(rate))

@@ -52,7 +52,9 @@ def _shift_px(first: Light, other: Light) -> float:
 
 
 def _shift_of_tile(first: Light, other: Light) -> float | None:
-    """By maximal correlation (Evangelidis and Psarakis, TPAMI 30, 2008); None where nothing agrees well."""
+    """Return the shift of maximal correlation (Evangelidis and Psarakis, TPAMI 30, 2008); None where nothing agrees
+    well.
+    """
     at_rest = np.eye(2, 3, dtype=np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ITERATIONS, 1e-4)
     try:
@@ -63,7 +65,7 @@ def _shift_of_tile(first: Light, other: Light) -> float | None:
 
 
 def exposure_range(samples: VideoSamples, numbers: Ints, clocks: Clocks) -> float:
-    """How much the brightness of white fields varies, relative to it."""
+    """Return the range of the brightness of white fields, relative to their brightness."""
     levels = samples.light(clocks.tone, numbers)[:, samples.lit].mean(axis=1)
     return float(np.ptp(levels) / np.median(levels))
 

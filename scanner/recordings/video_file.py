@@ -33,9 +33,9 @@ class VideoFile:
     expected_frames: int
 
     def frames(self) -> Iterator[tuple[float, Image]]:
-        """Time in seconds and luma (H, W), 8 or 16 bit, of each frame, in the order of their times.
+        """Yield time in seconds and luma (H, W), 8 or 16 bit, of each frame, in order of time.
 
-        Raises InputError if a frame is of another size or interlaced. A file that ends early is read as far as it goes.
+        Raises InputError if a frame is of another size or interlaced. A truncated file is read as far as possible.
         """
         with _opened(self.path) as (container, stream):
             stream.thread_type = "AUTO"

@@ -1,5 +1,5 @@
-"""Of which frames, row by row, each picture is made: those in which it alone was lit, or what frames of known shares
-are unmixed to.
+"""Select the frames that make each picture, row by row: those in which it alone was lit, or a linear unmixing of frames
+with known shares.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ _MOST_ROWS_LOST = 0.3
 class PictureWeights:
     """A picture is the sum of frames `numbers` (n,) times `weights` (n, H); rows without any weight are lost.
 
-    `back` (n,): which of them show pictures in reverse order. `noise` (H,): of the picture relative to that of one
-    frame. `alone`: the share of rows from frames of it only.
+    `back` (n,): which of the frames belong to the backward pass. `noise` (H,): noise of the picture relative to that of
+    one frame. `alone`: the share of rows that use only frames in which this picture alone was lit.
     """
 
     numbers: Ints
@@ -37,7 +37,9 @@ class PictureWeights:
 
 
 def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks) -> list[PictureWeights]:
-    """One for each pattern. Raises InputError if a picture cannot be told from its neighbours in many rows."""
+    """Return the weights of each pattern. Raises InputError if a picture cannot be separated from its neighbours in
+    many rows.
+    """
     gains = frame_gains(samples, programme, clocks)
     found = [_weights(samples, programme, clocks, pattern, gains) for pattern in range(len(programme.patterns))]
     lost = max(float(np.mean(~each.weights.any(axis=0))) for each in found)
@@ -123,6 +125,6 @@ def _unmixed(
 
 
 def _around(programme: Programme, pattern: int) -> list[int]:
-    """What is shown within `_NEIGHBOURS` slots of a pattern, each once."""
+    """Return the patterns shown within `_NEIGHBOURS` slots of a pattern, each once."""
     around = [programme.loop[slot - _NEIGHBOURS : slot + _NEIGHBOURS + 1] for slot in programme.slots_of(pattern)]
     return list(dict.fromkeys(shown for each in around for shown in each))

@@ -75,7 +75,7 @@ def frustum_lines(corners: Floats) -> Floats:
 
 
 def frustum_of_projector(calibration: Calibration, length: float) -> Floats:
-    """What the projector lights, (8, 2, 3), in the camera's frame."""
+    """Return the frustum that the projector lights, (8, 2, 3), in the camera's frame."""
     return (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
 
 

@@ -1,4 +1,4 @@
-"""Colours that every kind of colour vision tells apart, and tables of shades."""
+"""Colours that are distinguishable with every kind of colour vision, and tables of shades."""
 
 import cv2
 import numpy as np

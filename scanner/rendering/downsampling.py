@@ -46,10 +46,11 @@ def extent(values: Map) -> tuple[int, int, int, int]:
 
 @compiled
 def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
-    """How many numbers of a map (H, W) are within ± `limit`; and where, row by row, of at most so many of them (n,).
+    """Count the numbers of a map (H, W) within ± `limit`, and return the positions of a sample of them (n,), row by
+    row.
 
-    Of each of so many stretches one is drawn at random, though always the same: at even distances they would fall into
-    step with the rows.
+    One is drawn at random, with a fixed seed, from each of equally many stretches; equal steps would alias with the
+    rows.
     """
     count = 0
     for row in range(values.shape[0]):
@@ -101,10 +102,10 @@ def cells_over(size: tuple[int, int], most: int) -> tuple[int, int, int]:
 
 @compiled
 def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: int, columns: int) -> Ints:
-    """One of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
+    """Select one of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
 
-    Drawn at random, though always the same: the first, say, of each would beat with fringes in the image, and show a
-    pattern that is none. Where pixels are many, there are still a dozen or more to draw from.
+    The choice is random with a fixed seed: the first pixel of each cell, say, would alias with fringes in the image.
+    Where pixels are dense, each cell has a dozen or more to choose from.
     """
     drawn = np.full((rows, columns), -1, np.int64)
     lots = np.zeros((rows, columns), np.uint64)

@@ -21,10 +21,11 @@ _OPAQUE = 255
 def facing(
     points: Floats32, normals: Floats32, axes: Floats32, row_step: int, column_step: int
 ) -> tuple[Floats32, Ints]:
-    """Of `points` (H, W, 3), NaN for none, on every so many rows and columns those whose `normals` look at the viewer.
+    """Select from `points` (H, W, 3), NaN for none, on every so many rows and columns those whose `normals` face the
+    viewer.
 
-    In the viewer's frame, whose `axes` (3, 3) are unit rows: right, down, forward. Returns them (N, 3), and which of
-    the H · W points they are (N,).
+    Returns them (N, 3) in the viewer's frame, whose `axes` (3, 3) are unit rows: right, down, forward; and their
+    indices into the H · W points, (N,).
     """
     rows = (points.shape[0] - 1) // row_step + 1
     columns = (points.shape[1] - 1) // column_step + 1

@@ -13,7 +13,7 @@ from scanner.shown_text import unbroken
 
 @cache
 def environment() -> Environment:
-    """Of all templates of this package."""
+    """Return the Jinja environment with all templates of this package."""
     made = Environment(
         loader=PackageLoader("scanner"),
         autoescape=True,
@@ -32,6 +32,8 @@ def script(name: str) -> Markup:
 
 
 def script_hash(text: str) -> str:
-    """What a page's security policy calls a script: a browser runs no other, and loads nothing."""
+    """Return the hash that a page's security policy uses to permit this script: a browser runs no other, and loads
+    nothing.
+    """
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
     return f"'sha256-{digest}'"

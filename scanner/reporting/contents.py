@@ -1,4 +1,4 @@
-"""What a report is made from."""
+"""The contents of a report."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,8 +21,8 @@ _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 class CaptureRow:
     """One of several captures that were calibrated together.
 
-    `report` is where its own report is, relative to this one, '' for this one. `residual_px`, the cloud's
-    `statistics` and its `calibration` are None where a refusal came first.
+    `report` is the path of its own report, relative to this one; '' for this one. `residual_px`, the cloud's
+    `statistics` and its `calibration` are None if the scan was refused before.
     """
 
     name: str
@@ -62,12 +62,12 @@ class ReportInput:
 
     @property
     def facts(self) -> CaptureMetadata:
-        """How the capture was taken."""
+        """The metadata of the capture."""
         return self.outcome.decoded.facts
 
     @property
     def matches(self) -> Matches:
-        """With face labels where faces were found."""
+        """The matches, with face labels where faces were found."""
         return self.outcome.decoded.matches
 
     @property
@@ -77,23 +77,23 @@ class ReportInput:
 
     @property
     def solution(self) -> SelfCalibration | None:
-        """What calibrated the capture; None after a refusal, or where the calibration was given."""
+        """The self-calibration of the capture; None after a refusal, or where the calibration was given."""
         return self.reconstructed.solution if self.reconstructed else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What decoding has found that a person should mind."""
+        """Warnings of the decoder."""
         decoding = self.outcome.decoded.decoding
         return decoding.warnings if decoding else ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else a person should know."""
+        """Further remarks on the capture."""
         return (*(self.solution.notes if self.solution else ()), *self.company.remarks)
 
     @cached_property
     def on_faces(self) -> Ints:
-        """Some of the matches with a face, by number (n,): all, or one in each cell of `cell_px` of the image."""
+        """Return indices (n,) of matches with a face: all, or one in each cell of `cell_px` of the image."""
         face = self.matches.face
         if face is None:
             return np.zeros(0, np.int64)
@@ -115,12 +115,14 @@ class ReportInput:
 
     @property
     def cell_px(self) -> int:
-        """Side of square cells that are fine enough for what a page shows of matches."""
+        """The side of the square cells in which a page samples matches."""
         return cells_over(self.facts.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property
     def in_cloud(self) -> tuple[int, Ints]:
-        """How many pixels of the camera have a point, and some of them by number (n,): 100,000 at most, row by row."""
+        """The number of camera pixels that have a point, and the indices of a sample of them (n,): 100,000 at most, row
+        by row.
+        """
         if self.reconstructed is None:
             return 0, np.zeros(0, np.int64)
         return places_within(self.reconstructed.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)

@@ -1,4 +1,4 @@
-"""How flat the faces came out, and the angles between them, measured on the points themselves."""
+"""Flatness of the faces and the angles between them, measured on the points themselves."""
 
 from dataclasses import dataclass
 

@@ -32,7 +32,7 @@ class FocalLength:
 
 
 def focal_length(report: ReportInput) -> FocalLength | None:
-    """Both curves, as far as there are labelled faces; None if there is neither."""
+    """Plot both curves, as far as there are labelled faces; None if there is neither."""
     solution = report.solution
     likelihood = None
     if solution is not None and solution.method == "refined":
@@ -71,7 +71,7 @@ def _by_calibration(matches: Matches, calibration: Calibration) -> Objective:
 
 
 def _without_bend(pixels: Floats, device: Intrinsics) -> Floats:
-    """Where pixels (N, 2) would be without the lens's distortion; NaN where the lens model has no inverse."""
+    """Undistort pixels (N, 2); NaN where the lens model has no inverse."""
     straight: Floats = device.unproject(pixels)[:, :2] * np.array(device.focal_px) + np.array(device.principal_point_px)
     return straight
 

@@ -70,7 +70,7 @@ def local_minima(values: Floats) -> list[int]:
 def residual_histogram(
     residuals_px: Sequence[NDArray[np.floating]], noise_px: float | None, limit_px: float, label: str
 ) -> Markup:
-    """How often each residual (n,) occurs, each sample filled in a tone of its own; `noise_px` draws a normal curve."""
+    """Plot histograms of residuals (n,), each sample filled in a tone of its own; `noise_px` draws a normal curve."""
     edges = np.linspace(-limit_px, limit_px, _HISTOGRAM_BINS + 1)
     shares = [_shares(residual, edges) for residual in residuals_px]
     curve_px = np.linspace(-limit_px, limit_px, 4 * _HISTOGRAM_BINS)

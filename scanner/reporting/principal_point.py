@@ -13,14 +13,16 @@ _SHIFT_PX = 10.0
 
 @dataclass(frozen=True)
 class Price:
-    """`sentences` for a person, none if there was no such assumption; `per_px`: the larger focal's relative change."""
+    """The effect of the assumption: `sentences` for a person, none without one; `per_px`: relative change of the larger
+    focal length.
+    """
 
     sentences: tuple[str, ...] = ()
     per_px: float = 0.0
 
 
 def price_of_principal_point(solution: SelfCalibration | None) -> Price:
-    """What an error of a principal point that was taken as known would cost."""
+    """Return the effect of an error in a principal point that was taken as known."""
     if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
         return Price()
     by_pixel = solution.uncertainty.by_principal_point[[CAMERA.start, PROJECTOR.start]]  # of log f

@@ -1,4 +1,4 @@
-"""What the matches are off by: maps, histograms, and whether that is random or has a pattern."""
+"""Residuals of the matches: maps, histograms, and whether they are random or systematic."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -37,7 +37,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Misses:
-    """How far the two rays of the matches miss each other, and what became of the matches."""
+    """The distances between the two rays of the matches, and how many matches were kept."""
 
     residuals: Residuals
     statistics: CloudStatistics
@@ -82,7 +82,9 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
 
 
 def misses(report: ReportInput) -> Misses | None:
-    """Where and how far the rays of the matches miss each other; None where nothing was measured that could miss."""
+    """Compute where and by how much the rays of the matches miss each other; None where nothing was measured that could
+    miss.
+    """
     if report.reconstructed is None or not np.isfinite(report.reconstructed.cloud.residual_px).any():
         return None
     if report.outcome.decoded.only_axis:  # the other coordinate was put where the rays meet

@@ -69,7 +69,7 @@ _REASONS = {
 
 @dataclass(frozen=True)
 class Picture:
-    """An image for the page: a data URI, its size in pixels, and what a person sees in it, for those who cannot."""
+    """An image for the page: a data URI, its size in pixels, and a description for screen readers."""
 
     uri: str
     width: int
@@ -241,7 +241,7 @@ def mask(decoding: Decoding | None) -> Mask | None:
 
 
 def configuration(provenance: Provenance | None) -> str:
-    """What the configuration sets, as YAML; '' where nothing is known of it."""
+    """The settings as YAML; '' where none are known."""
     if provenance is None or not provenance.configuration:
         return ""
     return block_yaml(provenance.configuration)

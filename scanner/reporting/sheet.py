@@ -1,4 +1,4 @@
-"""The pictures of the first page on paper: those of the page, small."""
+"""The pictures of the first printed page: small versions of those of the page."""
 
 import base64
 from dataclasses import replace

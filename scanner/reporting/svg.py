@@ -47,7 +47,9 @@ class Scale:
 
 
 class Plot:
-    """What is added is drawn in that order, clipped to the axes. Colours are the page's classes."""
+    """A plot. Elements are drawn in the order in which they are added, clipped to the axes. Colours are the page's
+    classes.
+    """
 
     def __init__(self, x: Scale, y: Scale, alt: str) -> None:
         self._x, self._y, self._alt = x, y, alt

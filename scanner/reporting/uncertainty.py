@@ -1,4 +1,4 @@
-"""How well depth is known: its standard deviation over the camera's image, and the price of an assumption."""
+"""The uncertainty of depth: its standard deviation over the camera's image, and the cost of an assumption."""
 
 from dataclasses import dataclass
 
@@ -43,7 +43,9 @@ def point_sigmas(report: ReportInput) -> PointSigmas | None:
 def _relative_sigmas(
     matches: Matches, solution: SelfCalibration, uncertainty: Uncertainty, camera_size: Size
 ) -> NDArray[np.float32]:
-    """Of one match in each cell of a coarse grid over the image: sigma in per cent of its depth, NaN for none."""
+    """Return the sigma of depth of one match per cell of a coarse grid over the image, in per cent of its depth; NaN
+    for none.
+    """
     label = np.zeros(len(matches), np.int32) if matches.face is None else matches.face
     drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(camera_size, _SAMPLES))
     known = np.nonzero(drawn != NONE)

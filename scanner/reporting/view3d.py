@@ -99,7 +99,7 @@ def _packed(shares: Floats, colours: NDArray[np.uint8], normals: NDArray[np.floa
 
 
 def _orientation(report: ReportInput, cloud: Cloud | MergedCloud, points: Floats) -> dict[str, list[float]]:
-    """Where the viewer looks from at first: along `forward`, `up` at the top, round the `centre`."""
+    """Return the initial orientation of the view: along `forward`, `up` at the top, around the `centre`."""
     middle = np.median(points, axis=0)
     if isinstance(cloud, MergedCloud):
         up = _UPRIGHT_OF_CORNER * (1.0 if middle[2] >= 0 else -1.0)

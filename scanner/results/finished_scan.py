@@ -20,7 +20,7 @@ _SAMPLE = 1000
 
 @dataclass(frozen=True)
 class FinishedScan:
-    """What a scan left behind. Row i of every array, and match i, belong to one point.
+    """A finished scan, as read from its files. Row i of every array, and match i, belong to one point.
 
     `points` (N, 3) in the camera's frame and the calibration's unit, `normals` (N, 3), `colours` (N, 3) RGB; `pixel`
     (N, 2): column and row of the camera's image, no two alike; `matched` is how many matches the scan had.
@@ -39,7 +39,7 @@ class FinishedScan:
 
     @property
     def unit(self) -> str:
-        """Of `points`; 'baseline' where no length is known."""
+        """The unit of `points`; 'baseline' where no length is known."""
         return self.calibration.unit
 
     @property
@@ -56,7 +56,7 @@ def read_calibration_of(folder: Path) -> Calibration:
         raise InputError(f"{folder}: expected a result folder, found {'a file' if folder.exists() else 'nothing'}")
     if (folder / MATCHES_FILE).is_file():
         raise InputError(
-            f"{folder}: has matches but no {CALIBRATION_FILE}: no trustworthy calibration could be had from this "
+            f"{folder}: has matches but no {CALIBRATION_FILE}: no trustworthy calibration was possible from this "
             "capture; its report.html says why and what to do"
         )
     raise InputError(f"{folder}: expected a result folder, with {CALIBRATION_FILE} and {CLOUD_FILE}, found neither")

@@ -1,4 +1,4 @@
-"""What scans that were killed have left: frames are kept, whole results put in their place, the rest is removed."""
+"""Clean up after scans that were killed: keep their frames, move complete results into place, remove the rest."""
 
 import shutil
 from pathlib import Path
@@ -86,8 +86,8 @@ def _may_take(out: Path, *, replacing: bool) -> bool:
 
 
 def keep_recording(partial: Path, out: Path) -> Path:
-    """Give the frames of a scan that came to no end a visible name, which is returned; the rest goes, for nothing in it
-    may be taken for a result. Raises OSError.
+    """Move the frames of an unfinished scan to a visible name, which is returned, and remove the rest, so that none of
+    it is taken for a result. Raises OSError.
     """
     for folder, recorded in [(partial, _RECORDED), *((each, _RECORDED_OF_SEVERAL) for each in _whole(partial))]:
         for path in folder.iterdir():
@@ -101,7 +101,9 @@ def keep_recording(partial: Path, out: Path) -> Path:
 
 
 def kept_words(kept: Path, *, refuted: bool = False) -> str:
-    """Where the frames are, and what can be done with them; `refuted`: as they are, they come to nothing."""
+    """State where the frames are, and what can be done with them; `refuted`: they cannot be reconstructed as they
+    are.
+    """
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
     if _is_complete(recording):
         makes = "says the same of them" if refuted else "makes a result of them"
@@ -131,5 +133,5 @@ def _whole(folder: Path) -> list[Path]:
 
 
 def frames_in(folder: Path) -> int:
-    """How many frames were recorded anywhere in a folder."""
+    """Count the frames recorded anywhere in a folder."""
     return len(list(folder.glob("**/frames/*.png")))

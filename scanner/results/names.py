@@ -56,7 +56,7 @@ _OURS = {
 
 
 def folder_of(result: Path, index: int, count: int) -> Path:
-    """Where a result has its capture number `index` of `count`: the newest, which is the last, at the top."""
+    """Return the folder of capture `index` of `count` in a result: the newest, which is the last, is at the top."""
     return result if index == count - 1 else result / CAPTURES_FOLDER / str(index + 1)
 
 

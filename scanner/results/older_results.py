@@ -28,8 +28,10 @@ def find_matches(points: Floats, matches: Matches, calibration: Calibration) -> 
 
 
 def place_camera(points: Floats, corner: Corner, merged: Floats) -> Floats:
-    """The pose (3, 4) of a camera in the merged cloud's frame, which is the corner's: its axes are numbered as fits
-    `points` (N, 3) of the camera's frame to the points of the `merged` cloud (M, 3) best.
+    """Return the pose (3, 4) of a camera in the merged cloud's frame, which is the corner's.
+
+    The corner's axes are numbered so that `points` (N, 3) in the camera's frame fit the points of the `merged` cloud
+    (M, 3) best.
     """
     turned = [np.roll(corner.axes, turn, axis=0) for turn in range(3)]
     tree = cKDTree(merged)

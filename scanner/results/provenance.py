@@ -1,4 +1,4 @@
-"""Where a result comes from: what a page or a file has to say about itself when it is found again years later."""
+"""Provenance: what a page or a file states about its origin, for readers years later."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +39,6 @@ class Provenance:
 
 
 def provenance(folder: Path, config: Config) -> Provenance:
-    """Of the result that is being made in `folder`, now."""
+    """Return the provenance of the result being made in `folder`, as of now."""
     settings = config.model_dump(mode="json", exclude_unset=True)
     return Provenance(published_name(folder), datetime.now(UTC), f"roomscan {version('roomscan')}", settings)

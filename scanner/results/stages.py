@@ -1,4 +1,4 @@
-"""How far a capture has come: decoded → calibrated → reconstructed, or refused on the way. Nothing here changes.
+"""The stages of a capture: decoded → calibrated → reconstructed, or refused on the way. All are immutable.
 
 What is captured is `scanner.capture.Stream`; its frames are gone once they are decoded, and `CaptureMetadata` stays.
 Each stage holds the one before it. What all captures of a scan have in common is in `Scan`.
@@ -64,7 +64,7 @@ class Decoded:
 
     @property
     def decoding(self) -> Decoding | None:
-        """What the decoder found; None where the matches were given."""
+        """The decoder's findings; None where the matches were given."""
         return self.origin if isinstance(self.origin, Decoding) else None
 
     @property
@@ -143,7 +143,7 @@ class Reconstructed:
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """Of the calibration in use; None where unknown."""
+        """The uncertainty of the calibration in use; None where unknown."""
         match self.calibrated:
             case SelfCalibrated(solution=solution):
                 return solution.uncertainty
@@ -156,7 +156,7 @@ Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
 
 @dataclass(frozen=True)
 class Refused:
-    """A capture that got as far as `reached`, of a scan that was refused."""
+    """A capture of a refused scan, at the stage that it `reached`."""
 
     reached: Stage
     refusal: RefusalError
@@ -182,7 +182,7 @@ class Scan:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person should know about it, in sentences."""
+        """Remarks for a person, in sentences."""
         return (*remarks_on(self.newest), *self.remarks_on_merging)
 
 
@@ -192,7 +192,7 @@ def decoded_of(stage: Stage) -> Decoded:
 
 
 def solution_of(stage: Stage) -> SelfCalibration | None:
-    """What calibrated the capture; None where nothing has, or the calibration was given."""
+    """Return the self-calibration of the capture; None where there is none, or the calibration was given."""
     match stage:
         case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
             return solution
@@ -201,7 +201,7 @@ def solution_of(stage: Stage) -> SelfCalibration | None:
 
 
 def remarks_on(stage: Stage) -> tuple[str, ...]:
-    """What a person should know about the decoding and the calibration, in sentences."""
+    """Return remarks on the decoding and the calibration, in sentences."""
     decoding, solution = decoded_of(stage).decoding, solution_of(stage)
     return (*(decoding.warnings if decoding else ()), *(solution.notes if solution else ()))
 

@@ -1,4 +1,4 @@
-"""What calibration.yaml says beside the calibration: how far a result can be trusted, and its covariance."""
+"""The part of calibration.yaml beside the calibration: the verdict on the result, and its covariance."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -96,9 +96,9 @@ def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
 
 
 def read_verdict(path: Path) -> Verdict | None:
-    """The verdict in a result's calibration file, or in that of a refusal.
+    """Read the verdict from a result's calibration file, or from that of a refusal.
 
-    None where it says none, as older ones. Raises InputError.
+    Returns None if there is none, as in older files. Raises InputError.
     """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     if entry is None:
@@ -164,7 +164,7 @@ def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
 
 
 def _with_log_baseline(path: Path, told: list[float], variance: Floats, calibration: Calibration) -> Floats:
-    """In the file's columns, (22,). Raises InputError if it is malformed."""
+    """Return the covariance in the file's columns, (22,). Raises InputError if it is malformed."""
     if not told:
         return np.zeros(len(COLUMNS))
     if len(told) != len(COLUMNS):

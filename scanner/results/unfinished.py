@@ -25,7 +25,7 @@ _PARTIAL, _REPLACED = ".partial", ".replaced"
 
 
 class State(StrEnum):
-    """How far it has come; `REPLACING` is whole and takes the place of an older result."""
+    """The progress of the folder; `REPLACING`: it is complete and takes the place of an older result."""
 
     LIVE = "live"
     MADE = "made"
@@ -38,17 +38,17 @@ class HeldError(InputError):
 
 
 def partial_of(out: Path) -> Path:
-    """Where `out` is written before it is whole."""
+    """Return the folder in which `out` is written until it is complete."""
     return out.with_name(f".{out.name}{_PARTIAL}")
 
 
 def target_of(partial: Path) -> Path:
-    """What a folder of that kind becomes."""
+    """Return the final path of a partial folder."""
     return partial.with_name(partial.name[1 : -len(_PARTIAL)])
 
 
 def published_name(folder: Path) -> str:
-    """What a folder will be called that is being made; any other folder's own name."""
+    """Return the final name of a folder that is being made; any other folder's own name."""
     hidden = folder.name.startswith(".") and folder.name.endswith(_PARTIAL)
     return target_of(folder).name if hidden else folder.name
 
@@ -121,7 +121,7 @@ def publish(partial: Path, out: Path) -> None:
 
 
 def finish_publishing(out: Path) -> None:
-    """What a killed process had left to do when its result was in its place. Raises HeldError, OSError."""
+    """Finish what a killed process had left to do when its result was in its place. Raises HeldError, OSError."""
     if (out / STATE).is_file() and not out.is_symlink():
         claim = Claim(out / STATE)
         try:

@@ -1,4 +1,4 @@
-"""Where a board's points are in the camera's image, through OpenCV's detectors."""
+"""Detect a board's points in the camera's image with OpenCV's detectors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -132,7 +132,7 @@ def _largest(grey: Image, counts: tuple[int, int]) -> Floats | None:
 
 
 def _contrast(grey: Image, grid: Floats) -> Floats:
-    """By how much two opposite squares at each corner are brighter than the other two, (R, C)."""
+    """Return the brightness of two opposite squares at each corner minus that of the other two, (R, C)."""
     rows, columns = grid.shape[:2]
     column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
     places = np.stack([column.ravel(), row.ravel()], axis=1)
@@ -235,7 +235,7 @@ def _dots(grey: Image, target: Target) -> Detected | None:
 
 
 def _unmirrored(pixels: Floats, target: Target) -> Detected:
-    """Rows of an asymmetric grid are told apart by their shift: what is mirrored was found from the other end."""
+    """Turn an asymmetric grid that was found from the other end: the shift of its rows shows the mirrored order."""
     grid = pixels.reshape(target.rows, target.columns, 2)
     across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if across[0] * down[1] - across[1] * down[0] < 0:
@@ -251,7 +251,7 @@ def _blobs(grey: Image) -> cv2.SimpleBlobDetector:
 
 
 def _what_else(grey: Image, target: Target) -> str:
-    """What there is instead, as far as that can be seen."""
+    """Describe what the picture shows instead, as far as can be determined."""
     if target.kind == "chessboard":
         fewer = (max(3, target.columns - 3), max(3, target.rows - 3))
         for counts in (fewer, fewer[::-1]):

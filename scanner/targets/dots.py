@@ -1,7 +1,7 @@
-"""Where the middle of a dot really is: the middle of its image is elsewhere, for perspective enlarges the nearer half.
+"""Correct the perspective bias of circle centres: the centre of a dot's image is not the image of its centre.
 
-J. Heikkilä, Geometric camera calibration using circular control points, PAMI 22 (2000). Here both middles are computed
-from the board's homography and the dots' radius, which is measured, and the difference is taken off.
+J. Heikkilä, Geometric camera calibration using circular control points, PAMI 22 (2000). Both centres are computed here
+from the board's homography and the measured radius of the dots, and the difference is subtracted.
 """
 
 import cv2
@@ -16,7 +16,7 @@ _WINDOW = 0.45  # half a window around a dot, in distances to its neighbour
 
 
 def corrected(grey: Image, points: Floats, pixels: Floats) -> Floats:
-    """Pixels (N, 2) of the dots' middles from those of their images' middles, (N, 2)."""
+    """Return the images of the dots' centres, pixels (N, 2), from the centres of the dots' images, (N, 2)."""
     spacing = _spacing(points)
     homography = homography_between(points, pixels)
     radius = _radius(grey, points, pixels, homography, spacing)
@@ -35,7 +35,7 @@ def _spacing(points: Floats) -> float:
 
 
 def _radius(grey: Image, points: Floats, pixels: Floats, homography: Floats, spacing: float) -> float:
-    """Of the dots, in the unit of the points: from the median of their areas."""
+    """Return the radius of the dots, in the unit of the points, from the median of their areas."""
     step = _STEP * spacing
     along, down = (mapped(homography, points + step * axis) - mapped(homography, points) for axis in np.eye(2))
     per_unit = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0]) / step**2
@@ -53,7 +53,7 @@ def _radius(grey: Image, points: Floats, pixels: Floats, homography: Floats, spa
 
 
 def _centroids(outlines: Floats) -> Floats:
-    """Of polygons (N, K, 2), (N, 2)."""
+    """Return the centroids (N, 2) of polygons (N, K, 2)."""
     following = np.roll(outlines, -1, axis=1)
     cross = outlines[..., 0] * following[..., 1] - outlines[..., 1] * following[..., 0]
     total = np.sum((outlines + following) * cross[..., None], axis=1)

@@ -1,4 +1,4 @@
-"""Where the corners of a chessboard are to a few hundredths of a pixel: the saddle points of its brightness.
+"""Refine the corners of a chessboard to a few hundredths of a pixel: the saddle points of its brightness.
 
 L. Lucchese and S. Mitra, Using saddle points for subpixel feature detection in camera calibration targets, APCCAS 2002.
 OpenCV's sector-based detector scales small squares up, and then its grid is some tenths of a per cent too large.
@@ -31,7 +31,7 @@ def refined(grey: Image, points: Floats, pixels: Floats, square: float) -> Float
 
 
 def _sides(points: Floats, pixels: Floats, square: float) -> Floats:
-    """How long the shorter side of a square is at each corner, in px, (N,)."""
+    """Return the length of the shorter side of a square at each corner, in px, (N,)."""
     homography = homography_between(points, pixels)
     here = mapped(homography, points)
     both = [np.linalg.norm(mapped(homography, points + square * axis) - here, axis=1) for axis in np.eye(2)]

@@ -41,7 +41,7 @@ class Target:
 
     @property
     def turns(self) -> int:
-        """How many ways round it looks the same."""
+        """The number of rotations under which the board looks the same."""
         if self.kind in ("charuco", "aprilgrid"):
             return 1
         if self.kind == "acircles":
@@ -52,7 +52,7 @@ class Target:
 
     @property
     def points(self) -> Floats:
-        """All its points (N, 2) from its middle, in `UNIT`: row by row, tags with four corners each."""
+        """All points of the board (N, 2) relative to its middle, in `UNIT`: row by row, four corners for each tag."""
         if self.kind == "aprilgrid":
             points = self._tag_corners()
         else:
@@ -73,7 +73,7 @@ class Target:
 
     @property
     def margin(self) -> float:
-        """How far around each point the board is sure to be, in `UNIT`."""
+        """The distance around each point to which the board certainly extends, in `UNIT`."""
         share = {"aprilgrid": 0.1, "circles": 0.4, "acircles": 0.25}.get(self.kind, _MARGIN)
         return share * self.square
 

@@ -1,4 +1,4 @@
-"""What a person at a terminal sees: steps, messages, exit codes, the log."""
+"""The terminal: steps, messages, exit codes, the log."""
 
 from scanner.ui.exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_REFUSED, failure_of
 from scanner.ui.fitting import for_screen

@@ -1,4 +1,4 @@
-"""What is said of an error, and the exit code that goes with it: the same in the terminal and in the console."""
+"""The message and the exit code of an error, the same in the terminal and in the console."""
 
 import tempfile
 import traceback
@@ -27,7 +27,9 @@ class Failure:
 
 
 def failure_of(error: BaseException) -> Failure:
-    """What an error that ended a command means. A bug's traceback is written to a file, which the message names."""
+    """Return the message and exit code of an error that ended a command. A bug's traceback goes to a file, which the
+    message names.
+    """
     match error:
         case _ if is_of_the_disk(error):
             return _failure(EXIT_DEVICE, error)

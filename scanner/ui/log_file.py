@@ -8,7 +8,7 @@ _LOGGERS = ("scanner", "hw", "calib", "py.warnings")
 
 
 def keep_off_the_terminal() -> None:
-    """Where no file takes the log, what is logged as a warning is not printed either: commands say what matters."""
+    """Keep logged warnings off the terminal even where there is no log file: commands print what matters."""
     for name in _LOGGERS:
         logging.getLogger(name).addHandler(logging.NullHandler())
 
@@ -38,7 +38,7 @@ class _Handler(logging.FileHandler):
 
 
 class LogFile:
-    """What the program logs while the `with` block runs, Python's warnings, and the error that ends it, in a file."""
+    """A file that receives the program's log, Python's warnings, and the error that ends the `with` block."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -1,10 +1,10 @@
-"""The person at the rig, who is told things, and asked to move it."""
+"""The person at the rig, who receives messages, and is asked to move it."""
 
 from typing import Protocol
 
 
 class Operator(Protocol):
-    """At a terminal, or at a page in the browser."""
+    """The operator, at a terminal or at a page in the browser."""
 
     @property
     def can_ask(self) -> bool:

@@ -1,4 +1,4 @@
-"""How the pipeline says what it is doing, to whoever watches."""
+"""The interface by which the pipeline reports its progress to an observer."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager

@@ -1,4 +1,4 @@
-"""What the operator sees while a scan runs: progress on stderr, the summary on stdout."""
+"""The terminal during a scan: progress on stderr, the summary on stdout."""
 
 import logging
 import sys
@@ -79,7 +79,7 @@ class Terminal:
         return sys.stdin is not None and sys.stdin.isatty()
 
     def ask(self, question: str) -> str:
-        """What the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asked even if `quiet`."""
+        """Return what the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asks even if `quiet`."""
         self._err.print(question, end="", markup=False)
         try:
             return input()

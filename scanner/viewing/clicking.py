@@ -21,7 +21,9 @@ SetScale = Callable[[KnownScale], str]
 
 
 class Clicking:
-    """In the container that is open when it is made; `set_scale` puts a scale where it belongs, and says so."""
+    """Measuring by clicks, with controls in the GUI container that is open on creation; `set_scale` stores a scale and
+    confirms it.
+    """
 
     def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, set_scale: SetScale | None) -> None:
         self._scene, self._set_scale = scene, set_scale

@@ -1,4 +1,4 @@
-"""What the points' colours say."""
+"""Colourings of the points."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -29,7 +29,7 @@ _DEVIATION = (
 
 
 class Colouring(StrEnum):
-    """What can be shown in colour."""
+    """What the colours of the points can show."""
 
     CAMERA = "Camera's colours"
     FACES = "Faces"
@@ -58,7 +58,7 @@ class Coloured:
 
 
 def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
-    """What is known of every point of a cloud."""
+    """Return the colourings for which every point of a cloud has a value."""
     known = [Colouring.CAMERA]
     if isinstance(cloud, CaptureCloud):
         known += [Colouring.FACES] if cloud.matches.face is not None else []

@@ -11,15 +11,15 @@ _SEED = 0
 
 
 def shuffled(count: int) -> Ints:
-    """All of `count` points in an order whose every beginning is spread evenly over them, (count,); always the same.
+    """Return a permutation of `count` points, (count,), whose every prefix is spread evenly over them; always the same.
 
-    Points in the order of the camera's rows would show stripes where every nth is taken.
+    Every nth point in the order of the camera's rows would show stripes.
     """
     return np.random.default_rng(_SEED).permutation(count)
 
 
 def statement(shown: int, total: int) -> str:
-    """How many points are shown, in words: 'showing 1 in 8 of 4.9 million points'."""
+    """State how many points are shown: 'showing 1 in 8 of 4.9 million points'."""
     if not 0 <= shown <= total:
         raise ValueError(f"expected 0 to {total} points to be shown, found {shown}")
     if shown == total:

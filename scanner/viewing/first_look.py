@@ -12,9 +12,9 @@ from scanner.viewing.result import PlacedRig, ViewedCloud
 
 
 def first_look(scan: Scan) -> tuple[ViewedCloud, int]:
-    """At most `DEFAULT_SHOWN` points of what is looked at first in the result, and how many there are of it.
+    """Return at most `DEFAULT_SHOWN` points of the result's first cloud, and how many points it has.
 
-    These are the merged cloud, or that of the newest capture. No corner is in it yet: its faces are still measured.
+    This is the merged cloud, or that of the newest capture. It has no corner yet: the faces are still being measured.
     """
     merged, newest = scan.merged, scan.newest
     if merged is not None:
@@ -42,7 +42,9 @@ def _chosen(count: int) -> np.ndarray:
 
 
 def _rig(capture: Reconstructed, pose: Floats) -> Iterator[PlacedRig]:
-    """In the cloud's frame, by the pose (3, 4) of its camera; none without a picture of what the camera saw."""
+    """Return the devices in the cloud's frame, by the pose (3, 4) of its camera; none without the camera's white
+    picture.
+    """
     texture = capture.decoded.texture
     if texture is not None:
         yield PlacedRig(capture.calibration, pose[:, :3], pose[:, 3], photograph(texture))

@@ -1,4 +1,4 @@
-"""Where things are drawn: frusta, rulers, and from where one looks at it all. Arrays only."""
+"""Geometry of the view: frusta, rulers, viewpoint. Arrays only."""
 
 from dataclasses import dataclass
 from math import floor, log10
@@ -21,7 +21,7 @@ _ABOVE, _BESIDE = 0.7, 0.5
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """From `position` (3,) towards `target` (3,), with `up` (3,) at the top."""
+    """A view from `position` (3,) towards `target` (3,), with `up` (3,) at the top."""
 
     position: Floats
     target: Floats
@@ -29,13 +29,13 @@ class Viewpoint:
 
 
 def typical_size(cloud: ViewedCloud) -> float:
-    """How far most points are from the middle one, in the cloud's unit."""
+    """Return the distance of most points from the median point, in the cloud's unit."""
     points = _some(cloud)
     return float(np.quantile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 0.9)) or 1.0
 
 
 def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
-    """From behind, above and beside the newest camera into the corner, so that cloud and devices are all in view.
+    """Return the view from behind, above and beside the newest camera into the corner, with cloud and devices in view.
 
     `aspect`: of the window, width over height.
     """

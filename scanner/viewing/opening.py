@@ -69,12 +69,12 @@ def _is_free(host: str, port: int) -> bool:
 
 
 def warning(host: str) -> str:
-    """What to know about serving at `host`; '' if only this computer reaches it."""
+    """Return a warning about serving at `host`; '' if only this computer can reach it."""
     if is_local(host):
         return ""
     return (
         f"Warning: this page is offered to the network at {host}, unencrypted: whoever learns the address below, with "
-        "its token, can press its buttons. Leave --host out to keep it private."
+        "its token, can press its buttons. Omit --host to keep it private."
     )
 
 
@@ -87,7 +87,7 @@ def is_local(host: str) -> bool:
 
 
 def address(host: str, port: int) -> str:
-    """What to open in a browser."""
+    """Return the address to open in a browser."""
     try:
         parsed = ip_address(host)
     except ValueError:

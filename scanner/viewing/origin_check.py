@@ -1,8 +1,9 @@
-"""Who may talk to the page: whoever has its address, from the page itself.
+"""Access control of the page: only who has its address, and only from the page itself.
 
-A browser lets any website open a websocket to this computer. So the `Origin` of a request has to be the page's own, its
-`Host` no name that a stranger's DNS could give to this computer (DNS rebinding), and a token from the printed address
-has to come with it: in the query of the first request, which is answered with a cookie, and from then on in that.
+A browser lets any website open a websocket to this computer. So three things are checked. The `Origin` of a request
+must be the page's own. Its `Host` must not be a name that a foreign DNS server could resolve to this computer (DNS
+rebinding). And it must carry a token from the printed address: in the query of the first request, which is answered
+with a cookie, and in that cookie from then on.
 """
 
 import http
@@ -34,9 +35,9 @@ _TO_THE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><title>Opening …</title
 
 
 class OriginCheck:
-    """Of one server; `host` is the address that it serves at, `token` what the printed address has.
+    """The check of one server; `host` is the address that it serves at, `token` is part of the printed address.
 
-    `inside` may answer who was let in, in place of the page.
+    `inside` may answer admitted requests, in place of the page.
     """
 
     def __init__(self, host: str, inside: Callable[[str], Response | None] = lambda _: None) -> None:
@@ -47,7 +48,7 @@ class OriginCheck:
         self._cookie = f"roomscan-{secrets.token_hex(4)}"  # pages at other ports of this computer share its cookies
 
     def answer(self, path: str, headers: Mapping[str, str]) -> Response | None:
-        """What to answer instead of the page; None to let a request through."""
+        """Return the response that replaces the page; None to let a request through."""
         asked = headers.get("Host", "")
         origin = headers.get("Origin")
         if not self._is_ours(asked) or (origin is not None and origin.partition("//")[2] != asked):

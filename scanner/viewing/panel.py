@@ -77,7 +77,7 @@ class ResultPanel:
         controls.draw()
 
     def open_unsaved(self, some: ViewedCloud, count: int) -> None:
-        """Show some of so many points that are being saved, in place of the last result."""
+        """Show some points of a result that is being saved, in place of the last result."""
         with self._lock, self._place:
             self._remove()
             with self._folder("Result: not saved yet"):

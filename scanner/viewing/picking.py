@@ -38,13 +38,13 @@ class Picked:
     points: tuple[int, ...] = ()
 
     def with_point(self, point: int) -> "Picked":
-        """One more; after three, or at one that is there, it begins anew with this one."""
+        """Add a point. After three points, or at a point that is already picked, start anew with this one."""
         begins = len(self.points) == _MOST or point in self.points
         return Picked(self.cloud, (point,) if begins else (*self.points, point))
 
     @property
     def places(self) -> Floats:
-        """Where they are in the cloud's frame, (n, 3)."""
+        """The positions of the points in the cloud's frame, (n, 3)."""
         return self.cloud.points[[*self.points]].reshape(-1, 3)
 
     @property
@@ -53,12 +53,12 @@ class Picked:
         return distance_between(self.cloud.scan, self.cloud.scene, self.points) if len(self.points) == 2 else None
 
     def scale(self, known_m: float, sigma_m: float) -> KnownScale | None:
-        """What makes their distance `known_m`; None unless there are two, and sure enough."""
+        """Return the scale that makes their distance `known_m`; None unless there are two points, precise enough."""
         distance = self.distance
         return None if distance is None else scale_from(distance, self.cloud.calibration, known_m, sigma_m)
 
     def told(self) -> str:
-        """What they measure, in words (Markdown)."""
+        """Describe the measurement (Markdown)."""
         scan, scene, shown = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
         match self.points:
             case ():

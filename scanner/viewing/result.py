@@ -55,7 +55,7 @@ class PlacedRig:
 
     @property
     def projector_centre(self) -> Floats:
-        """Where the projector is in the cloud's frame, (3,)."""
+        """The projector's centre in the cloud's frame, (3,)."""
         return self.to_cloud(self.calibration.projector_centre)
 
     def to_cloud(self, points: Floats) -> Floats:
@@ -65,7 +65,7 @@ class PlacedRig:
 
 @dataclass(frozen=True, eq=False)
 class ViewedCloud:
-    """A cloud and what belongs to it, all in the cloud's frame but `corner`, which is in the frame of the first rig.
+    """A cloud and its devices, in the cloud's frame, except `corner`, which is in the frame of the first rig.
 
     `points` (N, 3), `normals` (N, 3), `colours` (N, 3) RGB; `rigs`, the newest first; `up` (3,) points up.
     """
@@ -101,12 +101,12 @@ class CaptureCloud(ViewedCloud):
 
     @property
     def matches(self) -> Matches:
-        """Of the points, row by row."""
+        """The matches of the points, row by row."""
         return self.scan.matches
 
     @property
     def calibration(self) -> Calibration:
-        """Of the rig that saw them."""
+        """The calibration of the rig that measured the points."""
         return self.scan.calibration
 
     @property
@@ -145,7 +145,7 @@ class CaptureCloud(ViewedCloud):
 
 
 class ViewedResult:
-    """A result folder, read as far as it is looked at. Raises InputError if it is none, or its capture was refused."""
+    """A result folder, read on demand. Raises InputError if it is not one, or if its capture was refused."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -158,11 +158,11 @@ class ViewedResult:
 
     @cached_property
     def verdict(self) -> Verdict | None:
-        """What the report concludes; None for a result that does not say."""
+        """The verdict of the report; None if the result has none."""
         return read_verdict(self.folder / CALIBRATION_FILE)
 
     def _names(self) -> tuple[str, ...]:
-        """What can be looked at, the best first."""
+        """Return the names of the clouds, the best first."""
         if self._room is not None:
             return (WHOLE_ROOM, *self._captures)
         merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
@@ -184,7 +184,7 @@ class ViewedResult:
         return f"Capture {number}" if among > 1 else "The capture"
 
     def _cloud(self, name: str) -> ViewedCloud:
-        """What is called `name`. Raises InputError if its files are missing or damaged."""
+        """Read the cloud called `name`. Raises InputError if its files are missing or damaged."""
         if name == ALL_CAPTURES:
             return self._merged()
         if name == WHOLE_ROOM and self._room is not None:
@@ -238,7 +238,9 @@ class ViewedResult:
         return ViewedCloud(cloud.points, cloud.normals, cloud.colours, tuple(rigs), corner, up, unit, "corner")
 
     def _poses(self) -> Sequence[Floats | None]:
-        """Of the captures' cameras in the merged cloud, the newest first; None where an older result does not say."""
+        """Read the poses of the captures' cameras in the merged cloud, newest first; None if an older result has
+        none.
+        """
         path = self.folder / POSES_FILE
         return read_poses(path, len(self._captures))[::-1] if path.is_file() else [None] * len(self._captures)
 

@@ -21,12 +21,12 @@ class KnownScale:
 
     @property
     def keys(self) -> dict[str, float]:
-        """For the configuration file."""
+        """Return the scale as keys of the configuration file."""
         return {"scale.baseline_m": float(f"{self.baseline_m:.7g}"), "scale.sigma_m": float(f"{self.sigma_m:.3g}")}
 
     @property
     def line(self) -> str:
-        """As a person would write it there."""
+        """Return the scale as a line of the configuration file."""
         baseline_m, sigma_m = self.keys.values()
         return f"scale: {{baseline_m: {baseline_m}, sigma_m: {sigma_m}}}"
 
@@ -34,10 +34,10 @@ class KnownScale:
 def scale_from(
     distance: DistanceMeasurement, calibration: Calibration, known_m: float, sigma_m: float
 ) -> KnownScale | None:
-    """From two points whose distance is `known_m` ± `sigma_m`; None where their places are too unsure to tell.
+    """Return the scale from two points whose distance is `known_m` ± `sigma_m`; None if the points are too uncertain.
 
-    The baseline over the distance is what the scan has measured, whatever its unit: its sigma has no share of the
-    scale that the result may have now.
+    The scan measures the baseline relative to the distance, whatever its unit: the sigma does not include that of the
+    result's present scale.
     """
     baseline_m = calibration.baseline / distance.distance * known_m
     budget = distance.budget

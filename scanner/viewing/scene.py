@@ -44,7 +44,9 @@ _MESH = f"{CLOUD}/mesh"
 
 @dataclass(frozen=True)
 class Shown:
-    """What is drawn now: how many `points` of how many in the box, or how many triangles, and what colours mean."""
+    """The current view: how many `points` of how many in the box, or how many triangles, and the meaning of the
+    colours.
+    """
 
     points: int
     among: int
@@ -53,7 +55,7 @@ class Shown:
 
 
 class Scene:
-    """What one browser window, or several, show in 3-D."""
+    """The 3-D scene of one or several browser windows."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server

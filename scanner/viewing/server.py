@@ -51,7 +51,7 @@ def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]
 
 
 def add_style(gui: viser.GuiApi) -> None:
-    """What the page looks like beyond viser's own style; called where there is a container for it."""
+    """Add the page's style to viser's; requires an open GUI container."""
     gui.add_html(f"<style>{script(_STYLE)}</style>")
 
 

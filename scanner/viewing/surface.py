@@ -26,9 +26,9 @@ class Surface:
     triangles: Ints
 
     def glb(self, colours: NDArray[np.uint8], inside: Bools | None) -> tuple[bytes, int]:
-        """As binary glTF in the cloud's unit, y up, and how many triangles are in it.
+        """Return the surface as binary glTF in the cloud's unit, y up, and its number of triangles.
 
-        `colours` (N, 3) RGB; `inside` (N,): the points that it may go between.
+        `colours` (N, 3) RGB; `inside` (N,): the points that it may connect.
         """
         kept = self.triangles if inside is None else self.triangles[np.all(inside[self.triangles], axis=1)]
         if not len(kept):

@@ -1,4 +1,4 @@
-"""What the panel says about a result, as Markdown."""
+"""Texts of the panel about a result, as Markdown."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,7 @@ def bold(text: str) -> str:
 
 
 def notes_text(verdict: Verdict | None) -> str:
-    """What else a person should know of a result, as its report has it; '' for nothing."""
+    """Return the report's further notes on a result; '' if there are none."""
     said = () if verdict is None else (*verdict.reasons[DECISIVE:], *verdict.notes)
     return "\n".join(f"- {escaped(sentence)}" for sentence in said)
 
@@ -59,7 +59,7 @@ def verdict_text(verdict: Verdict | None) -> str:
 
 
 def calibration_text(calibration: Calibration, truth: Calibration | None) -> str:
-    """Every number with its sigma, beside the truth where that is known."""
+    """Return every parameter with its sigma, beside the truth where that is known."""
     known = truth is not None
     lines = [f"| | value | sigma |{' truth |' if known else ''}", f"|:--|--:|--:|{'--:|' if known else ''}"]
     baseline = [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]
@@ -100,5 +100,5 @@ def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
 
 
 def angle_name(faces: tuple[str, str]) -> str:
-    """How the angle between two faces is called."""
+    """Return the name of the angle between two faces."""
     return f"Angle {faces[0]}–{faces[1]}"

@@ -1,4 +1,4 @@
-"""What the 3-D view shows: as points or as triangles, in which colours, and which part of the cloud."""
+"""Controls of the 3-D view: points or triangles, colours, and the part of the cloud."""
 
 import tempfile
 from pathlib import Path
@@ -26,7 +26,9 @@ PLAIN = (90, 98, 106)  # of buttons that are not what one usually presses next
 
 
 class ViewControls:
-    """Of one cloud, in the container that is open when it is made; `name` is what a part of it is called as a file."""
+    """The controls of one cloud, in the GUI container that is open on creation; `name` is used for files of a part of
+    it.
+    """
 
     def __init__(self, gui: viser.GuiApi, scene: Scene, cloud: ViewedCloud, name: str) -> None:
         self._gui, self._scene, self._cloud, self._name = gui, scene, cloud, name
@@ -60,7 +62,7 @@ class ViewControls:
 
     @property
     def box(self) -> Box:
-        """What is cut out."""
+        """The crop box."""
         chosen = np.array([field.value for field in self._ranges])
         # What was not changed is the end of the cloud, whatever was rounded.
         whole = np.stack([self._frame.low, self._frame.high], axis=1)
@@ -104,7 +106,7 @@ class ViewControls:
         box.on_update(lambda _: self._scene.set_visible(part, box.value))
 
     def _range(self, axis: int) -> tuple[float, float]:
-        """Of the cloud along an axis, outwards to round numbers of the unit that is shown."""
+        """Return the range of the cloud along an axis, rounded outwards to round numbers of the displayed unit."""
         low, high = (
             shown_unit(self._cloud.unit).factor * float(end[axis]) for end in (self._frame.low, self._frame.high)
         )

@@ -1,4 +1,4 @@
-"""What the camera saw under white light, from a result's recording."""
+"""The camera's picture under white light, from a result's recording."""
 
 from pathlib import Path
 
