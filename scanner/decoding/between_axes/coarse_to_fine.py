@@ -1,7 +1,8 @@
 """The motion of the devices between two pictures of the evenly lit scene: registration from coarse to fine."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -57,18 +58,18 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Scales:
-    """The earlier and the later picture (H, W) at every blur, and what they show if nothing has moved: `at_rest` as
+    """The earlier and the later picture (H, W) at a blur in px, and what they show if nothing has moved: `at_rest` as
     they are, and `coarsely`.
     """
 
-    blurred: Mapping[float, _Pictures]
+    blurred: Callable[[float], _Pictures]
     at_rest: _Seen
     coarsely: _Seen
 
 
 def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
-    blurred = {blur_px: _blurred(pictures, blur_px) for blur_px in set(_COARSE_TO_FINE_PX)}
+    blurred = cache(partial(_blurred, pictures))
     coarsely = _seen_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
     scales = _Scales(blurred, _seen(pictures, edges, edges.decoded, _AT_REST), coarsely)
     fit = _measured(scales, edges, _EXPECTED_PX)
@@ -93,13 +94,13 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
     for blur_px in _COARSE_TO_FINE_PX[1:]:
         step = _least_squares(_seen_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
-    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred[0.0], edges, motion) > _EXPLAINED:
+    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > _EXPLAINED:
         return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit
     camera = _AT_REST.copy()
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _least_squares(_seen(scales.blurred[blur_px], edges, edges.decoded, camera), expected_px)
+        fit = _least_squares(_seen(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
         camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
     return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
@@ -111,13 +112,13 @@ def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
     return before, after
 
 
-def _seen_beside(blurred: Mapping[float, _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
+def _seen_beside(blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
     """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
 
     While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
     """
     reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
-    return _seen(blurred[blur_px], edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+    return _seen(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
 
 
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
