@@ -13,9 +13,8 @@ from scanner.decoding.between_axes.edges import Edges, Shown
 from scanner.decoding.between_axes.registration import differences, shifts_of_tiles
 from scanner.decoding.motion.found import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
+from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
-# From so many standard deviations on it is more than ripple and noise make at rest.
-SIGNIFICANT = 5.0
 # What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
@@ -31,7 +30,6 @@ _CONVERGED_PX, _EXPLAINED = 0.1, 0.5
 # elsewhere, within more, and so many times the blur.
 _REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
 _ROUNDS = 8
-_HUBER = 2.0
 # The median of the root of what two shifts leave, in standard deviations.
 _MEDIAN_CHI = 1.18
 # Tiles that are neighbours may have in common what is no motion.
@@ -76,7 +74,7 @@ def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
     sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
     less, more = sorted((0, 1), key=lambda device: sure[device].significance)
-    if not sure[less].significance < SIGNIFICANT < sure[more].significance:
+    if not sure[less].significance < SIGNIFICANT_SIGMAS < sure[more].significance:
         return fit
     expected_px = _EXPECTED_PX.copy()
     expected_px[devices[less]] = _NONE_PX
@@ -146,7 +144,7 @@ def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, an
         np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
         np.concatenate([scene.pull, border.pull[known]]),
-        np.inf if anywhere else _HUBER,
+        np.inf if anywhere else HUBER_SIGMAS,
     )
 
 

@@ -55,7 +55,7 @@ def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE)
 
 
 def response_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> CameraResponse | None:
-    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).response()
+    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).reading().response
 
 
 def share_kept(decoding: Decoding) -> float:
