@@ -117,3 +117,9 @@ def test_what_moves_is_still_found(curve: Curve) -> None:
     decoding = decode(GRAY, frames, SCENE.projector)
     assert any("moved in" in said for said in decoding.warnings)
     assert np.mean(decoding.reasons[50:100, 70:100] == 0) < 0.2
+
+
+def test_frames_brighter_than_the_white_one_have_its_largest_light() -> None:
+    response = CameraResponse(np.array([0.0, 0.25, 1.0]), top=100.0, saturation=np.inf)
+    frame = np.array([[0, 25, 50], [75, 100, 130]], np.uint16)
+    assert response.light_of(frame).tolist() == [[0, 128, 256], [639, 1023, 1023]]
