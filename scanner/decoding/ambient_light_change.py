@@ -6,7 +6,7 @@ compared with black and white: their steps add up to the same grey everywhere, a
 frames before.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -51,6 +51,15 @@ class AmbientLightChange:
         """Of pixels (P,), from their levels in all frames (frames, P); in grey levels."""
         return self.weights @ levels
 
+    def image(self, frames: Iterable[Image], shape: tuple[int, ...], plan: SequencePlan) -> Floats32:
+        """The light of all pixels, from the frames of a capture in the order in which they were shown, of (H, W)."""
+        light = np.zeros(shape, np.float32)
+        for place, frame in enumerate(frames):
+            number = plan.shown[place]
+            if place == plan.shown.index(number):
+                cv2.addWeighted(light, 1, frame, float(self.weights[number]), 0, dst=light, dtype=cv2.CV_32F)
+        return light
+
     def undone(self, levels: Floats32) -> Floats32:
         """The frames (frames, P) as they would be in the first light."""
         result = levels.copy()
@@ -64,11 +73,10 @@ class AmbientLightChange:
         return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
 
 
-def without_light(frames: Image, plan: SequencePlan, switch: AmbientLightChange) -> Iterator[Image]:
-    """The frames (N, H, W) of a capture, one by one, as they would be in the first light."""
-    light = np.zeros(frames[0].shape, np.float32)
-    for number, weight in enumerate(switch.weights.tolist()):
-        cv2.addWeighted(light, 1, frames[plan.shown.index(number)], weight, 0, dst=light, dtype=cv2.CV_32F)
+def without_light(
+    frames: Iterable[Image], light: Floats32, plan: SequencePlan, switch: AmbientLightChange
+) -> Iterator[Image]:
+    """The frames (N, H, W) of a capture, one by one, as they would be in the first light; `light` (H, W): the other."""
     begin = plan.shown.index(switch.frame)
     for place, frame in enumerate(frames):
         depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U

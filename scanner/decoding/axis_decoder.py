@@ -33,15 +33,14 @@ from scanner.decoding.mask_reasons import (
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# A signal counts from five standard deviations on: an unlit pixel passes by chance once in three million times.
-_SEEN = 5.0
 # So many are enough for a fringe that lenses weaken, where its stripes are seen: they say that the pixel is lit.
 _FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
 # How far beyond the projector's pixels noise may carry a coordinate.
-_EDGE_PX = 0.5
+EDGE_PX = 0.5
 _FAINTEST_POWER = np.float32(1e-6)
 _CYCLE = np.float32(2 * pi)
 
@@ -179,7 +178,7 @@ class AxisDecoder:
         """(P,): where stripes are seen, and the longest fringe is a little beyond noise."""
         _, least_seen = least_contrasts(self.noise, signals.middle)
         lit = 2 * (signals.brightest - signals.middle) > least_seen
-        seen: Bools = lit & (variance <= np.float32((_SEEN / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
+        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
         return seen
 
     def _saturated(self, signals: Signals) -> Bools:
@@ -207,7 +206,7 @@ class AxisDecoder:
         value, variance = coordinates[0].copy(), variances[0].copy()
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
-        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + _EDGE_PX)
+        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + EDGE_PX)
         _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
         if signals.log_exposure is not None:
             brightness -= signals.log_exposure
@@ -246,7 +245,7 @@ def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Flo
     """From which contrast on a bit is certain, and a code is seen, at each level half-way between lit and unlit."""
     difference_sigma = np.float32(sqrt(2)) * noise.sigma(middle)
     certain = np.maximum(np.float32(noise.stray), np.float32(_CERTAIN_BIT) * difference_sigma)
-    return certain, np.maximum(np.float32(2 * noise.stray), np.float32(_SEEN) * difference_sigma)
+    return certain, np.maximum(np.float32(2 * noise.stray), np.float32(SIGNIFICANT_SIGMAS) * difference_sigma)
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
@@ -255,7 +254,9 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
     Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of
     twice the fringe's amplitude.
     """
-    needed = max(_SEEN, _SEEN / sqrt(2) / fringe.noise_gain) if with_gray else _SEEN
+    needed = (
+        max(SIGNIFICANT_SIGMAS, SIGNIFICANT_SIGMAS / sqrt(2) / fringe.noise_gain) if with_gray else SIGNIFICANT_SIGMAS
+    )
     return (fringe.period / (2 * pi) / needed) ** 2
 
 

@@ -18,13 +18,13 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
 
 # The 90 % quantile of a bit's contrast relative to the coarse bits': a half of it is lost in the middle between two
 # stripes anyway. An exchanged frame does not make a bit weak.
 _WEAK = 0.25
 _USUAL = 0.9
-_FEWEST_LIT = 100
 # If fewer of the lit pixels have all bits, and pixels are larger than cells, each does with what it has: at the edge of
 # its stripe a bit is undecided, and then nearly all are near an edge.
 _MOSTLY = 0.85
@@ -59,7 +59,7 @@ def _resolved(
     contrast = at(fold.least if fold.contrast is None else fold.contrast)
     certain_from, seen_from = least_contrasts(noise, at(accumulators.middle))
     lit = contrast > seen_from
-    if np.count_nonzero(lit) < _FEWEST_LIT:
+    if np.count_nonzero(lit) < FEWEST_PIXELS:
         return fold.without_finest(0), 0
     weak = 0
     for bit in sorted(fold.fine, reverse=True):

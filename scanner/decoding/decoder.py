@@ -4,9 +4,8 @@ Each frame is kept, and folded in as it arrives: into a few running images and a
 chosen: noise, saturation and tolerances are measured from the capture.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import hypot
 from typing import Literal, cast, overload
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from calib.refinement import Shift
-from scanner.decoding.ambient_light_change import AmbientLightChange, without_light
+from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import motion_between
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
@@ -31,7 +30,6 @@ from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.learning import learn, look
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.light.ghost import without_ghost
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import (
@@ -44,6 +42,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.planning import plan_sequence
+from scanner.decoding.reading import Reading
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
@@ -139,7 +138,7 @@ class Decoder:
     def _fold(self, image: Image) -> None:
         grey = _grey(image)
         if self._stack is None or self._folded is None:
-            self._stack = self._stack_like(grey)
+            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
             self._folded = Folded(self._plan, grey)
         self._folded.add(self._stack.keep(grey))
         number = self._plan.shown[self._count]
@@ -156,50 +155,33 @@ class Decoder:
             )
         if self._stack is None or self._folded is None:
             raise RuntimeError("this decoder has finished already")
-        stack, self._stack = self._stack, None
-        response = None if self._as_taken else self._folded.response()
-        noise = self._folded.noise() if response else None
-        if response:
-            stack = self._kept(response.linearised(stack.frames))
-            self._folded = folded(self._plan, stack.frames)
-        found = self._finish(stack.frames)
+        frames, self._stack = self._stack.frames, None
+        reading = Reading() if self._as_taken else self._folded.reading()
+        noise = self._folded.noise() if reading.response else None
+        if not reading.is_plain:
+            self._read(frames, reading)
+        found = self._decode(as_taken=self._as_taken or reading.ghost is not None)
+        if isinstance(found, AmbientLightChange):
+            reading, found = self._in_one_light(frames, replace(reading, switch=found))
+        for sentence in reading.said(self._plan):
+            found = found.warning(sentence)
         return replace(found, noise=noise) if noise else found
 
-    def _finish(self, frames: Image) -> Decoding:
-        """Of frames (N, H, W) that are as bright as the light was, and folded."""
-        ghost = None if self._as_taken or self._folded is None else self._folded.ghost()
-        if ghost:
-            self._folded = folded(self._plan, without_ghost(frames, ghost))
-        found = self._decode(as_taken=self._as_taken or ghost is not None)
-        if isinstance(found, AmbientLightChange):
-            return self._in_one_light(frames, found)
-        better = "which was taken out. Let the camera wait longer for the projector."
-        return found.warning(f"{ghost.said(self._plan)}, {better}") if ghost else found
+    def _read(self, frames: Image, reading: Reading) -> None:
+        self._folded = folded(self._plan, reading.undone(frames, self._plan))
 
-    def _stack_like(self, frame: Image) -> Stack:
-        """For all frames of the capture, of the size and type of one (H, W)."""
-        return Stack(len(self._plan.shown), frame, codes_alone=not self._plan.fringes)
-
-    def _kept(self, frames: Iterator[Image]) -> Stack:
-        """All frames of the capture (H, W)."""
-        first = next(frames)
-        stack = self._stack_like(first)
-        for frame in chain([first], frames):
-            stack.keep(frame)
-        return stack
-
-    def _in_one_light(self, frames: Image, switch: AmbientLightChange) -> Decoding:
-        """The frames (N, H, W) without light that was switched on or off; if they then make no sense, as they are: what
+    def _in_one_light(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
+        """The frames (N, H, W) without light that was switched on or off; if they then make no sense, with it: what
         looked like light was something else.
         """
-        self._folded = folded(self._plan, without_light(frames, self._plan, switch))
-        better = "and was taken out. Better: leave the room's light as it is."
+        self._read(frames, reading)
         try:
-            return self._decode(as_taken=True).warning(f"{switch.said(self._plan)}, {better}")
+            return reading, self._decode(as_taken=True)
         except InputError as without:
-            self._folded = folded(self._plan, frames)
+            reading = replace(reading, switch=None)
+            self._read(frames, reading)
             try:
-                return self._decode(as_taken=True)
+                return reading, self._decode(as_taken=True)
             except InputError:
                 raise without from None
 

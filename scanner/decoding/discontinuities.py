@@ -15,8 +15,8 @@ from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import Coordinate
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-_SIGMAS = 5.0
 # A surface may bend by this much of the step from one neighbour to the other, and by this many projector pixels.
 _BEND_OF_SLOPE = np.float32(0.25)
 _BEND_PX = 1.0
@@ -43,7 +43,7 @@ def breaks(
         value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
         # Cells of a Gray code may be two apart, whatever the variance.
         smooth = between_edges or axis.fringes
-        least, sigmas = (_BEND_PX, _SIGMAS * sqrt(6)) if smooth else (_BEND_PX + 2 * axis.cell, 0.0)
+        least, sigmas = (_BEND_PX, SIGNIFICANT_SIGMAS * sqrt(6)) if smooth else (_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:

@@ -8,13 +8,14 @@ import numpy as np
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.between_axes import EvenlyLit, halves_of
-from scanner.decoding.light.camera_response import CameraResponse, camera_response
+from scanner.decoding.light.camera_response import camera_response
 from scanner.decoding.light.equalise import PairEqualiser
-from scanner.decoding.light.ghost import Ghost, find_ghost
+from scanner.decoding.light.ghost import find_ghost
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import CoarseFrames, TileSample
 from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.reading import Reading
 from scanner.decoding.sequence_plan import SequencePlan
 
 
@@ -49,20 +50,20 @@ class Folded:
                     self.lit.add(frame, made_alike)
         self._count += 1
 
-    def response(self) -> CameraResponse | None:
-        """The camera's, if it is not linear."""
-        saturation, top = saturation_level(self.accumulators.peak), self.accumulators.brightest.max()
+    def reading(self) -> Reading:
+        """What happened to all frames: a response that is not linear, what they show of the picture before."""
+        levels, peak, top = self.sample.levels, self.accumulators.peak, self.accumulators.brightest.max()
         top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
-        return camera_response(self._plan, self.sample.levels, saturation, float(top))
+        response = camera_response(self._plan, levels, saturation_level(peak), float(top))
+        if response:
+            light = response.light_of(self.sample.as_taken)
+            levels, peak = light.astype(np.float32), response.light_of(peak)
+        rows = self.sample.pixels // peak.shape[1]
+        return Reading(response, find_ghost(self._plan, levels, rows, saturation_level(peak)))
 
     def noise(self) -> NoiseModel:
         """Of the frames as they were taken."""
         return measure_noise(self._plan, self.sample, saturation_level(self.accumulators.peak))
-
-    def ghost(self) -> Ghost | None:
-        """What all frames show of the picture before."""
-        rows = self.sample.pixels // self.accumulators.brightest.shape[1]
-        return find_ghost(self._plan, self.sample.levels, rows, saturation_level(self.accumulators.peak))
 
 
 def folded(plan: SequencePlan, frames: Iterable[Image]) -> Folded:

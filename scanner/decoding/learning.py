@@ -14,11 +14,12 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.checks.frame_checks import ENOUGH_RESTING, agree, an_exchange_explains, check_frames
+from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
-from scanner.decoding.light.brightness import Gains, Places, flicker_of, lit_by
+from scanner.decoding.light.brightness import Gains, Places, flicker_of
 from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
@@ -36,6 +37,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.decoding.tune import calibrated_decoders, modulation
 from scanner.errors import InputError
 
@@ -128,7 +130,7 @@ def look(
 def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
     """Where something moved, if enough rests to tell, and exchanged frames are not why it looks so."""
     found = find_unrest(plan, coarse, noise)
-    if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < ENOUGH_RESTING:
+    if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
         return None
     levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
     return None if an_exchange_explains(plan, levels, found.frames) else found
@@ -162,7 +164,7 @@ def _equalise(
     lit = lit_by(np.ptp(levels, axis=0))
     if unrest is not None:
         resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
-        lit = resting if len(resting) >= ENOUGH_RESTING else lit
+        lit = resting if len(resting) >= FEWEST_PIXELS else lit
     few = sample.pixels[lit]
     middle, brightest = (
         image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)

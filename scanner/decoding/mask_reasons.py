@@ -40,6 +40,7 @@ class MaskReason(IntEnum):
 
 # What many pixels have only if frames are not what the capture says.
 CONTRADICTIONS = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE)
+BROKEN = (*CONTRADICTIONS, MaskReason.ISOLATED)
 
 
 class Against(IntFlag):

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.geometry import Calibration, cross_epipolar_lines
 from calib.numerics import Bools, Image, in_slices
+from scanner.decoding.axis_decoder import EDGE_PX
 from scanner.decoding.codes.code_cells import CellMatches, average_cells
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
@@ -18,8 +19,6 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 _STRIP_ROWS = 16
 # Where the epipolar line is at 6° to the stripe, errors of the calibration count ten times.
 _LEAST_SINE = 0.1
-# How far beyond the projector's pixels noise may carry the other coordinate.
-_EDGE_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class OneAxis:
             known_px = values[row, column, self._axis].astype(np.float64)
             found = cross_epipolar_lines(camera_px, known_px, self._axis, self.calibration)
             crossing = found.projector_px[:, 1 - self._axis]
-            inside = np.abs(crossing - (self.other.length - 1) / 2) <= self.other.length / 2 + _EDGE_PX
+            inside = np.abs(crossing - (self.other.length - 1) / 2) <= self.other.length / 2 + EDGE_PX
             conditions = [found.sine < _LEAST_SINE, ~(found.in_front & inside)]
             masks = [np.uint8(MaskReason.ALONG_EPIPOLAR_LINE), np.uint8(MaskReason.OUTSIDE)]
             reason[row, column] = np.select(conditions, masks, np.uint8(MaskReason.KEPT))

@@ -11,6 +11,8 @@ from scanner.decoding.arrays import Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12
+# Offset, amplitude and phase of a fringe: so many frames make one in any order, a wrong one included.
+COSINE_PARAMETERS = 3
 # Of full light, on average over the projector: two bits differ by a half, a dozen steps of a fringe by a sixth.
 _ALIKE = 0.15
 

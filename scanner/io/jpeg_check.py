@@ -6,6 +6,7 @@ which cameras write; other kinds pass unchecked.
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,15 @@ _PROBLEMS = (
 
 @dataclass
 class _Read:
-    """The headers read so far; `lookup` (8, 65536): length and symbol of the code at the beginning of 16 bits."""
+    """The headers read so far; `lookup` (8, 65536): length and symbol of the code at the beginning of 16 bits; `runs`:
+    the same for as many AC codes as fit into 16 bits, with their coefficients: bits, places, and whether the block ends
+    with them.
+    """
 
     size: tuple[int, int] = (0, 0)
     factors: dict[int, tuple[int, int]] = field(default_factory=dict)
     lookup: NDArray[np.int32] = field(default_factory=lambda: np.zeros((_TABLE_COUNT, 1 << 16), np.int32))
+    runs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((_TABLE_COUNT, 1 << 16), np.int32))
     known: set[int] = field(default_factory=set)
     interval: int = 0
 
@@ -78,16 +83,17 @@ def _note(read: _Read, marker: int, segment: bytes) -> None:
             counts = segment[at + 1 : at + 17]
             table = _AC * (segment[at] >> 4) + (segment[at] & 3)
             symbols = segment[at + 17 : at + 17 + sum(counts)]
-            read.lookup[table] = _lookup(counts, symbols)
+            read.lookup[table], read.runs[table] = _lookup(counts, symbols)
             read.known.add(table)
             at += 17 + sum(counts)
     elif marker == _INTERVAL:
         read.interval = int.from_bytes(segment[:2], "big")
 
 
-def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.int32]:
+@lru_cache(_TABLE_COUNT)  # a camera's frames mostly share their tables
+def _lookup(counts: bytes, symbols: bytes) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Return for each 16-bit word the length of the code at its beginning, times 256, plus its symbol; 0 where no code
-    begins.
+    begins. And its `_runs`.
     """
     table, first, number = np.zeros(1 << 16, np.int32), 0, 0
     for length, count in enumerate(counts, start=1):
@@ -95,7 +101,32 @@ def _lookup(counts: bytes, symbols: bytes) -> NDArray[np.int32]:
             step = 1 << (16 - length)
             table[first : first + step] = length << 8 | symbols[number]
             first, number = first + step, number + 1
-    return table
+    return table, _runs(table)
+
+
+@compiled
+def _runs(lookup: NDArray[np.int32]) -> NDArray[np.int32]:
+    """For each 16 bits the codes of AC that are whole in them, with their coefficients: 128 times as many bits as they
+    have, the places that they go on by, and 64 more if the block ends with the last; 0 for none.
+    """
+    found = np.zeros(len(lookup), np.int32)
+    for bits in range(len(lookup)):
+        used, places = 0, 0
+        while True:
+            # Behind the last bit come zeros, which no code that is whole in the 16 bits reaches.
+            code = lookup[(bits << used) & 0xFFFF]
+            symbol = code & 255
+            more = (code >> 8) + (symbol & 15)
+            on = (symbol >> 4) + 1
+            if code == 0 or used + more > 16 or places + on >= 64:
+                break
+            used += more
+            if symbol == 0:
+                places |= 64
+                break
+            places += on
+        found[bits] = used << 7 | places
+    return found
 
 
 def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tuple[int, int] | None:
@@ -115,7 +146,7 @@ def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tu
         h, v = read.factors[name]
         units = _fitting(_fitting(width * h, across), 8) * _fitting(_fitting(height * v, down), 8)
         blocks = [pair]
-    end, problem = _follow_blocks(data, at, np.array(blocks, np.int64), units, read.interval, read.lookup)
+    end, problem = _follow_blocks(data, at, np.array(blocks, np.int64), units, read.interval, read.lookup, read.runs)
     return int(end), int(problem)
 
 
@@ -126,10 +157,16 @@ def _fitting(length: int, step: int) -> int:
 
 @compiled
 def _follow_blocks(
-    data: NDArray[np.uint8], at: int, blocks: Ints, units: int, interval: int, lookup: NDArray[np.int32]
+    data: NDArray[np.uint8],
+    at: int,
+    blocks: Ints,
+    units: int,
+    interval: int,
+    lookup: NDArray[np.int32],
+    runs: NDArray[np.int32],
 ) -> tuple[int, int]:
     """Where `units` of `blocks` (n, 2: tables of DC and AC) end that begin `at`; 0, or the number of the problem."""
-    held, count, size = 0, 0, len(data)  # bits read and not used, and how many these are
+    held, count, size = np.int64(0), 0, len(data)  # bits read and not used, and how many these are
     for unit in range(units):
         if interval > 0 and unit > 0 and unit % interval == 0:
             while at < size - 1 and data[at] == 0xFF and data[at + 1] == 0xFF:
@@ -138,15 +175,30 @@ def _follow_blocks(
                 return at, 3
             if data[at + 1] != 0xD0 + (unit // interval - 1) % 8:
                 return at, 2
-            at, held, count = at + 2, 0, 0
+            at, held, count = at + 2, np.int64(0), 0
         for block in range(len(blocks)):
             number = 0
             while number < 64:
                 # A code has 16 bits at most, and as many bits of a coefficient may follow it.
+                if count < 32 and at + 4 <= size:
+                    word, is_plain = np.int64(0), True  # after 255 comes a marker, or a zero that means nothing
+                    for ahead in range(4):
+                        word = word << 8 | np.int64(data[at + ahead])
+                        is_plain &= data[at + ahead] != 0xFF
+                    if is_plain:
+                        held, count, at = held << 32 | word, count + 32, at + 4
                 while count < 32 and at < size and (data[at] != 0xFF or (at + 1 < size and data[at + 1] == 0)):
                     held, count = (held << 8 | data[at]) & 0xFFFFFFFFFF, count + 8
                     at += 2 if data[at] == 0xFF else 1
                 bits = held >> (count - 16) if count >= 16 else (held << (16 - count) | (1 << (16 - count)) - 1)
+                if number > 0 and count >= 16:
+                    run = runs[blocks[block, 1], bits]
+                    places = run & 63
+                    if run > 0 and number + places < 64:
+                        count -= run >> 7
+                        held &= (1 << count) - 1
+                        number = 64 if run & 64 else number + places
+                        continue
                 found = lookup[blocks[block, 1 if number else 0], bits & 0xFFFF]
                 if found == 0:
                     return at, 1 if count >= 16 else 2

@@ -8,6 +8,8 @@ import numpy as np
 from calib.numerics import Bools, Floats, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles, moments_of_tiles
+from scanner.decoding.motion.pixels import MOST_ROUGH_PX
+from scanner.decoding.significance import FEWEST_PIXELS
 
 # Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
 _NEAR_PX = 6.0
@@ -17,8 +19,6 @@ _BEYOND_TILES = 3
 _FLAT = 1e-3  # projector px per camera px
 # The coordinates of a tile are those of a plane through its decoded pixels and its neighbours'.
 _AROUND_TILES = 3
-_FEWEST_PX = 100
-_MOST_ROUGH_PX = 0.7
 # So many times as rough as steps of one length make them, by chance.
 _OF_STEPS = 1.5
 
@@ -147,7 +147,7 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     planes = np.linalg.solve(around[:, :3, :3] + 1e-6 * np.eye(3), around[:, :3, 3:])
     left = np.trace(around[:, 3:, 3:] - around[:, 3:, :3] @ planes, axis1=1, axis2=2)
     count = around[:, 0, 0]
-    smooth = (count >= _FEWEST_PX) & (left < (_MOST_ROUGH_PX**2 + 2 * _OF_STEPS * step_px**2 / 12) * count)
+    smooth = (count >= FEWEST_PIXELS) & (left < (MOST_ROUGH_PX**2 + 2 * _OF_STEPS * step_px**2 / 12) * count)
     smooth_planes: Floats = np.where(smooth[:, None, None], planes, np.nan)
     offset = centres_of_tiles(known.shape).reshape(-1, 2) - np.array([width, height]) / 2
     at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])

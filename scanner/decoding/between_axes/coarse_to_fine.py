@@ -1,7 +1,8 @@
 """The motion of the devices between two pictures of the evenly lit scene: registration from coarse to fine."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -12,9 +13,8 @@ from scanner.decoding.between_axes.edges import Edges, Shown
 from scanner.decoding.between_axes.registration import differences, shifts_of_tiles
 from scanner.decoding.motion.found import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
+from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
-# From so many standard deviations on it is more than ripple and noise make at rest.
-SIGNIFICANT = 5.0
 # What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
@@ -30,7 +30,6 @@ _CONVERGED_PX, _EXPLAINED = 0.1, 0.5
 # elsewhere, within more, and so many times the blur.
 _REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
 _ROUNDS = 8
-_HUBER = 2.0
 # The median of the root of what two shifts leave, in standard deviations.
 _MEDIAN_CHI = 1.18
 # Tiles that are neighbours may have in common what is no motion.
@@ -57,25 +56,25 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Scales:
-    """The earlier and the later picture (H, W) at every blur, and what they show if nothing has moved: `at_rest` as
+    """The earlier and the later picture (H, W) at a blur in px, and what they show if nothing has moved: `at_rest` as
     they are, and `coarsely`.
     """
 
-    blurred: Mapping[float, _Pictures]
+    blurred: Callable[[float], _Pictures]
     at_rest: _Seen
     coarsely: _Seen
 
 
 def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
-    blurred = {blur_px: _blurred(pictures, blur_px) for blur_px in set(_COARSE_TO_FINE_PX)}
+    blurred = cache(partial(_blurred, pictures))
     coarsely = _seen_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
     scales = _Scales(blurred, _seen(pictures, edges, edges.decoded, _AT_REST), coarsely)
     fit = _measured(scales, edges, _EXPECTED_PX)
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
     sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
     less, more = sorted((0, 1), key=lambda device: sure[device].significance)
-    if not sure[less].significance < SIGNIFICANT < sure[more].significance:
+    if not sure[less].significance < SIGNIFICANT_SIGMAS < sure[more].significance:
         return fit
     expected_px = _EXPECTED_PX.copy()
     expected_px[devices[less]] = _NONE_PX
@@ -93,13 +92,13 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
     for blur_px in _COARSE_TO_FINE_PX[1:]:
         step = _least_squares(_seen_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
-    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred[0.0], edges, motion) > _EXPLAINED:
+    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > _EXPLAINED:
         return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit
     camera = _AT_REST.copy()
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _least_squares(_seen(scales.blurred[blur_px], edges, edges.decoded, camera), expected_px)
+        fit = _least_squares(_seen(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
         camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
     return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
@@ -111,13 +110,13 @@ def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
     return before, after
 
 
-def _seen_beside(blurred: Mapping[float, _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
+def _seen_beside(blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
     """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
 
     While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
     """
     reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
-    return _seen(blurred[blur_px], edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+    return _seen(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
 
 
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
@@ -145,7 +144,7 @@ def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, an
         np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
         np.concatenate([scene.pull, border.pull[known]]),
-        np.inf if anywhere else _HUBER,
+        np.inf if anywhere else HUBER_SIGMAS,
     )
 
 

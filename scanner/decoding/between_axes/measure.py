@@ -13,13 +13,14 @@ import numpy as np
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.between_axes.borders import part_around, places_of_tiles
-from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, SIGNIFICANT, motion_of
+from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion_of
 from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, pairs_of
 from scanner.decoding.between_axes.moment import Moment, moment_of
 from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 # From so many px on it is more than ripple and noise make at rest.
 _LEAST_PX = 0.02
@@ -86,12 +87,12 @@ def motion_between(
         of_other = motion_of(lit.pictures_of(other.before, other.after), edges)
         # Between the halves it looks smaller than it was.
         larger = np.hypot(*turns_px(of_other.motion)) > max(np.hypot(*turns_px(fit.motion)), _LEAST_WITHIN_PX)
-        if larger and of_other.significance > SIGNIFICANT:
+        if larger and of_other.significance > SIGNIFICANT_SIGMAS:
             fit, course = of_other, _course(lit, plan, other)
     _, camera_px = turns_px(fit.motion)
     shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
-    significant = fit.significance > SIGNIFICANT and size_px > _LEAST_PX
+    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > _LEAST_PX
     spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(course.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,

@@ -16,9 +16,10 @@ from scanner.decoding.arrays import Words
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.lines import lines_of
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.decoding.significance import BRIGHTEST
 from scanner.errors import InputError
 
 # Along this many rows and columns of the image pixels at most so far apart are compared.
@@ -27,7 +28,7 @@ _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
 # Smaller differences are rounding and compression, in grey levels; or stray light, whose bits are no neighbours', in
 # parts of what the brightest few pixels have: cameras of many bits and little noise see that too.
-_LEAST_DIFFERENCE, _LEAST_PART, _BRIGHTEST = 5.0, 0.03, 0.98
+_LEAST_DIFFERENCE = 5.0
 # Of what those have, less is unlit: beyond the picture, a camera that maps tones anew in each frame sees bits, too.
 _LIT = 0.25
 _FEWEST_CHANGES = 30
@@ -135,10 +136,10 @@ def _changes(
             lines_of(image.T if is_transposed else image, _LINES)
             for image in (fold.words, fold.least, middle, brightest)
         )
-        least_clear = max(_LEAST_DIFFERENCE, _LEAST_PART * float(np.quantile(least[:, ::_FARTHEST_PX], _BRIGHTEST)))
+        least_clear = max(_LEAST_DIFFERENCE, STRAY_PART * float(np.quantile(least[:, ::_FARTHEST_PX], BRIGHTEST)))
         certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
         swing = white.astype(np.float32) - level
-        certain &= swing >= np.float32(_LIT) * np.quantile(swing[:, ::_FARTHEST_PX], _BRIGHTEST)
+        certain &= swing >= np.float32(_LIT) * np.quantile(swing[:, ::_FARTHEST_PX], BRIGHTEST)
         if moved is not None:
             certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
         one, next_one = np.empty((2, words.size), np.uint32)

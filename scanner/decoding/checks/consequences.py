@@ -15,17 +15,17 @@ from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
 from scanner.decoding.checks.contradictions import Oddity
-from scanner.decoding.mask_reasons import MaskReason, count_reasons
+from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
+from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.errors import InputError
 
 # A frame that shows another pattern is wrong where the two differ, at half of the pixels; then at least a part of the
 # coordinates that depend on it contradict the others or break the surface. People in the picture cover less.
 _MOST_BROKEN = 0.35
-_BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
 # Distance from the epipolar line in projector pixels that a lens without a model, or a poor sigma, may explain.
-EPIPOLAR_PX, _EPIPOLAR_SIGMAS = 3.0, 5.0
+EPIPOLAR_PX = 3.0
 _MOST_OFF = 0.15
-_FEWEST_MATCHES, _MOST_MATCHES = 100, 4000
+_MOST_MATCHES = 4000
 _SEED = 5
 
 
@@ -47,15 +47,15 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
 
     Raises InputError if they do.
     """
-    counts = count_reasons(reasons, (MaskReason.KEPT, *_BROKEN))
-    broken = int(sum(counts[reason] for reason in _BROKEN))
+    counts = count_reasons(reasons, (MaskReason.KEPT, *BROKEN))
+    broken = int(sum(counts[reason] for reason in BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > _MOST_BROKEN:
         raise InputError(
             f"{_said(oddities)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
             "their surface: did something move in most of the picture, or were frames exchanged?"
         )
-    if len(matches) < _FEWEST_MATCHES:
+    if len(matches) < FEWEST_PIXELS:
         return f"{_said(oddities)}. Too few pixels have a match to assess the effect."
     if one_axis:
         return f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
@@ -89,7 +89,7 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
         return 0.0, 1.0
     distance = from_epipolar_lines(some, matrix)
     sigma = np.zeros(len(chosen)) if matches.sigma_px is None else matches.sigma_px[chosen]
-    off = np.mean(distance > np.maximum(EPIPOLAR_PX, _EPIPOLAR_SIGMAS * sigma))
+    off = np.mean(distance > np.maximum(EPIPOLAR_PX, SIGNIFICANT_SIGMAS * sigma))
     return float(np.median(distance)), float(off)
 
 

@@ -20,6 +20,7 @@ from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
 
 # The swing of a lit pixel between all frames: in standard deviations of a difference of two, and in grey levels.
@@ -28,7 +29,6 @@ _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
-ENOUGH_RESTING = 100
 _MOST_LIT = 4000
 # Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
 # only one other frame contradicts it; undoing an exchange takes away at least this part of it.
@@ -82,7 +82,7 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
     high, low = levels.max(axis=0), levels.min(axis=0)
     sigma = noise.sigma((high + low) / 2)
     lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
-    if np.count_nonzero(lit) < ENOUGH_RESTING:
+    if np.count_nonzero(lit) < FEWEST_PIXELS:
         return False
     return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
 

@@ -21,12 +21,12 @@ from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tole
 from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
 from scanner.decoding.tune import agreeing
 from scanner.errors import InputError
 
-_FEWEST_PIXELS = 100
 # Amplitudes below this part of what the brightest few have say nothing about the order of frames.
-_FAINT, _BRIGHT = 0.05, 0.98
+_FAINT = 0.05
 # The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
 _INFORMATIVE = 0.3
 # Fringes that have nothing to do with the code leave nothing of that cosine.
@@ -56,8 +56,8 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     if np.any(lit):
         # Gains of a lamp that are a little wrong leave a fringe where only the room's light is.
         power = measured.power(0)
-        lit &= power > _FAINT**2 * np.quantile(power[lit], _BRIGHT)
-    if np.count_nonzero(lit) < _FEWEST_PIXELS:
+        lit &= power > _FAINT**2 * np.quantile(power[lit], BRIGHTEST)
+    if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
@@ -118,7 +118,7 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) ->
         ([MaskReason.OUTSIDE], f"the codes are outside the projector's 0 … {axis.length - 1}"),
     ):
         bad = int(counts[reasons].sum())
-        if bad > _FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
+        if bad > FEWEST_PIXELS and bad > _MOST_BAD * (bad + kept):
             raise InputError(
                 f"along {axis.axis} {what} at {bad / (bad + kept):.0%} of the lit pixels; were frames exchanged, or is "
                 f"the projector's size wrong? {plan.names(axis.frames)}"
@@ -133,7 +133,7 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
         for image, there in ((value, kept), (value.T, kept.T))
     ]
     jumps, total = np.sum(counts, axis=0)
-    if total >= _FEWEST_PIXELS and jumps > total / 2:
+    if total >= FEWEST_PIXELS and jumps > total / 2:
         raise InputError(
             f"the Gray code along {axis.axis} runs against its fringes; were frames of it exchanged, perhaps with "
             f"their inverses? {plan.names(axis.frames)}"
@@ -169,7 +169,7 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
     left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
     whole = kept[left] & kept[right] & kept[above] & kept[below]
-    if np.count_nonzero(whole) < _FEWEST_PIXELS:
+    if np.count_nonzero(whole) < FEWEST_PIXELS:
         return None
     x_u, y_u = ((value[right] - value[left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))

@@ -15,21 +15,19 @@ from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.axis_signals import Signals, signals_of
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
 
 # So many of the pixels are nearer to an edge between two cells.
 _NEARER = 0.9
 _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
-_FEWEST = 100
 _THIN = 4
 # What lenses in focus take is not made up for: with less direct light than there is, more doubtful bits are masked.
 _IN_FOCUS = 1.5
 # Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
 _LEAST_SEEN = 0.5
-# In parts of what the brightest few pixels have of the projector.
-_LEAST_LIT, _BRIGHTEST = 0.03, 0.98
 # Of half of the light that a pixel has from the projector.
 _FAINT = 0.1
 
@@ -80,9 +78,9 @@ def _is_lost(
     # Light that was switched on decides bits in the dark, too.
     half_lit = signals.brightest - signals.middle
     # Nor is stray light, which has no fringes and which cameras of many bits see, the projector's.
-    lit = half_lit > _LEAST_LIT * np.quantile(half_lit, _BRIGHTEST)
+    lit = half_lit > STRAY_PART * np.quantile(half_lit, BRIGHTEST)
     decided = (least > certain_from) & (2 * half_lit > seen_from) & lit
-    if np.count_nonzero(decided) < _FEWEST:
+    if np.count_nonzero(decided) < FEWEST_PIXELS:
         return False
     cosine, sine = signals.fringe(0)
     fringe = axis.fringes[0]

@@ -7,7 +7,6 @@ exposed blurs along one.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import erfc, sqrt
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.stats import f
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
+from scanner.decoding.significance import BY_CHANCE, SIGNIFICANT_SIGMAS
 
 _FINE_PX, _COARSE_PX = 3, 9
 _MARGIN_PX = 6
@@ -24,8 +24,6 @@ _JUMP_PX = 0.5
 _FEWEST_TILES = 4
 # Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
 _MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
-_SIGNIFICANT = 5.0
-_BY_CHANCE = erfc(_SIGNIFICANT / sqrt(2))
 _LARGEST_PX2 = 9.0
 # Where a capture does not show it: a pixel's own area (1/12) behind a lens that blurs by a third of a pixel. Of a plain
 # wall a variance of none is further off, whatever the lens.
@@ -61,10 +59,10 @@ def footprint_of(
     if long is not None:
         return long
     variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
-    if assumed_px2 and abs(variance) <= _SIGNIFICANT * scatter:
+    if assumed_px2 and abs(variance) <= SIGNIFICANT_SIGMAS * scatter:
         share = _TYPICAL_SIGMA_PX2**2 / (_TYPICAL_SIGMA_PX2**2 + scatter**2)
         return Footprint.round(assumed_px2 + share * (variance - assumed_px2))
-    return Footprint.round(min(variance, _LARGEST_PX2) if variance > _SIGNIFICANT * scatter else assumed_px2)
+    return Footprint.round(min(variance, _LARGEST_PX2) if variance > SIGNIFICANT_SIGMAS * scatter else assumed_px2)
 
 
 def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int) -> _Tiles:
@@ -118,7 +116,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     free = count - unknowns
     by_chance = f.sf(squared * (free - 1) / (2 * free), 2, free - 1)
     found = Footprint(*covariance.tolist())
-    return found if by_chance < _BY_CHANCE and found.largest_px2 < _LARGEST_PX2 else None
+    return found if by_chance < BY_CHANCE and found.largest_px2 < _LARGEST_PX2 else None
 
 
 def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:

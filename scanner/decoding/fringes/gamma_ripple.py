@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 TABLE_LENGTH = 4096
 # Over fewer cycles the phases of a scene need not be evenly spread.
@@ -23,7 +24,6 @@ _FINE = 1 << 14
 _MANY_SHIFTS = 5
 _HARMONICS = 8
 _FEWEST_PIXELS = 2000
-_SIGNIFICANT = 5.0
 
 
 def can_ripple(fringe: Fringe) -> bool:
@@ -43,7 +43,7 @@ def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None
     harmonics = np.arange(1, _HARMONICS + 1)
     spectrum = _spectrum(angle)
     moments = spectrum[steps * harmonics]
-    if abs(moments[0].real) < _SIGNIFICANT * max(_unevenness(spectrum, steps), abs(moments[0].imag)):
+    if abs(moments[0].real) < SIGNIFICANT_SIGMAS * max(_unevenness(spectrum, steps), abs(moments[0].imag)):
         return None
     # Density of ψ = N θ: (1 + Σ 2 c_j cos jψ) / 2π, even because the shifted cosine is; its integral is the true phase.
     psi = steps * (2 * np.pi * np.arange(TABLE_LENGTH) / TABLE_LENGTH + first)

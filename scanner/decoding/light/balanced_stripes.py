@@ -14,11 +14,11 @@ import numpy as np
 from calib.numerics import Bools, Ints
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import LEAST_DIFFERENCE, Gains
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 # Fewer cells do not tell how well the mean is known; stripes of much contrast are told better by their sums.
 _FEWEST_CELLS, _MOST_CELLS, _FEWEST_PER_CELL = 16, 64, 32
 _MOST_CONTRAST = 1.5
-_SIGNIFICANT = 5.0
 
 
 def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None:
@@ -38,7 +38,7 @@ def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None
     contrast = sqrt(float(np.mean((logs - means[cell]) ** 2)))
     ratio = float(np.mean(means))
     sigma = float(np.std(means)) / sqrt(len(means))
-    if contrast > _MOST_CONTRAST or abs(ratio) < _SIGNIFICANT * sigma:
+    if contrast > _MOST_CONTRAST or abs(ratio) < SIGNIFICANT_SIGMAS * sigma:
         return None
     return Gains(np.exp(np.array([[ratio / 2], [-ratio / 2]])))
 

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Image, median
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.brightness import lit_by
+from scanner.decoding.light.lit_pixels import lit_by
+from scanner.decoding.significance import FEWEST_PIXELS
 
-# Pixels of each of the two levels.
-_FEWEST = 100
 _ROUNDS = 5
-_TAILS = (0.05, 0.95)
+TAILS = (0.05, 0.95)  # quantiles of a bit's levels, in its dark and in its bright stripes
 # Levels so close to each other, in deviations of the pixels from them, are no levels of a bit.
 _APART_SIGMAS = 4.0
 # Nearer to half-way between white and black, in parts of white minus black, is half-way.
@@ -60,9 +59,9 @@ def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.
     lit = lit_by(brightest - half_way)
     half = np.maximum((brightest - half_way)[lit], np.float32(0.5))
     relative, black = level[lit] / (2 * half), (half_way[lit] - half) / (2 * half)
-    is_bright = relative - black > np.mean(np.quantile(relative - black, _TAILS))
+    is_bright = relative - black > np.mean(np.quantile(relative - black, TAILS))
     for _ in range(_ROUNDS):
-        if min(np.count_nonzero(is_bright), np.count_nonzero(~is_bright)) < _FEWEST:
+        if min(np.count_nonzero(is_bright), np.count_nonzero(~is_bright)) < FEWEST_PIXELS:
             return None
         of_black, dark, bright = _parts(relative, black, is_bright)
         threshold = of_black * black + (dark + bright) / 2

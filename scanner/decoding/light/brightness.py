@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 # Smaller differences change hardly a bit, and a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
@@ -30,12 +31,9 @@ _MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
 _GUESSES = 2
 # Each finds what the frames that the one before made alike still differ by.
 _PASSES = 4
-_SIGNIFICANT = 5.0
 BANDS = 32
 _FEWEST_PER_BAND = 64
 _FEWEST_PIXELS = 200
-# So many are enough for a few numbers.
-_MOST_PIXELS = 4096
 # What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
 _BANDED = 0.85
 # How far the weights of a band may well be from those of the whole frame.
@@ -47,8 +45,6 @@ _FAINT = 0.25
 _OUTLYING = 4.0
 # Close to the largest level of the frames, which may be where the camera saturates.
 _SATURATED = 0.98
-# Pixels that swing less than this share of what the brightest few do are hardly lit.
-_LIT, _BRIGHT = 0.25, 0.98
 # Gains explain part of what the frames' sum is off, or they are none: a camera that is not linear is off as well.
 _UNEXPLAINED = 0.8
 
@@ -140,12 +136,6 @@ def _ties(steps: int) -> Floats:
     return np.concatenate([np.cos(turns), np.sin(turns)])
 
 
-def lit_by(swing: Floats32) -> NDArray[np.intp]:
-    """Some of the pixels that the patterns light up, from how much they change (P,): places in it, which rise."""
-    lit = np.flatnonzero(swing >= _LIT * np.quantile(swing, _BRIGHT))
-    return lit[:: -(-len(lit) // _MOST_PIXELS)]
-
-
 def _unevenness(phase: Floats32, size: int) -> float:
     """How far phases (P,) are from evenly spread, where a harmonic of `size` cycles looks like the fringe itself."""
     return max(abs(complex(np.mean(np.exp(1j * cycles * phase)))) for cycles in (size - 1, size + 1))
@@ -219,7 +209,7 @@ def _weights(
     spread = float(np.linalg.eigvalsh(told.T @ told / len(left))[1])
     if spread <= 0:  # frames without light, all alike
         return np.ones((count, 1)), inf
-    error = count * _SIGNIFICANT * sqrt(noise / (spread * len(left))) + 2 * noise / spread
+    error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread
     bands = None if is_guess else _bands(design, left, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error

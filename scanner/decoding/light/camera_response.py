@@ -7,15 +7,16 @@ at a few levels (radiometric self-calibration, after Mitsunaga and Nayar, CVPR 1
 holds: what adds up, what is half-way, what is a cosine.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image, median
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.brightness import lit_by
+from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.patterns import Xor
 
@@ -51,25 +52,26 @@ class CameraResponse:
     top: float
     saturation: float
 
-    def linearised(self, frames: Image) -> Iterator[Image]:
-        """Frames (N, H, W) as light, one by one, of 16 bits."""
-        levels = np.arange(int(np.iinfo(frames.dtype).max) + 1)  # some pixel may be brighter than white ever was
+    def light_of(self, frame: Image) -> Image:
+        """The light of grey levels, of 16 bits; some may be brighter than white ever was."""
+        return cast(Image, np.take(self._table, frame, mode="clip"))
+
+    @cached_property
+    def _table(self) -> NDArray[np.uint16]:
+        levels = np.arange(int(self.top) + 1)
         light = np.rint(_FULL_SCALE * np.interp(levels, np.linspace(0, self.top, len(self.light)), self.light))
         light[levels >= self.saturation] = _FULL_SCALE
-        table = light.astype(np.uint16)
-        return (cast(Image, table[frame]) for frame in frames)
+        return light.astype(np.uint16)
 
 
 def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top: float) -> CameraResponse | None:
     """That which a sample `levels` (frames, P) of all frames tells, up to a level `top`; None if sums are even without
     one, or one does not make them so.
     """
-    swing = np.ptp(levels, axis=0)
-    lit = lit_by(swing)
-    lit = lit[(swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)]
-    if len(lit) < _FEWEST_PIXELS:
+    lit = unclipped(levels, saturation)
+    if lit.shape[1] < _FEWEST_PIXELS:
         return None
-    seen = levels[:, lit] / np.float32(top)
+    seen = lit / np.float32(top)
     has_pairs = len(plan.complements) >= _FEWEST_PAIRS
     found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
@@ -114,7 +116,7 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float
     """What makes the sums of pairs, in the order in which they were shown, (pairs, P, _LEVELS), and the swings
     (P, _LEVELS) of g, at pixels `seen` (frames, P); and what unevenness is notable.
     """
-    some = seen[:, :: -(-seen.shape[1] // _MOST_PIXELS)]
+    some = thinned(seen, _MOST_PIXELS)
     of_levels = _interpolation(some)
     first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
     swing = _interpolation(some.max(axis=0)) - _interpolation(some.min(axis=0))

@@ -22,8 +22,8 @@ from scanner.decoding.light.brightness import (
     Places,
     gains_of_fringe,
     gains_of_pair,
-    lit_by,
 )
+from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan

@@ -4,7 +4,7 @@ Frame k shows (1 − g) P(k) + g P(k − 1). The picture before is known, and so
 with the right share the light of patterns and inverses, and of the steps of fringes, adds up again.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -14,11 +14,12 @@ from scipy.optimize import minimize_scalar
 
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.brightness import lit_by
 from scanner.decoding.light.late_frame import late_frame
+from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS
 
 # The shares that are looked for; less does no harm. With a half and more either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
@@ -30,7 +31,6 @@ _LEFT_OF_TWO = 0.2
 _TRIED = 0.03
 # How far apart the shares of even and odd rows are, if they are not the same.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
-_FEWEST_PIXELS = 100
 _MOST_PIXELS = 400
 
 
@@ -60,7 +60,7 @@ class Ghost:
         return np.resize(np.array([self.share, odd], np.float32), height)[:, None]
 
 
-def without_ghost(frames: Image, ghost: Ghost) -> Iterator[Image]:
+def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
     """The frames (N, H, W) of a capture, one by one, without it, if all of each has one as much darker.
 
     A clipped pixel stays as it is. Before the first it was dark; where rows differ, the first stood there for long.
@@ -101,18 +101,17 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
     if share:
         return Ghost(share)
     late = late_frame(plan, levels, saturation)
-    return None if late is None else Ghost(late.share, late.place)
+    return None if late is None else Ghost(*late)
 
 
 def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float | None, float]:
     """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if it cannot be told, None if
     a little less of it makes nothing better; and how uneven the frames are with it, per pixel.
     """
-    lit = lit_by(np.ptp(levels, axis=0))
-    lit = lit[levels[:, lit].max(axis=0) < saturation]
-    if len(lit) < _FEWEST_PIXELS:
+    lit = unclipped(levels, saturation)
+    if lit.shape[1] < FEWEST_PIXELS:
         return None, 0.0
-    seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
+    seen = thinned(lit, _MOST_PIXELS)
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:

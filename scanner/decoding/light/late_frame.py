@@ -6,15 +6,16 @@ taken out, they do. Steps of fringes are made alike in brightness anyway, which 
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.brightness import lit_by
+from scanner.decoding.light.bits_without_inverse import TAILS
+from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS
 
 # With more of the picture before than this the frame is that picture; less does no harm.
 _LEAST, _MOST = 0.1, 0.75
@@ -26,28 +27,20 @@ _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
 # Of what would be left if frames were brighter or darker. A frame's own inverse before it looks like that.
 _OF_BRIGHTNESS = 0.3
 _LEAST_VARIETY = 0.2  # of the picture before, in swings: black in a frame makes it darker, and nothing else
-_ENDS = (0.05, 0.95)  # of a bit's levels
-_FEWEST_PIXELS, _MOST_PIXELS = 100, 1000
+_MOST_PIXELS = 1000
 _FEWEST_GROUPS = 3
 
 Off = Callable[[Floats32], float]
 
 
-@dataclass(frozen=True)
-class LateFrame:
-    """The `frame`, by its place in the capture, that shows a `share` of the picture before."""
-
-    place: int
-    share: float
-
-
-def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> LateFrame | None:
-    """The one that a sample `levels` (frames, P) of all frames shows, if there is one."""
-    lit = lit_by(np.ptp(levels, axis=0))
-    lit = lit[levels[:, lit].max(axis=0) < saturation]
-    if len(lit) < _FEWEST_PIXELS:
+def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float, int] | None:
+    """The one that a sample `levels` (frames, P) of all frames shows, if there is one: the share of the picture before
+    in it, and its place in the capture.
+    """
+    lit = unclipped(levels, saturation)
+    if lit.shape[1] < FEWEST_PIXELS:
         return None
-    seen = levels[:, lit[:: -(-len(lit) // _MOST_PIXELS)]]
+    seen = thinned(lit, _MOST_PIXELS)
     seen = seen / np.ptp(seen, axis=0)
     best, least = None, 1.0
     for kind, frames, off in _groups(plan, seen):
@@ -74,7 +67,7 @@ def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> LateF
             ):
                 continue
             if rest < least and _LEAST < found.x < _MOST - _LEAST:
-                best, least = LateFrame(place, float(found.x)), rest
+                best, least = (float(found.x), place), rest
     return best
 
 
@@ -119,9 +112,9 @@ def _off_two_levels(white: int, black: int, bit: int) -> Off:
         between = levels[white] - levels[black]
         lit = between > np.float32(0.5)
         relative = (levels[bit] - levels[black])[lit] / between[lit]
-        if len(relative) < _FEWEST_PIXELS:
+        if len(relative) < FEWEST_PIXELS:
             return 0.0
-        is_bright = relative > np.mean(np.quantile(relative, _ENDS))
+        is_bright = relative > np.mean(np.quantile(relative, TAILS))
         groups = [relative[is_bright], relative[~is_bright]]
         squares = sum(float(np.sum((group - np.median(group)) ** 2)) for group in groups if len(group))
         return squares / len(relative)

@@ -7,10 +7,11 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Image
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.significance import BRIGHTEST
 
 _PERIOD = 2
 # Blocks that are lit: of the brightest few.
-_LIT, _BRIGHT = 0.25, 0.98
+_LIT = 0.25
 _FEWEST_BLOCKS, _MOST_BLOCKS = 200, 4000
 # Logarithms by which pixels of a block differ in the median, and how much less blocks differ from each other in that.
 _LEAST, _ALIKE = 0.1, 0.5
@@ -22,7 +23,7 @@ def log_mosaic(lit: Image) -> Floats32 | None:
     parts = lit[: down * _PERIOD, : across * _PERIOD].reshape(down, _PERIOD, across, _PERIOD)
     blocks = parts[:: max(1, down * across // _MOST_BLOCKS)].swapaxes(1, 2).reshape(-1, _PERIOD**2)
     mean = blocks.mean(axis=1)
-    blocks = blocks[mean > _LIT * np.quantile(mean, _BRIGHT)]
+    blocks = blocks[mean > _LIT * np.quantile(mean, BRIGHTEST)]
     if len(blocks) < _FEWEST_BLOCKS:
         return None
     logs = np.log(np.maximum(blocks, 1).astype(np.float32))

@@ -15,15 +15,15 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS
 
 _QUANTISATION = 1 / 12
 _BINS = 10
-_FEWEST_IN_BIN = 100
 _QUIET = 0.1
 _ENOUGH_REPEATS = 3
 _SEED = 7
 # Differences that may be stray light are a part of what the brightest pixels show, a few of which are enough …
-_STRAY_PART, _BRIGHTEST = 0.03, 0.995
+STRAY_PART, _BRIGHTEST = 0.03, 0.995
 # … but those of rounding are not; and larger ones are neither.
 _ROUNDING, _MOST_STRAY = 1.0, 5.0
 
@@ -72,7 +72,7 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
         rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
         repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
     noise = _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
-    return replace(noise, stray=min(max(_ROUNDING, _STRAY_PART * contrast), _MOST_STRAY))
+    return replace(noise, stray=min(max(_ROUNDING, STRAY_PART * contrast), _MOST_STRAY))
 
 
 def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:
@@ -100,7 +100,7 @@ def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[fl
     where, variances = [], []
     for number in range(_BINS):
         chosen = np.flatnonzero(bins == number)
-        if len(chosen) >= _FEWEST_IN_BIN:
+        if len(chosen) >= FEWEST_PIXELS:
             where.append(float(np.mean(level[chosen])))
             found = robust_sigmas(dithered[:, chosen]) ** 2
             variances.append(float(np.quantile(found, _QUIET, method="lower")))

@@ -13,19 +13,16 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
-# Offset, amplitude and phase.
-_PARAMETERS = 3
 _JUMPS = 33
 # Farther than a knock throws a picture.
 _LARGEST_PX = 15.0
 # Jumps differ from face to face, but not from block to block: length of the mean of unit vectors.
 _ALIKE = 0.8
 _BLOCK_TILES = 4
-_FEWEST_IN_BLOCK = 100
 _FEWEST_BLOCKS = 4
-_SEEN = 5.0
 # The share of a fringe's power that its fit leaves over: harmonics of a gamma of 2.2 make 0.05.
 _MOST_LEFT = 0.12
 _OF_BEFORE = 0.12
@@ -53,7 +50,7 @@ class _Taken:
         jumps = np.linspace(-largest, largest, _JUMPS) if largest else np.zeros(1)
         power = np.maximum(np.sum((self.levels - self.levels.mean(axis=0)) ** 2, axis=0), 1e-9)
         count = np.bincount(self.block)
-        big = count >= _FEWEST_IN_BLOCK
+        big = count >= FEWEST_PIXELS
         left = np.stack(
             [
                 np.bincount(
@@ -71,10 +68,10 @@ class _Taken:
 
 def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> tuple[int, int] | None:
     """The frames between which a bump explains fringes that are none otherwise; None if none does."""
-    if not plan.fringes or any(len(fringe.frames) <= _PARAMETERS for fringe in plan.fringes) or not tiles.count:
+    if not plan.fringes or any(len(fringe.frames) <= COSINE_PARAMETERS for fringe in plan.fringes) or not tiles.count:
         return None
     taken = [_taken(plan, fringe, tiles, noise) for fringe in plan.fringes]
-    if any(np.count_nonzero(np.bincount(one.block) >= _FEWEST_IN_BLOCK) < _FEWEST_BLOCKS for one in taken):
+    if any(np.count_nonzero(np.bincount(one.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for one in taken):
         return None
     times = sorted({int(time) for one in taken for time in one.times})
     before = max(left for left, _ in (one.left(times[0]) for one in taken))
@@ -114,7 +111,7 @@ def _taken(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseMo
     times = np.array([time for _, time in shown])
     levels = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).astype(np.float64)
     mean = levels.mean(axis=0)
-    seen: Bools = np.mean((levels - mean) ** 2, axis=0) > _SEEN**2 * noise.variance(mean)
+    seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
     down, across = (tiles.camera_px[seen] // _of_block(tiles)).astype(np.int64).T[::-1]
     _, block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)
     return _Taken(levels[:, seen], block.reshape(-1), times, np.array([shift for shift, _ in shown]), fringe.period)

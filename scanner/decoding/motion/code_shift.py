@@ -9,12 +9,10 @@ from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.period_slips import Knock, Offsets, moved_by_periods
-from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-_SEEN = 5.0
 _FEWEST = 300
-# Three frames make a fringe in any order, a wrong one included.
-_PARAMETERS = 3
 # Frames that were exchanged leave fringes that follow the code nowhere, or here and there.
 _AGREEING = 0.9
 # Where angles lie is found to a bin of the circle, and then by the middle of these quantiles.
@@ -54,13 +52,15 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
     if not axis.codes or not axis.fringes or axis.cell >= axis.fringes[0].period:
         return None
     longest = axis.fringes[0]
-    if len(longest.frames) <= _PARAMETERS:
+    if len(longest.frames) <= COSINE_PARAMETERS:
         return None
     interval = interval_of(axis, signals.words, len(signals.middle))
     cosine, sine = signals.fringe(0)
     amplitude2 = cosine**2 + sine**2
     seen = (
-        resting & interval.possible & (amplitude2 > (_SEEN * longest.noise_gain) ** 2 * noise.variance(signals.middle))
+        resting
+        & interval.possible
+        & (amplitude2 > (SIGNIFICANT_SIGMAS * longest.noise_gain) ** 2 * noise.variance(signals.middle))
     )
     if np.count_nonzero(seen) < _FEWEST:
         return None

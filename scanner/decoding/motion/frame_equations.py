@@ -14,12 +14,11 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 from scanner.decoding.slopes import LEVEL, SLOPE
 
 _MOST_PIXELS = 6_000
 _FEWEST_PIXELS = 300
-# A fringe counts from so many standard deviations on.
-_SEEN = 5.0
 # In variance, along both axes.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
 # Of a tile's side, where the taps of slopes are all in it.
@@ -122,7 +121,7 @@ def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise
     variance = np.float32(_LESS_NOISE) * noise.variance(levels.mean(axis=0))
     usable = resting.copy()
     for fringe, of_fringe in zip(fringes, components, strict=True):
-        usable &= np.sum(of_fringe**2, axis=0) > (_SEEN * fringe.noise_gain) ** 2 * variance
+        usable &= np.sum(of_fringe**2, axis=0) > (SIGNIFICANT_SIGMAS * fringe.noise_gain) ** 2 * variance
     number = np.flatnonzero(usable)
     return number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
 

@@ -17,9 +17,10 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import BRIGHTEST
 
 # Pixels that swing less than this share of what the brightest few do are hardly lit.
-_LIT, _BRIGHT = 0.1, 0.98
+_LIT = 0.1
 # Every so many-th of the grid's pixels tells quickly that nothing moved: so few contradictions are no patch.
 _STRIDE, _A_FEW = 3, 4
 # So many of the lit pixels around one are in contradiction where something moved; its edges are lit by both.
@@ -58,7 +59,7 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     """Where something moved, if it is not most of what is lit."""
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
-    lit: Bools = swing > max(_LIT * float(np.quantile(swing, _BRIGHT)), 1e-6)
+    lit: Bools = swing > max(_LIT * float(np.quantile(swing, BRIGHTEST)), 1e-6)
     some = np.zeros_like(lit)
     some[::_STRIDE, ::_STRIDE] = lit[::_STRIDE, ::_STRIDE]
     if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:

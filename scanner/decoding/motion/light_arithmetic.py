@@ -15,7 +15,7 @@ from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
-from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 
 # A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
 # camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
@@ -29,8 +29,6 @@ _LIT_BITS = 0.7
 _FINE_BITS, _OF_FINE = 3, 2.5
 # What is lit by a fringe and not by white is lit by way of what moved: flickering lamps do not make half of the swing.
 _FAR_BEYOND = 5.0
-# Offset, amplitude and phase.
-_PARAMETERS = 3
 _HARMONICS, _TRIMS = (2, 3), 3
 # So many times what the pixels that rest leave is farther off than three standard deviations.
 _OFF_RESTING = 5.25
@@ -125,7 +123,7 @@ def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     """The steps of each fringe, if they are enough to tell."""
     for fringe in plan.fringes:
-        if len(fringe.frames) > _PARAMETERS:
+        if len(fringe.frames) > COSINE_PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
 
 

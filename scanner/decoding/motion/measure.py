@@ -15,7 +15,7 @@ from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, 
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import Showing, Trajectory, Witnesses, showings_of
-from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 
 # A bump is looked for at every so many boundaries between frames first: one next to it shows there as well.
 _STRIDE = 2
@@ -27,8 +27,6 @@ _LEAST_PX = 0.02
 # A motion explains what a typical pixel shows; aliasing and ripple are other at each.
 _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3
-# Offset, amplitude and phase.
-_PARAMETERS = 3
 # Beyond such a part of the shortest period, other parts of periods explain the same.
 _LINEAR_CYCLES = 1 / 6
 # A course that explains so much of what the best one does may be the true one.
@@ -114,7 +112,7 @@ class MotionMeter:
     @property
     def _is_overdetermined(self) -> bool:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
-        return all(len(one.times) > _PARAMETERS for axis in self._showings for one in axis)
+        return all(len(one.times) > COSINE_PARAMETERS for axis in self._showings for one in axis)
 
     def _try(self, course: Trajectory) -> _Tried:
         return _Tried(course, self._fit(self._witnesses, course))

@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
 # Blocks of the projector's picture, along x and y, with so many pixels at least.
 _BLOCKS = (8, 6)
@@ -23,8 +24,6 @@ _FEWEST_BLOCKS = 12
 # Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
 _SLOPES, _COLUMNS = 3, 8
 _ROUNDS = 6
-_HUBER = 2.0
-_SIGNIFICANT = 5.0
 # What moved is believed if nothing else is nearly as likely: a hundredth, in −2 log likelihood.
 _CLEARLY = 9.0
 # Focal lengths of projectors, in widths of the picture: no less, and no more.
@@ -119,7 +118,7 @@ class _Fit:
     def cost(self, scale: float) -> float:
         """−2 log likelihood if blocks scatter so, and some are off by more (Huber)."""
         off = np.abs(self.left) / scale
-        return float(np.sum(np.where(off < _HUBER, off**2, _HUBER * (2 * off - _HUBER))))
+        return float(np.sum(np.where(off < HUBER_SIGMAS, off**2, HUBER_SIGMAS * (2 * off - HUBER_SIGMAS))))
 
 
 def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bool]]:
@@ -149,7 +148,7 @@ def _fitted(rows: Floats, offsets: Floats) -> _Fit:
         found = inverse @ rows.T @ (weights * offsets)
         left = offsets - rows @ found
         scale = SIGMA_PER_MEDIAN * float(np.median(np.abs(left))) * len(rows) / max(len(rows) - _COLUMNS, 1)
-        weights = np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(left), 1e-9))
+        weights = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(np.abs(left), 1e-9))
     return _Fit(found, scale * np.sqrt(np.diag(inverse)), left, scale)
 
 
@@ -159,6 +158,6 @@ def _by_periods(period: float, offset_px: float, curvature: float, sigma: float)
     """
     least, most = sorted((0.0, offset_px / _LEAST_FOCAL**2))
     beyond = curvature - min(max(curvature, least), most)
-    if abs(beyond) < max(_SIGNIFICANT * sigma, period / _MOST_FOCAL**2):
+    if abs(beyond) < max(SIGNIFICANT_SIGMAS * sigma, period / _MOST_FOCAL**2):
         return 0.0
     return float(offset_px + np.sign(beyond) * period)

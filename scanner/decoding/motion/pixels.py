@@ -10,16 +10,15 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 _MOST_PIXELS = 4_000
 _FEWEST_PIXELS = 300
 _FEWEST_IN_TILE = 30
-# A fringe counts from so many standard deviations on.
-_SEEN = 5.0
 _TRIMS = 2
 _MOST_OFF_SIGMAS = 3.5
 # A tile across an edge, or of a round thing, is no plane: how far its pixels may be off in projector px.
-_MOST_ROUGH_PX = 0.7
+MOST_ROUGH_PX = 0.7
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tu
     seen = np.ones(len(variance), np.bool_)
     for number, fringe in enumerate(axis.fringes):
         cosine, sine = signals.fringe(number)
-        seen &= cosine**2 + sine**2 > _SEEN**2 * fringe.noise_gain**2 * variance
+        seen &= cosine**2 + sine**2 > SIGNIFICANT_SIGMAS**2 * fringe.noise_gain**2 * variance
     period = axis.fringes[0].period
     if not axis.codes:
         if period < axis.length:
@@ -103,7 +102,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
         matrices, right = _normal_equations(terms, seen, fit)
         planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
         rough, count = _trim(terms, seen, on, planes, fit)
-    smooth = (rough < _MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
+    smooth = (rough < MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
     return planes, (fit & smooth[:, None]).reshape(-1)
 
 

@@ -6,6 +6,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, median
+from scanner.decoding.significance import HUBER_SIGMAS
 
 # Of each device: shifts of its picture to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -15,7 +16,6 @@ _FOCAL_OF_WIDTH = 1.2
 # What no pixel tells of stays small.
 _PRIOR_PX = 1.0
 _ROUNDS = 6
-_HUBER = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, gr
         motion = np.linalg.solve(information, towards).astype(np.float64)
         _note_residuals(seen_px, design @ motion, row, root, residual, off)
         scale = max(SIGMA_PER_MEDIAN * median(off), 1e-3)
-        _weigh_down(precision, off, _HUBER * scale, weight)
+        _weigh_down(precision, off, HUBER_SIGMAS * scale, weight)
     _, scores = _sums_of_rows(row, weight, residual, len(design))
     sums = np.stack([np.bincount(group, column * scores) for column in design.T], axis=1)
     inverse = np.linalg.inv(information)

@@ -5,7 +5,7 @@ of pixels tell it by least squares. What all frames have in common, nobody sees.
 """
 
 from dataclasses import dataclass, replace
-from math import erfc, sqrt
+from math import sqrt
 
 import numpy as np
 from scipy.stats import chi2
@@ -19,14 +19,13 @@ from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import Trajectory
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.significance import BY_CHANCE, HUBER_SIGMAS
 
 # Expected of shifts, in px, and of gains: what no pixel tells of stays small.
 _PRIOR = 1.0
 _ROUNDS = 3
-_HUBER = 2.0
 # What ripple makes of a single frame at rest, and of the mean of those of a fringe, as between halves.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
-_BY_CHANCE = erfc(5.0 / sqrt(2))
 # Of what contradicts rest beside light, in squares: shifts explain more than 0.75 where frames were shifted, and less
 # than 0.35 where light that flickered was not told.
 _LEAST_BY_SHIFTS = 0.5
@@ -57,7 +56,7 @@ class FrameShifts:
             return False
         shifts = self.shift_px.reshape(-1)
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
-        return squared > chi2.isf(_BY_CHANCE, shifts.size - 2)
+        return squared > chi2.isf(BY_CHANCE, shifts.size - 2)
 
     @property
     def are_told_from_light(self) -> bool:
@@ -115,7 +114,7 @@ def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Flo
         inverse: Floats = np.asarray(np.linalg.inv(weighted @ design.T + expected), np.float64)
         found = inverse @ (weighted @ seen)
         left = seen - found @ design
-        weight = np.minimum(1.0, _HUBER * _scale(left) / np.maximum(np.abs(left), 1e-9))
+        weight = np.minimum(1.0, HUBER_SIGMAS * _scale(left) / np.maximum(np.abs(left), 1e-9))
     return found, left, weight, inverse
 
 

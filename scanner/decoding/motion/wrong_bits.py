@@ -8,13 +8,12 @@ import numpy as np
 from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate_maps import Maps
-from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.mask_reasons import BROKEN, MaskReason
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.cycles import in_wrong_cycles
 from scanner.decoding.motion.inconsistent_pixels import MOST, patches
 from scanner.decoding.sequence_plan import SequencePlan
 
-_BROKEN = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE, MaskReason.ISOLATED)
 # How many cells neighbours are apart that are of no surface; and how much farther than most.
 _FAR_CELLS, _TIMES_USUAL = 1.4, 4.0
 _AROUND = np.ones((5, 5), np.uint8)
@@ -37,7 +36,7 @@ def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None
 def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
     coarse = CoarseFrames((maps.reason.shape[0], maps.reason.shape[1]))
     reason = coarse.of(maps.reason)
-    broken = np.isin(reason, _BROKEN) | _jumps(plan, coarse, maps)
+    broken = np.isin(reason, BROKEN) | _jumps(plan, coarse, maps)
     lit = broken | (reason == MaskReason.KEPT)
     found = patches(broken, lit)
     if np.count_nonzero(found & lit) > MOST * np.count_nonzero(lit):

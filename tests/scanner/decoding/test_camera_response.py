@@ -55,7 +55,7 @@ def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE)
 
 
 def response_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> CameraResponse | None:
-    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).response()
+    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).reading().response
 
 
 def share_kept(decoding: Decoding) -> float:
@@ -119,8 +119,7 @@ def test_what_moves_is_still_found(curve: Curve) -> None:
     assert np.mean(decoding.reasons[50:100, 70:100] == 0) < 0.2
 
 
-@pytest.mark.parametrize(("kind", "most"), [(np.uint8, 2**8 - 1), (np.uint16, 2**16 - 1)])
-def test_a_pixel_brighter_than_white_was_is_the_brightest_light(kind: type, most: int) -> None:
-    response = CameraResponse(np.array([0.0, 0.3, 1.0]), top=200.0, saturation=np.inf)
-    (light,) = response.linearised(np.array([[[0, 100, 200, 201, most]]], kind))
-    assert light.tolist() == [[0, 307, 1023, 1023, 1023]]
+def test_frames_brighter_than_the_white_one_have_its_largest_light() -> None:
+    response = CameraResponse(np.array([0.0, 0.25, 1.0]), top=100.0, saturation=np.inf)
+    frame = np.array([[0, 25, 50], [75, 100, 130]], np.uint16)
+    assert response.light_of(frame).tolist() == [[0, 128, 256], [639, 1023, 1023]]

@@ -32,7 +32,7 @@ def ghostly(frames: Sequence[Image], share: float, top: int = 255) -> list[Image
 
 
 def ghost_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Ghost | None:
-    return folded(plan_sequence(patterns, SCENE.projector), frames).ghost()
+    return folded(plan_sequence(patterns, SCENE.projector), frames).reading().ghost
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
