@@ -31,7 +31,7 @@ def cannot_write(where: object, error: OSError, what: str = "written") -> Storag
     """Return the error for a failed write: StorageError if the disk refused it, InputError if `where` cannot be
     `what`.
     """
-    said = f"{where}: cannot be {what}: {error.strerror or error}"
+    message = f"{where}: cannot be {what}: {error.strerror or error}"
     if error.errno in DISK_TROUBLE or error.errno in _REMEDIES:
-        return StorageError(f"{said}; {_REMEDIES.get(error.errno or 0, _FULL)}")
-    return InputError(said)
+        return StorageError(f"{message}; {_REMEDIES.get(error.errno or 0, _FULL)}")
+    return InputError(message)

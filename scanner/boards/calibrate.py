@@ -93,11 +93,11 @@ def calibrate_seen(
     seen = [each for each in looked if isinstance(each, Seen)]
     missing = [each for each in looked if isinstance(each, Missing)]
     if not seen:
-        told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"--board {target}: in none of the captures is there such a board:{told}")
+        reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
+        raise InputError(f"--board {target}: in none of the captures is there such a board:{reasons}")
     if missing and len(seen) < FEWEST_VIEWS:
-        told = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"expected the board in three views or more, found it in {len(seen)}:{told}")
+        reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
+        raise InputError(f"expected the board in three views or more, found it in {len(seen)}:{reasons}")
     with progress.step("Calibrating"):
         found = calibrate_boards(
             [each.view for each in seen],
@@ -158,7 +158,7 @@ def _on_scale(result: FromBoards) -> list[str]:
     distances = [float(np.linalg.norm(board.middle)) for board in result.found.estimate.state.boards]
     nearest, farthest, baseline = min(distances), max(distances), result.found.calibration.baseline
     side, number = 2 * result.target.reach, shown_unit(UNIT).number
-    told = (
+    note = (
         f"Lengths are as true as the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "
         f"long, camera and projector are {number(baseline)} {UNIT} apart and the boards were {number(nearest)} to "
         f"{number(farthest)} {UNIT} away."
@@ -170,5 +170,5 @@ def _on_scale(result: FromBoards) -> list[str]:
         (baseline, _PLAUSIBLE_BASELINE_MM),
     )
     if not all(low < length < high for length, (low, high) in plausible):
-        told += " That is unlikely: measure the square again, and mind the unit. The intrinsics do not depend on it."
-    return [told]
+        note += " That is unlikely: measure the square again, and mind the unit. The intrinsics do not depend on it."
+    return [note]

@@ -94,10 +94,10 @@ def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal
         return
     estimate, sizes = result.found.estimate, (result.camera_size, result.projector_size)
     sigma = 100 * np.sqrt(estimate.covariance.diagonal())
-    told = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
+    message = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
     pose = best_next_pose(estimate, sizes)
     if pose is not None and pose.gain > _WORTH_IT:
-        told += f" Most useful next: a board {pose.words}, which lowers the sigmas by a factor of {pose.gain:.2f}."
+        message += f" Most useful next: a board {pose.words}, which lowers the sigmas by a factor of {pose.gain:.2f}."
     elif pose is not None:
-        told += " No further board would add much."
-    terminal.show(told)
+        message += " No further board would add much."
+    terminal.show(message)

@@ -75,16 +75,16 @@ def _halves(result: FromBoards) -> list[tuple[str, str, str, str]]:
     halves = result.found.halves
     if halves is None:
         return []
-    told = []
+    table = []
     for (device, name, unit), difference, sigma in zip(_HALVES, halves.difference, halves.sigma, strict=True):
         factor, decimals = (100.0, 3) if unit == "%" else (1.0, 2)
         shown = [
             plain(factor * value, decimals, signed=signed) for value, signed in ((difference, True), (sigma, False))
         ]
-        told.append(
+        table.append(
             (f"{device}, {name}", *(f"{each} {unit}" for each in shown), plain(difference / sigma, 1, signed=True))
         )
-    return [(a, b, c, d) for a, b, c, d in told]
+    return [(a, b, c, d) for a, b, c, d in table]
 
 
 def _ray_rows(sigmas: Floats) -> list[list[str]]:

@@ -35,7 +35,7 @@ def write_pdf(path: Path, target: Target, sheet: str) -> None:
     per_mm = _DPI / _MM_PER_INCH
     side_px = round(target.square * per_mm)
     board = draw_target(target, side_px).image[side_px:-side_px, side_px:-side_px]
-    # Of a whole number of dots to a square: the page is drawn by that, and told to be of the size that makes it true.
+    # A square is a whole number of dots, so the page states the resolution that gives it its true size.
     dpi = side_px / target.square * _MM_PER_INCH
     page = _page(board, SHEETS_MM[sheet], dpi / _MM_PER_INCH)
     if page is None:
@@ -71,5 +71,5 @@ def _caption(page: Image.Image, target: Target, sheet: str, per_mm: float) -> No
         draw.line((x, bottom, x, bottom - length * per_mm), 0, line)
         if mm % 50 == 0:
             draw.text((x, bottom - 4.2 * per_mm), f"{mm}", 0, font, "ms")
-    told = f"{target}, {target.square:g} mm, {sheet}: print at 100 %. This ruler is {_RULER_MM} mm long: measure it."
-    draw.text((left, bottom - 8.0 * per_mm), told, 0, font, "ls")
+    caption = f"{target}, {target.square:g} mm, {sheet}: print at 100 %. This ruler is {_RULER_MM} mm long: measure it."
+    draw.text((left, bottom - 8.0 * per_mm), caption, 0, font, "ls")

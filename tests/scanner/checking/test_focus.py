@@ -59,7 +59,7 @@ def test_what_cannot_be_told_is_not_told() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.state == State.POOR
-    assert "cannot be told" in found.advice
+    assert "does not show which lens" in found.advice
 
 
 @pytest.mark.parametrize(
