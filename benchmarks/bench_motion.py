@@ -152,7 +152,7 @@ def run(case: Case, footage: Footage) -> tuple[str, str]:
             decoder.add(frame)
         decoding = decoder.finish()
         found = Decoded(CaptureMetadata(CAMERA, PROJECTOR, patterns), decoding.matches, decoding)
-        (calibrated,) = calibrate(label([found], [found]), config)
+        (calibrated,) = calibrate(label([found], [found], config), config)
     except (RefusalError, InputError) as error:
         kind = "refused" if isinstance(error, RefusalError) else "input error"
         return f"{kind}, motion" if "moved" in str(error) else kind, str(error)[:110]

@@ -7,6 +7,7 @@ from pathlib import Path
 from calib.geometry import NO_FACE, Size
 from calib.refusal import RefusalError
 from scanner.capture import open_capture
+from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
@@ -65,9 +66,11 @@ def _pair_of(folder: Path) -> Pair:
 
 
 def _labelled(capture: Decoded) -> Decoded:
-    """With faces, where there is a corner; without one it is joined by what it shares with others."""
+    """With faces, where there is a corner; without one it is joined by what it shares with others. Nothing is known of
+    any camera beforehand.
+    """
     try:
-        (found,) = label([capture], [capture])
+        (found,) = label([capture], [capture], Config())
     except RefusalError as refusal:
         return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
     matches = found.matches

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
+from scanner.errors import InputError
 from scanner.networks.captures import read_pairs
 from scanner.networks.save import save_network
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
@@ -24,6 +25,11 @@ def network(
     terminal: Terminal,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
+    if config.camera.principal_point.known is not None:
+        raise InputError(
+            "camera.principal_point.known is of one camera, and a network has several, whose points are measured: leave "
+            "it out, as with --set camera.principal_point=null"
+        )
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
         captures = read_pairs(folders, terminal)
         refuse_unknown(known, captures)

@@ -116,7 +116,7 @@ def calibrating(folder: Path) -> Run:
         facts = CaptureMetadata(CAMERA.size, PROJECTOR.size)
         given = Decoded(facts, Matches(camera_px, projector_px, labelled, sigma), GivenMatches(None), "fuzzed")
         config = Config(method="paper") if rng.random() < 0.2 else Config()
-        for found in calibrate(label([given], [given]), config):
+        for found in calibrate(label([given], [given], config), config):
             build_cloud(found.decoded.matches, None, found.calibration)
 
     return guarded(read)

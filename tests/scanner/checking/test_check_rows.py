@@ -248,7 +248,7 @@ def test_a_response_that_clips_is_said() -> None:
 def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
     whole = changed(room, exposure_us=PERIOD_US)
     found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
-    (solution,) = solve(label([found], [found]), config())
+    (solution,) = solve(label([found], [found], config()), config())
     truth = relative_focal_sigmas(solution.calibration)
     predicted = [float(word) / 100 for word in row(usual, "view").finding.split() if word[0].isdigit()]
     for sigma, device in zip(predicted, ("camera", "projector"), strict=True):
