@@ -27,8 +27,8 @@ def network(
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
     if config.camera.principal_point.known is not None:
         raise InputError(
-            "camera.principal_point.known is of one camera, and a network has several, whose points are measured: leave "
-            "it out, as with --set camera.principal_point=null"
+            "camera.principal_point.known belongs to one camera, but a network has several and measures their points: "
+            "leave it out, as with --set 'camera.principal_point={prior: centre}'"
         )
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
         captures = read_pairs(folders, terminal)
