@@ -46,4 +46,4 @@ def test_it_may_cost_what_the_view_is_unsure_of_anyway(
     added = with_doubt([decoded], solution).notes[len(solution.notes) :]
     assert len(added) == (likely > 0.5)
     for note in added:
-        assert "costs 0.9 % of the intrinsics, of which this view is unsure by 1.2 % anyway" in note
+        assert "may cost 0.9 % of the intrinsics, of which this view is unsure by 1.2 % anyway" in note
