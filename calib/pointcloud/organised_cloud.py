@@ -91,7 +91,7 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     }
     return Cloud(
         points=points,
-        colours=_colours(texture, np.isfinite(points[..., 2])),
+        colours=colours_of(texture, np.isfinite(points[..., 2])),
         normals=on_surface.normals,
         residual_px=organised.residual_px,
         match=organised.match,
@@ -107,8 +107,10 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     )
 
 
-def _colours(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
-    """RGB (H, W, 3), black where there is no point; 16-bit images are scaled to their brightest level, glints apart."""
+def colours_of(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
+    """RGB (H, W, 3) of a camera's image, (H, W) or (H, W, 3) BGR, black where there is no point; 16-bit images are
+    scaled to their brightest level, glints apart.
+    """
     if texture is None:
         bright = np.full(there.shape, _NO_TEXTURE_GREY, dtype=np.uint8)
     elif texture.dtype == np.uint16:

@@ -34,8 +34,8 @@ def network(
         captures = read_pairs(folders, terminal)
         refuse_unknown(known, captures)
         solved = solve_network(captures, known, config.corner.squareness_deg, terminal)
-        save_network(solved, folder, config)
         verdict = verdict_on(solved)
+        save_network(solved, verdict, folder, config)
         if verdict.grade == "refused":
             raise RefusalError(verdict.headline, verdict.advice)
     return solved

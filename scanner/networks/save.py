@@ -7,19 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats
+from calib.pointcloud import colours_of
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
 from scanner.networks.solve import SolvedNetwork
-from scanner.networks.verdict import verdict_on
 from scanner.quantities import shown_unit
 from scanner.rendering import environment
-from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, provenance, verdict_entries
+from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, Verdict, provenance, verdict_entries
 
 _FRAME = "network frame: that of its first device, x right, y down, z ahead"
 
 
 class NetworkCloud(NamedTuple):
-    """Points, normals that face the projector (N, 3), and grey levels as RGB."""
+    """Points, normals that face the projector (N, 3), and colours as RGB."""
 
     points: Floats
     normals: Floats
@@ -27,13 +27,13 @@ class NetworkCloud(NamedTuple):
     unit: str
 
 
-def save_network(network: SolvedNetwork, folder: Path, config: Config) -> None:
+def save_network(network: SolvedNetwork, verdict: Verdict, folder: Path, config: Config) -> None:
     """Write everything. Raises OSError."""
-    entries = provenance(folder, config).entries({}) | verdict_entries(verdict_on(network)) | entries_of(network)
+    entries = provenance(folder, config).entries({}) | verdict_entries(verdict) | entries_of(network)
     write_room(folder / NETWORK_FILE, entries)
     cloud = cloud_of(network)
     write_room_ply(folder / NETWORK_CLOUD_FILE, cloud, _FRAME)
-    _write_page(folder / REPORT_FILE, network, cloud, config)
+    _write_page(folder / REPORT_FILE, network, verdict, cloud, config)
 
 
 def entries_of(network: SolvedNetwork) -> dict[str, Any]:
@@ -86,17 +86,18 @@ def cloud_of(network: SolvedNetwork) -> NetworkCloud:
     for projector, surface in network.surfaces.items():
         there = np.isfinite(surface.points[..., 2])
         normal = _normals(surface.points, network.estimate.device(projector).pose.translation)
-        grey = np.full(there.shape, 128, np.uint8)
+        colour = np.full((*there.shape, 3), 128, np.uint8)
         for camera, seen in surface.seen_px.items():
             texture = network.captures.decoded[camera, projector].texture
             if texture is None:
                 continue
             known = np.isfinite(seen[..., 0]) & there
             x, y = np.rint(seen[known]).astype(np.int64).T
-            grey[known] = texture[y.clip(0, texture.shape[0] - 1), x.clip(0, texture.shape[1] - 1)]
+            shown = colours_of(texture, np.ones(texture.shape[:2], np.bool_))
+            colour[known] = shown[y.clip(0, shown.shape[0] - 1), x.clip(0, shown.shape[1] - 1)]
         points.append(network.factor * surface.points[there])
         normals.append(normal[there])
-        colours.append(np.repeat(grey[there][:, None], 3, axis=1))
+        colours.append(colour[there])
     return NetworkCloud(np.concatenate(points), np.concatenate(normals), np.concatenate(colours), network.unit)
 
 
@@ -110,7 +111,7 @@ def _normals(points: Floats, towards: Floats) -> Floats:
     return unit
 
 
-def _write_page(path: Path, network: SolvedNetwork, cloud: NetworkCloud, config: Config) -> None:
+def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: NetworkCloud, config: Config) -> None:
     estimate, unit = network.estimate, shown_unit(network.unit)
     rows = []
     for name in estimate.names:
@@ -144,7 +145,7 @@ def _write_page(path: Path, network: SolvedNetwork, cloud: NetworkCloud, config:
         environment()
         .get_template("network.html")
         .render(
-            verdict=verdict_on(network),
+            verdict=verdict,
             provenance=provenance(path.parent, config),
             subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
             devices=rows,
