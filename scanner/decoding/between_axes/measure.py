@@ -119,15 +119,24 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
         return
     seen = set()  # both mostly tell the same
     first = len(pairs_of(lit.halves[0].axis))
+    stripes = [_stripe_px(lit)[pair] for pair in lit.of_pairs]
     shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)
     for chosen in (shown.scene, shown.border):
-        moment = moment_of([*lit.of_pairs.values()], chosen, first)
+        moment = moment_of([*lit.of_pairs.values()], chosen, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
         if moment.gained > _LIKELIER and groups not in seen:
             seen.add(groups)
             yield moment
+
+
+def _stripe_px(lit: EvenlyLit) -> dict[tuple[int, int], float]:
+    """How wide the stripes of each pair of a code are, but for a factor that all of the code's share."""
+    axes = [half.axis for half in lit.halves]
+    return {
+        pair: axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis in axes for bit, pair in pairs_of(axis).items()
+    }
 
 
 def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:

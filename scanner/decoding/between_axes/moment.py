@@ -34,10 +34,12 @@ class Moment:
         return tuple(np.flatnonzero(self.done == 1).tolist())
 
 
-def moment_of(pictures: Sequence[Image], chosen: Bools, first: int) -> Moment | None:
+def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Sequence[float]) -> Moment | None:
     """When pictures (H, W) changed once, by `chosen` pixels (H, W), beside a change after the `first` few.
 
-    None where too few pixels tell. What is brighter all over is no change.
+    `stripes`: how wide those are that each picture is the sum of. None where too few pixels tell, or where the pictures
+    of narrow stripes differ from all others by more than the later ones from the earlier ones: stripes that were
+    sharpened, or scaled to other pixels, do not add up to even light. What is brighter all over is no change.
     """
     pixels = np.flatnonzero(chosen)
     if len(pixels) < _FEWEST_PIXELS:
@@ -48,10 +50,9 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int) -> Moment | 
     light = np.stack([np.ones_like(mean), mean])
     levels -= levels @ np.linalg.pinv(light) @ light  # the mean may be even itself
     count = len(levels)
-    sums = np.cumsum(levels, axis=0)[:-1]
-    splits = np.arange(1, count)
-    # The sum of squares between the two groups, of each split.
-    between = np.sum(sums**2, axis=1) * count / (splits * (count - splits))
+    between = _between_groups(levels)
+    if between.max() < _between_groups(levels[np.argsort(stripes, kind="stable")]).max():
+        return None
     best = int(np.argmax(between)) + 1
     # Either of those at the change may be of both sides of it.
     before, after = (part.mean(axis=0) for part in (levels[: max(best - 1, 1)], levels[min(best + 1, count - 1) :]))
@@ -61,3 +62,12 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int) -> Moment | 
     partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
     shares[partly] = done[partly]
     return Moment(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
+
+
+def _between_groups(levels: Floats) -> Floats:
+    """Of each split of a list (K, P) in two, the sum of squares between the groups, (K - 1,)."""
+    count = len(levels)
+    splits = np.arange(1, count)
+    sums = np.cumsum(levels, axis=0)[:-1]
+    between: Floats = np.sum(sums**2, axis=1) * count / (splits * (count - splits))
+    return between
