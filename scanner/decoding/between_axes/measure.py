@@ -32,8 +32,6 @@ _LARGEST_OF_CAMERA_PX = 0.75
 _TURNS = [0, 1, PER_DEVICE, PER_DEVICE + 1]
 # One pair that differs from all others does so by its stripes.
 _FEWEST_PAIRS = 2
-# Two pairs do so by as much, where fine stripes are sharpened.
-_LEAST_WITHIN_PX = 0.1
 # Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
 _MIXED = 0.2
 # A motion within a half explains so much more than one between them.
@@ -86,7 +84,7 @@ def motion_between(
     for other in _within_halves(lit, edges):
         of_other = motion_of(lit.pictures_of(other.before, other.after), edges)
         # Between the halves it looks smaller than it was.
-        larger = np.hypot(*turns_px(of_other.motion)) > max(np.hypot(*turns_px(fit.motion)), _LEAST_WITHIN_PX)
+        larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
         if larger and of_other.significance > SIGNIFICANT_SIGMAS:
             fit, course = of_other, _course(lit, plan, other)
     _, camera_px = turns_px(fit.motion)
