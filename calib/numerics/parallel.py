@@ -1,8 +1,10 @@
 """Share work among processors by threads; NumPy and OpenCV release the GIL."""
 
 import os
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -23,9 +25,26 @@ def processors() -> int:
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return a function's result for each item, in the items' order."""
-    with ThreadPoolExecutor(processors()) as pool:
-        return list(pool.map(function, items))
+    """Return a function's result for each item, in the items' order.
+
+    One set of threads serves the whole process. What runs in one of them already shares its work no further: it would
+    wait for threads that wait for it.
+    """
+    if getattr(_here, "is_shared", False):
+        return [function(item) for item in items]
+    return list(_threads(processors()).map(function, items))
+
+
+_here = threading.local()
+
+
+@lru_cache(1)
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="shared", initializer=_mark)
+
+
+def _mark() -> None:
+    _here.is_shared = True
 
 
 def in_slices(count: int, size: int, work: Callable[[slice], Result]) -> list[Result]:
@@ -37,3 +56,7 @@ def in_slices(count: int, size: int, work: Callable[[slice], Result]) -> list[Re
 def slices_of(count: int, size: int) -> list[slice]:
     """Return slices of `size` that cover `count` elements, in order; at least one."""
     return [slice(start, min(start + size, count)) for start in range(0, max(1, count), size)]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)  # a forked process has none of its parent's threads

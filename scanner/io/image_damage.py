@@ -29,9 +29,9 @@ def damage(data: bytes) -> str | None:
     if data.startswith(PNG_START):
         return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):
-        # After the last start of scan: an end marker before it may be that of an embedded thumbnail.
-        has_end = data.find(b"\xff\xd9", data.rfind(b"\xff\xda")) >= 0
-        if not has_end:
+        # One before a start of scan may be that of an embedded thumbnail.
+        end = data.rfind(b"\xff\xd9")
+        if end < 0 or b"\xff\xda" in data[end:]:
             return "truncated, its end is missing"
         scans = sum(marker == SCAN for marker, _ in segments(data))
         return problem_of_jpeg(data) if scans <= _MOST_SCANS else f"its pixels are written {scans:,} times over"
