@@ -1,0 +1,37 @@
+"""Work shared among threads."""
+
+import threading
+
+import pytest
+
+from calib.numerics import in_parallel
+
+
+def test_results_are_in_the_order_of_the_items() -> None:
+    assert in_parallel(lambda item: item * item, range(1000)) == [item * item for item in range(1000)]
+
+
+def test_shared_work_may_share_its_own_parts() -> None:
+    """More at once than there are threads, each of which would wait for another one."""
+
+    def row(number: int) -> int:
+        return sum(in_parallel(lambda column: number * column, range(50)))
+
+    assert in_parallel(row, range(64)) == [number * 1225 for number in range(64)]
+
+
+def test_calls_share_their_threads() -> None:
+    def used(_: int) -> str:
+        return threading.current_thread().name
+
+    names = {name for _ in range(20) for name in in_parallel(used, range(20))}
+    assert 1 <= len(names) <= (threading.active_count())
+
+
+def test_an_error_comes_out_and_spoils_nothing_later() -> None:
+    def inverse(item: int) -> float:
+        return 1 / item
+
+    with pytest.raises(ZeroDivisionError):
+        in_parallel(inverse, range(10))
+    assert in_parallel(inverse, [1, 2, 4]) == [1.0, 0.5, 0.25]
