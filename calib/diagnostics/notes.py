@@ -65,27 +65,33 @@ def _on_interval(refinement: Refinement) -> list[str]:
 
 
 def _on_lenses(refinement: Refinement) -> list[str]:
-    """How much of the uncertainty is that of the lenses, where it is most of it."""
+    """How much of the uncertainty comes from the lenses, where it is most of it."""
+    sigma = _focal_sigma(refinement)
     every, lenses = sigma_if(refinement, {}), sigma_if(refinement, dict.fromkeys(WEAK_TERMS, _EXACTLY))
-    share = float(np.sqrt(max(every**2 - lenses**2, 0.0)))
-    if share < _MOST * every or every < _WORTH_TELLING:
+    share = float(np.sqrt(max(1 - (lenses / every) ** 2, 0.0)))
+    if share < _MOST or sigma < _WORTH_TELLING:
         return []
     return [
-        f"Of the {100 * every:.2g} % of the camera's focal length (one sigma), {100 * share:.2g} % are what is not "
-        "known of both lenses: a further capture from another place measures them, and a calibration by boards tells "
-        "them (lens: {from: calibration.yaml})."
+        f"Of the {100 * sigma:.2g} % of the camera's focal length (one sigma), {100 * share * sigma:.2g} % come from "
+        "the distortion of both lenses, which one capture hardly measures: capture the corner from another place as "
+        "well, or use a calibration by boards (lens: {from: calibration.yaml})."
     ]
 
 
 def _on_next_view(refinement: Refinement, view: NextView | None) -> list[str]:
     """What a further capture would gain, where there is something to gain."""
-    sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
+    sigma = _focal_sigma(refinement)
     if view is None or view.sigma > WORTH_A_CAPTURE * sigma:
         return []
     return [
         f"{FURTHER_CAPTURE}, the rig moved {view.words}, would lower the sigma of the camera's focal "
         f"length from {100 * sigma:.2g} % to about {100 * view.sigma:.2g} %."
     ]
+
+
+def _focal_sigma(refinement: Refinement) -> float:
+    """Relative standard deviation of the camera's focal length."""
+    return float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
 
 
 def _on_noise(refinement: Refinement, knowledge: Knowledge) -> list[str]:
