@@ -49,7 +49,8 @@ class Row:
 
     @property
     def name(self) -> str:
-        walls = f", walls {self.off_deg:g}°" if self.off_deg else ""
+        told = f" (told {self.squareness_deg:g}°)" if self.squareness_deg is not None else ""
+        walls = f", walls {self.off_deg:g}°{told}" if self.off_deg else ""
         return f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}"
 
 
@@ -59,6 +60,7 @@ ROWS = (
     *(Row(size, UNKNOWN, captures) for captures in (2, 3) for size in DECENTERINGS),
     *(Row(size, KNOWN, captures, 0.3) for captures in (1, 2) for size in DECENTERINGS),
     *(Row(size, UNKNOWN, 3, 0.3) for size in DECENTERINGS),
+    *(Row(0.0002, KNOWN, captures, 0.8, squareness_deg=0.3) for captures in (1, 2)),
 )
 
 
@@ -119,12 +121,12 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
 def line(row: Row, outcomes: list[Outcome]) -> str:
     errors = [each.error for each in outcomes if each.error is not None]
     deviations = np.array([each.deviation for each in outcomes if each.deviation is not None])
-    text = f"{row.name:32}{len(errors):4d}/{len(outcomes):<4d}"
+    text = f"{row.name:44}{len(errors):4d}/{len(outcomes):<4d}"
     if errors:
         means = 100 * np.mean(np.abs(errors), axis=1)
         text += f"{np.mean(means):8.3f} %{np.median(means):8.3f} %"
         text += f"{np.sqrt(np.mean(deviations**2)):8.2f} ({np.abs(deviations).max():.1f})"
-    return f"{text:75}{np.median([each.seconds for each in outcomes]):6.2f} s"
+    return f"{text:87}{np.median([each.seconds for each in outcomes]):6.2f} s"
 
 
 def not_square(rigs: int, seed: int, pool: ProcessPoolExecutor) -> None:
@@ -154,7 +156,7 @@ def main() -> None:
             not_square(options.random_rigs, options.seed, pool)
         return
     told = None if options.told == "true" else float(options.told)
-    print(f"{'p1, p2':15}{'captures':17}answered   mean     median   error/sigma (largest)   CPU time")
+    print(f"{'p1, p2':15}{'captures':29}answered   mean     median   error/sigma (largest)   CPU time")
     with ProcessPoolExecutor(options.processes) as pool:
         for row in ROWS:
             if options.only not in row.name:

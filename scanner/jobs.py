@@ -54,7 +54,7 @@ def scan(
     drawn = read_masks(masks, config.camera_size) if masks else None
     check_places(config.required_rig, captures, operator or terminal)
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
-    refuse_impossible(config, len(earlier) + captures)
+    refuse_impossible(config, len(earlier) + captures, config.camera_size, config.projector_size)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(
             config,
@@ -97,7 +97,7 @@ def resume(
     drawn = read_masks(masks, settings.camera_size) if masks else None
     whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []
     earlier = read_captures([*settings.earlier, *whole], settings.camera_size, settings.projector_size)
-    refuse_impossible(settings, len(earlier) + 1)
+    refuse_impossible(settings, len(earlier) + 1, begun.camera_size, begun.projector_size)
     with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
         return pipeline.resume(begun, settings, made, terminal, masks=drawn, earlier=earlier), out
 
@@ -129,7 +129,7 @@ def replay(
     drawn = read_masks(masks, recording.camera_size) if masks else None
     known = _calibration_for(recording, calibration, settings) if calibration else None
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
-    refuse_impossible(settings, len(earlier) + 1)
+    refuse_impossible(settings, len(earlier) + 1, recording.camera_size, recording.projector_size)
     with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
         if keep_recording:
             recording.copy_to(folder / CAPTURE_FOLDER)
@@ -151,7 +151,7 @@ def calibrate(
     if not captures:
         raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
     config = config.model_copy(update={"earlier": known})
-    refuse_impossible(config, len(captures))
+    refuse_impossible(config, len(captures), config.camera_size, config.projector_size)
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)
 

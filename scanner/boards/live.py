@@ -13,6 +13,7 @@ from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, 
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import take
+from scanner.reconstruction import lenses_of
 from scanner.results import CAPTURES_FOLDER
 from scanner.targets.target import Target
 from scanner.ui import Terminal
@@ -24,6 +25,7 @@ def check_live(config: Config, number: int, target: Target, terminal: Terminal) 
     """Raise InputError if that cannot become a calibration, whatever is captured."""
     if number < FEWEST_VIEWS:
         raise InputError(f"--captures {number}: expected {FEWEST_VIEWS} or more of a board, six to ten are good")
+    lenses_of(config, config.camera_size, config.projector_size)
     rig = config.required_rig
     if not isinstance(rig, SimulatedRigSettings):
         if not terminal.can_ask:

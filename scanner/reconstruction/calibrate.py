@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Matches
+from calib.geometry import Calibration, Matches, Size
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.refusal import RefusalError
@@ -25,8 +25,9 @@ from scanner.results import Decoded, SelfCalibrated, Stage, naming
 _FEWEST_FOR_A_HOMOGRAPHY = 4
 
 
-def refuse_impossible(config: Config, count: int) -> None:
-    """Raise InputError if the configured method cannot calibrate that many captures."""
+def refuse_impossible(config: Config, count: int, camera_size: Size, projector_size: Size) -> None:
+    """Raise InputError if the configured method cannot calibrate that many captures by devices of these sizes."""
+    lenses_of(config, camera_size, projector_size)
     if count > 1 and config.method == "paper":
         raise InputError(
             f"'method: paper' calibrates from one capture, found {count}: use 'method: refined' for several"
@@ -114,9 +115,9 @@ def _scaled(
 
 def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration, ...]:
     """A solution for each capture, in baselines. Raises RefusalError, InputError."""
-    refuse_impossible(config, len(labelled))
     facts = labelled[-1].facts
     sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
+    refuse_impossible(config, len(labelled), *sizes)
     squareness_deg, lenses = config.corner.squareness_deg, lenses_of(config, *sizes)
     known = read_known(config.earlier, facts.camera_size, facts.projector_size)
     if len(labelled) == 1 and known is None:

@@ -18,6 +18,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, write_matches
 from scanner.pipeline import take
+from scanner.reconstruction import lenses_of
 from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
@@ -34,7 +35,10 @@ _PATIENCE_S = 30.0  # that a person with the rig in hand waits to be told
 
 
 def check_stations(config: Config, number: int, terminal: Terminal) -> None:
-    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
+    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it, or a file that the
+    calibration needs is no good.
+    """
+    lenses_of(config, config.camera_size, config.projector_size)
     if not moves_by_itself(config.required_rig) and not terminal.can_ask:
         raise InputError(
             f"--stations {number} asks you to move the rig between stations, but the input is no terminal: run it in "
