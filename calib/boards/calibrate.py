@@ -106,12 +106,15 @@ def calibrate_boards(
         start = again[0].state if again else of_all.of_views([names.index(view.name) for view in some])
         return _estimated(some, start, prior, board)
 
+    sizes = camera_size, projector_size
+    # What all boards together do not determine, they do not without one of them: that need not be estimated for each.
+    refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
     found, predictions, left_out = _without_odd(found, anew)
-    coverage = coverage_of(found.views, found.state, camera_size, projector_size)
+    coverage = coverage_of(found.views, found.state, *sizes)
     surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
     found = replace(found, covariance=found.covariance * enlarged**2)
-    refuse_untrustworthy(found, _others(found, begun, views), coverage, (camera_size, projector_size))
+    refuse_untrustworthy(found, _others(found, begun, views), coverage, sizes)
     calibration = calibration_from(found, camera_size, projector_size, board.unit)
     tested = halves(found, anew)
     return BoardCalibration(

@@ -39,7 +39,7 @@ def test_rays_enter_a_block(origin: tuple[float, ...], direction: tuple[float, .
 @given(st.integers(0, 10_000))
 def test_rays_that_enter_a_block_stand_on_the_named_face(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    origins = rng.normal(0, 5, (3, 50)) + column(20, 0, 0)
+    origins = rng.normal(0, 5, (3, 50)) + column(40, 0, 0)
     inside = TILTED_BLOCK.origin[:, None] + TILTED_BLOCK.edges.T @ rng.uniform(0.01, 0.99, (3, 50))
     directions = (inside - origins) * rng.uniform(0.2, 3, 50)
     t, face = TILTED_BLOCK.enter(origins, directions)

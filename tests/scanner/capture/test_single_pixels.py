@@ -39,11 +39,13 @@ def test_lines_of_one_pixel_arrive_unless_the_picture_is_changed(
     assert known_of_lines({"frames": [], **found}) == found
 
 
-@pytest.mark.parametrize("projector", [PROJECTOR, (854, 480)])
-def test_no_keystone_that_matters_leaves_single_pixels_unchanged(projector: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("camera", "projector"), [(CAMERA, PROJECTOR), ((612, 512), (854, 480))])
+def test_no_keystone_that_matters_leaves_single_pixels_unchanged(
+    camera: tuple[int, int], projector: tuple[int, int]
+) -> None:
     """Where it moves the picture's corners by half a pixel."""
     rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
-    with open_rig(rig, (612, 512), projector) as opened:
+    with open_rig(rig, camera, projector) as opened:
         (kept,) = measure_lines(opened.rig).values()
     assert isinstance(kept, float)
     assert 0.4 < kept < 0.9
