@@ -3,7 +3,8 @@
 The valley of the cost is curved, and long if a view determines little. A covariance from the curvature at its minimum
 is then too small. So the valley is traced, and the covariance is that of the posterior: across the valley from the
 curvature of the cost, along it from the cost and the width of the valley. A sigma along the valley is half the central
-68 % interval: equal to the standard deviation for a Gaussian, and insensitive to far, improbable tails otherwise.
+68 % interval, or a quarter of the central 95 % interval where that is more: equal to the standard deviation for a
+Gaussian, and otherwise insensitive to tails that are less probable than one in twenty.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ _HIGHEST = 14.0
 _GROWTH = 1.15
 _FLAT = 0.2  # change in cost over a step below which the next step is twice as long
 _TOLERANCE, _RELAXED = 1e-5, 100  # in cost; steps: there may be other narrow, long valleys across this one
-_CENTRAL = 0.1587, 0.8413
+_CENTRAL, _NEARLY_ALL = (0.1587, 0.8413), (0.0228, 0.9772)  # one and two standard deviations of a Gaussian
 _CENTRED = 0.1  # sigmas: deviation from the median that counts as centred
 _FINE = 500
 _FLATTEST = 1e-15  # eigenvalue of a Hessian scaled to unit diagonal below which it is rounding error
@@ -72,6 +73,12 @@ class Valley:
         return float(low), float(high)
 
     @property
+    def log_sigma(self) -> float:
+        """The sigma of the log of the camera's focal length."""
+        (low, high), (lowest, highest) = self._quantiles(_CENTRAL), self._quantiles(_NEARLY_ALL)
+        return max(float(np.log(high / low)) / 2, float(np.log(highest / lowest)) / 4)
+
+    @property
     def median_px(self) -> float:
         """Posterior median of the camera's focal length."""
         return float(self._quantiles((0.5,))[0])
@@ -89,13 +96,12 @@ class Valley:
     def along(self, best: Fit) -> tuple[Floats, Floats]:
         """Return the probabilities (n,) of the states along the valley, and the steps (n, size) to them.
 
-        Steps are scaled so that the focal length has the sigma of its central interval.
+        Steps are scaled so that the log of the focal length has its `log_sigma`.
         """
         steps = np.stack([best.state.step_to(state) for state in self.states])
         weight = np.exp(-self.posterior_cost / 2) * np.gradient(np.log(self.focal_px))
         weight /= weight.sum()
-        low, high = self.interval_px
-        scale = np.log(high / low) / 2 / np.sqrt(weight @ steps[:, CAMERA.start] ** 2)
+        scale = self.log_sigma / np.sqrt(weight @ steps[:, CAMERA.start] ** 2)
         return weight, scale * steps
 
 
@@ -138,9 +144,8 @@ def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence
 def centred(captures: Sequence[Cells], best: Fit, valley: Valley, prior: Prior, variances: Sequence[Floats]) -> Fit:
     """Return the fit at the posterior median; in a long valley the lowest cost is often far from it."""
     middle = valley.median_px
-    low, high = valley.interval_px
     shift = np.log(middle / best.state.camera[0])
-    if abs(shift) < _CENTRED * np.log(high / low) / 2:
+    if abs(shift) < _CENTRED * valley.log_sigma:
         return best
     nearest = valley.states[int(np.argmin(np.abs(np.log(valley.focal_px / middle))))]
     step = np.zeros(best.state.size)
