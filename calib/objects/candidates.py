@@ -11,7 +11,7 @@ from calib.geometry import Motion
 from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
 from calib.objects.meeting import mark_pairs
-from calib.objects.pose_search import near_each_other, searched_poses
+from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
 
 _SEARCHED = 8
@@ -21,8 +21,13 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def supposed_poses(first: View, second: View) -> list[Motion]:
-    """X_first = R X_second + t, within a grain or so; and that hardly anything moved."""
+def supposed_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
+    """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
+
+    `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.
+    """
+    if thorough:
+        return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
     still = Motion(np.eye(3), np.zeros(3))
     own, other = mark_pairs(first, second)
     by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)

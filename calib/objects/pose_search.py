@@ -19,7 +19,8 @@ _TURNS = 1200  # about 17° from any turn to the nearest of them
 # Patches that look, and how far apart what meets may be, in grains: of all descents, and of those that came farthest.
 _WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])
 _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
-_FOLLOWED, _DISTINCT = 600, 60
+_DISTINCT = 60
+THOROUGHLY = 600  # distinct descents to follow where the best few by what they meet leave a view out
 _SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
 _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
@@ -29,17 +30,21 @@ _BEHIND = 20.0  # grains
 _PHI, _PSI = 2**0.5, 1.533751168755204288118041
 
 
-def searched_poses(first: View, second: View, most: int) -> list[Motion]:
-    """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first."""
+def searched_poses(first: View, second: View, most: int, followed: int = _DISTINCT) -> list[Motion]:
+    """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first.
+
+    `followed`: how many distinct poses of the wide descents descend closely. Where views share little, wrong poses meet
+    more of the surface than the right one does, though not as closely: it is then among the first few hundred.
+    """
     turns = even_turns(_TURNS)
     shifts = normal_centre(first) - turns @ normal_centre(second)
-    wide = _distinct(_descended(first, second, turns, shifts, _WIDELY, _WIDE), first.grain, _DISTINCT)
+    wide = _distinct(_descended(first, second, turns, shifts, _WIDELY, _WIDE), first.grain, followed)
     turns, shifts = np.stack([each.rotation for each in wide]), np.stack([each.translation for each in wide])
     return _distinct(_descended(first, second, turns, shifts, _CLOSELY, _CLOSE), first.grain, most)
 
 
 def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats) -> list[Motion]:
-    """The best first."""
+    """The poses after descending, the best first."""
     worth = np.zeros(len(turns))
     _descend(
         turns,
@@ -54,7 +59,7 @@ def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches
         first.grain * rounds,
         worth,
     )
-    return [Motion(turns[k], shifts[k]) for k in np.argsort(-worth)[:_FOLLOWED]]
+    return [Motion(turns[k], shifts[k]) for k in np.argsort(-worth)]
 
 
 def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:

@@ -2,7 +2,8 @@
 
 The group grows from the surest pair. A view is tried wherever a supposed pose puts it beside a member, settles there,
 and is judged by all members: by what agrees and by what any of them looked through. Where a second place is almost as
-good, the view is ambiguous.
+good, the view is ambiguous. Views that are then missing are searched for once more, longer, for they share little with
+others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +22,9 @@ from calib.objects.view import View
 from calib.rooms.alignment import composed, inverse
 
 _SOME, _MORE = 250, 800  # patches: to look at many poses, and at the few best
-_LOOKED_AT, _KEPT = 4, 3
+_SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
 _LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # of what could agree; and of all patches
+_FEWEST_AGREEING = 0.08  # of all patches, before a pose has settled
 _AS_GOOD = 0.93  # of what the best place is worth
 
 
@@ -74,16 +76,13 @@ def register_views(views: Sequence[View | None]) -> Registered:
         return Registered({}, (), tuple(left_out))
     first, _ = max(sure, key=lambda pair: sure[pair][0].worth)
     places = {first: Motion(np.eye(3), np.zeros(3))}
-    alternatives: list[Alternative] = []
-    missing = [k for k in seen if k != first]
-    while missing:
-        tried = {k: _tried(seen, sure, places, k) for k in missing}
-        best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
-        if not tried[best]:
-            break
-        places[best] = tried[best][0].pose
-        alternatives += _rivals(best, tried[best], seen[best].grain)
-        missing.remove(best)
+    alternatives = _grown(seen, sure, places)
+    if missing := [k for k in seen if k not in places]:
+        for i, j in combinations(seen, 2):
+            if (i in missing or j in missing) and (found := _supposed(seen[i], seen[j], thorough=True)):
+                sure[i, j] = found
+        alternatives += _grown(seen, sure, places)
+        missing = [k for k in seen if k not in places]
     for k in missing:
         any_edge = any(k in pair for pair in sure)
         why = (
@@ -95,15 +94,35 @@ def register_views(views: Sequence[View | None]) -> Registered:
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
 
 
-def _supposed(first: View, second: View) -> list[Supposed]:
-    """The places of a pair that are worth following up, best first."""
-    poses = supposed_poses(first, second)
-    rated = sorted(
-        ((evidence(first, second, pose, NARROW * first.grain, _SOME).worth, k) for k, pose in enumerate(poses)),
-        reverse=True,
-    )
+def _grown(
+    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]], places: dict[int, Motion]
+) -> list[Alternative]:
+    """Add the places of all further views that the members can judge; return what makes them ambiguous."""
+    alternatives: list[Alternative] = []
+    missing = [k for k in views if k not in places]
+    while missing:
+        tried = {k: _tried(views, edges, places, k) for k in missing}
+        best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
+        if not tried[best]:
+            break
+        places[best] = tried[best][0].pose
+        alternatives += _rivals(best, tried[best], views[best].grain)
+        missing.remove(best)
+    return alternatives
+
+
+def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supposed]:
+    """The places of a pair that are worth following up, best first.
+
+    Of the many of a `thorough` search, the right one is not the one that meets most, but that which little speaks
+    against.
+    """
+    poses = supposed_poses(first, second, thorough=thorough)
+    said = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
+    value = [_meets_closely(each) if thorough else each.worth for each in said]
+    rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
     found: list[Supposed] = []
-    for _, k in rated:
+    for _, k in rated[:_SETTLED]:
         if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
@@ -111,6 +130,11 @@ def _supposed(first: View, second: View) -> list[Supposed]:
         if _holds(said, 2 * _MORE):
             found.append(Supposed(pose, said.worth))
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
+
+
+def _meets_closely(said: Evidence) -> float:
+    """The share of what could agree that does, if that is not just a few patches."""
+    return said.share if said.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 
 
 def _holds(said: Evidence, patches: int) -> bool:
