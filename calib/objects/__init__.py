@@ -1,7 +1,7 @@
 """Things: how several stations of one rig see one free-form thing that was moved in between, by its surface alone."""
 
 from calib.objects.axis import Turntable, find_turntable
-from calib.objects.background import resting_depth, within
+from calib.objects.background import in_planes, resting_depth, resting_planes, within
 from calib.objects.confirmation import confirmed
 from calib.objects.joint import JointEstimate, estimate_jointly
 from calib.objects.registration import Alternative, LeftOut, Registered, register_views

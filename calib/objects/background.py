@@ -1,6 +1,7 @@
 """What rests while a thing is turned before a rig that rests, too: table, cloth, wall, and what is round like a plate.
 
-What rests is behind, and is seen at one depth in many of the stations.
+What rests is behind, and is seen at one depth in many of the stations. Where the thing hides it from most of them, few
+see it; so what lies in the plane of a table or a wall rests as well.
 """
 
 from collections.abc import Sequence
@@ -9,11 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.numerics import Floats
+
 FEWEST = 4  # stations, below which chance agrees as well
 _SHARE = 0.3  # of the stations that see anything at a pixel
 _QUANTILE = 0.85  # of their depths: within the farthest third
 _WITHIN, _SIGMAS = 3e-4, 5.0  # of the depth, and of the noise, that depths are apart for being one
 _OPENED = 5  # pixels
+# Planes: how many are looked for, by how many points of each station, the least share of what is left, and trials for
+# each; how many times as far as above depths are apart, for calibrations bend planes a little.
+_PLANES, _POINTS, _OF_PLANE, _TRIALS, _LOOSELY = 3, 400, 0.25, 300, 3.0
 
 
 def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float]) -> NDArray[np.float32]:
@@ -37,8 +43,45 @@ def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float])
     return np.where(opened, mean, 0).astype(np.float32)
 
 
-def within(depth: NDArray[np.float32], rest: NDArray[np.float32], noise: float) -> NDArray[np.bool_]:
+def within(
+    depth: NDArray[np.float32], rest: NDArray[np.float32], noise: float, loosely: float = 1.0
+) -> NDArray[np.bool_]:
     """Where a depth is that of what rests, and not of something before it."""
     with np.errstate(invalid="ignore"):
-        found: NDArray[np.bool_] = np.abs(depth - rest) < rest * (_WITHIN + _SIGMAS * noise * rest)
+        found: NDArray[np.bool_] = np.abs(depth - rest) < loosely * rest * (_WITHIN + _SIGMAS * noise * rest)
     return found
+
+
+def resting_planes(resting: Sequence[NDArray[np.float32]], noise: float) -> list[Floats]:
+    """Planes n (3,), n · X = 1, that hold a good part of the `resting` points (N, 3) of all stations, by RANSAC."""
+    rng = np.random.default_rng(0)
+    left = np.concatenate([rng.permutation(points)[:_POINTS] for points in resting]).astype(np.float64)
+    planes: list[Floats] = []
+    least = _OF_PLANE * len(left)
+    while len(planes) < _PLANES and len(left) >= max(least, 3):
+        chosen = left[rng.integers(0, len(left), (_TRIALS, 3))]
+        sound = np.abs(np.linalg.det(chosen)) > 0
+        trials = np.linalg.solve(chosen[sound], np.ones((np.count_nonzero(sound), 3, 1)))[..., 0]
+        on_it = _on(left, trials, noise) if len(trials) else np.zeros((0, len(left)), np.bool_)
+        best = on_it[np.argmax(np.count_nonzero(on_it, axis=1))] if len(on_it) else np.zeros(len(left), np.bool_)
+        if np.count_nonzero(best) < least:
+            break
+        plane = np.linalg.lstsq(left[best], np.ones(np.count_nonzero(best)), rcond=None)[0]
+        planes.append(plane)
+        left = left[~_on(left, plane[None], noise)[0]]
+    return planes
+
+
+def in_planes(points: NDArray[np.float32], planes: Sequence[Floats], noise: float) -> NDArray[np.bool_]:
+    """Which points (H, W, 3), NaN where there are none, lie in one of the planes, (H, W)."""
+    found = np.zeros(points.shape[:2], np.bool_)
+    for plane in planes:
+        found |= _on(points.reshape(-1, 3), plane[None], noise)[0].reshape(found.shape)
+    return found
+
+
+def _on(points: NDArray[np.floating], planes: Floats, noise: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) lie in each of K planes (K, 3), (K, N): by the depth of the plane on their ray."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ahead = planes @ points.T
+        return within(points[:, 2], np.where(ahead > 0, points[:, 2] / ahead, np.nan), noise, _LOOSELY)

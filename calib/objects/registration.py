@@ -1,9 +1,9 @@
 """Where views belong, without order or first guess: pairs suggest, all of them judge; doubts are told, never decided.
 
-The group grows from the surest pair. A view is tried wherever a supposed pose puts it beside a member, settles there,
-and is judged by all members: by what agrees and by what any of them looked through. Where a second place is almost as
-good, the view is ambiguous. Views that are then missing are searched for once more, longer, for they share little with
-others.
+A group grows from the surest pair, another one from what it leaves, and the largest counts. A view is tried wherever a
+supposed pose puts it beside a member, and is judged by all members: by what agrees and by what any of them looked
+through. Where a second place is almost as good, the view is ambiguous. Views that are missing are searched for once
+more, longer, for they share little with others.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,6 +24,7 @@ from calib.rooms.alignment import composed, inverse
 _SOME, _MORE = 250, 800  # patches: to look at many poses, and at the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
 _LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # of what could agree; and of all patches
+_SURE_SHARE = 0.88  # where the pose is one of hundreds, of which some hold by chance
 _FEWEST_AGREEING = 0.08  # of all patches, before a pose has settled
 _AS_GOOD = 0.93  # of what the best place is worth
 
@@ -74,14 +75,12 @@ def register_views(views: Sequence[View | None]) -> Registered:
     if not sure:
         left_out += [LeftOut(k, "no overlap", "its surface lies on that of no other station") for k in seen]
         return Registered({}, (), tuple(left_out))
-    first, _ = max(sure, key=lambda pair: sure[pair][0].worth)
-    places = {first: Motion(np.eye(3), np.zeros(3))}
-    alternatives = _grown(seen, sure, places)
+    places, alternatives = _largest_group(seen, sure)
     if missing := [k for k in seen if k not in places]:
         for i, j in combinations(seen, 2):
             if (i in missing or j in missing) and (found := _supposed(seen[i], seen[j], thorough=True)):
                 sure[i, j] = found
-        alternatives += _grown(seen, sure, places)
+        places, alternatives = _largest_group(seen, sure)
         missing = [k for k in seen if k not in places]
     for k in missing:
         any_edge = any(k in pair for pair in sure)
@@ -94,12 +93,29 @@ def register_views(views: Sequence[View | None]) -> Registered:
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
 
 
+def _largest_group(
+    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
+) -> tuple[dict[int, Motion], list[Alternative]]:
+    """Places of the largest group of views that judge each other, and what makes them ambiguous."""
+    largest: tuple[dict[int, Motion], list[Alternative]] = {}, []
+    left = dict(views)
+    while between := {pair: found for pair, found in edges.items() if left.keys() >= {*pair}}:
+        found = _grown(left, between)
+        largest = max(largest, found, key=lambda group: len(group[0]))
+        left = {k: view for k, view in left.items() if k not in found[0]}
+        if len(left) <= len(largest[0]):
+            break
+    return largest
+
+
 def _grown(
-    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]], places: dict[int, Motion]
-) -> list[Alternative]:
-    """Add the places of all further views that the members can judge; return what makes them ambiguous."""
+    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
+) -> tuple[dict[int, Motion], list[Alternative]]:
+    """Grow a group from the surest pair, by all views that its members can judge."""
+    first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
+    places = {first: Motion(np.eye(3), np.zeros(3))}
     alternatives: list[Alternative] = []
-    missing = [k for k in views if k not in places]
+    missing = [k for k in views if k != first]
     while missing:
         tried = {k: _tried(views, edges, places, k) for k in missing}
         best = max(missing, key=lambda k: tried[k][0].worth if tried[k] else -np.inf)
@@ -108,7 +124,7 @@ def _grown(
         places[best] = tried[best][0].pose
         alternatives += _rivals(best, tried[best], views[best].grain)
         missing.remove(best)
-    return alternatives
+    return places, alternatives
 
 
 def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supposed]:
@@ -126,9 +142,9 @@ def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supp
         if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
-        said = evidence(first, second, pose, tolerance(first, second), _MORE)
-        if _holds(said, 2 * _MORE):
-            found.append(Supposed(pose, said.worth))
+        settled_said = evidence(first, second, pose, tolerance(first, second), _MORE)
+        if _holds(settled_said, 2 * _MORE, _SURE_SHARE if thorough else _LEAST_SHARE):
+            found.append(Supposed(pose, settled_said.worth))
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
@@ -137,8 +153,8 @@ def _meets_closely(said: Evidence) -> float:
     return said.share if said.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 
 
-def _holds(said: Evidence, patches: int) -> bool:
-    return said.share > _LEAST_SHARE and said.agreeing > _LEAST_AGREEING * patches
+def _holds(said: Evidence, patches: int, least_share: float) -> bool:
+    return said.share > least_share and said.agreeing > _LEAST_AGREEING * patches
 
 
 def _tried(

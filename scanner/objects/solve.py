@@ -15,8 +15,10 @@ from calib.objects import (
     confirmed,
     estimate_jointly,
     find_turntable,
+    in_planes,
     register_views,
     resting_depth,
+    resting_planes,
     view_of,
     within,
 )
@@ -105,12 +107,16 @@ def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrins
     depths = [cloud.points[..., 2] for cloud in clouds]
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
     rest = resting_depth(depths, noise)
+    same = [within(depth, rest, own) & (rest > 0) for depth, own in zip(depths, noise, strict=True)]
+    planes = resting_planes(
+        [cloud.points[resting] for cloud, resting in zip(clouds, same, strict=True)], float(np.median(noise))
+    )
     views, rests, seen = [], 0, 0
-    for cloud, capture, own in zip(clouds, captures, noise, strict=True):
-        resting = within(cloud.points[..., 2], rest, own) & (rest > 0)
+    for cloud, capture, own, at_rest in zip(clouds, captures, noise, same, strict=True):
+        resting = at_rest | in_planes(cloud.points, planes, own)
         rests += int(np.count_nonzero(resting))
         seen += int(np.count_nonzero(cloud.there))
-        behind = np.where(resting, rest, np.float32(0))
+        behind = np.where(at_rest, rest, np.where(resting, cloud.points[..., 2], np.float32(0)))
         views.append(view_of(cloud.points, cloud.normals, camera, behind, capture.texture))
     return views, rests / max(1, seen)
 
