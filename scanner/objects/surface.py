@@ -14,7 +14,7 @@ from scanner.rooms.blended_cloud import blended_of, grid_of
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused_of
 from scanner.rooms.open3d_module import open3d
 
-_AROUND = 2.0  # of the size: within so large a cube the surface closes
+_AROUND = 3.0  # of the size: within so large a cube a surface closes of which half was seen
 _DEEPEST = 9  # of the octree: 512 cells to a side
 # A surface that bridges a hole bulges, in or out, by a share of its width; beyond a share of all, volumes are guesses.
 _BULGE, _MOST_BRIDGED = 0.2, 0.15
