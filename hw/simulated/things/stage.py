@@ -15,6 +15,7 @@ from hw.simulated.things.solids import Solid
 
 _PLATE_M, _PLATE_OF_SIZE, _PLATE_CORNERS = 0.004, 0.8, 96
 _OFF_CENTRE = 0.08  # of the size, that a thing is put beside the axis
+_ELSEWHERE = 0.15  # of the size, at most, that a hand puts it down beside the place before
 _BEHIND, _WIDE = 1.3, 6.0  # of the size: how far behind the axis the wall is, and half the table
 _SPECKLE = 25.0  # cells of the background's print to the size
 _GLOSS_EXPONENT = 30.0
@@ -33,6 +34,7 @@ def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, i
         return Motion(rotation, rotation @ np.array([*aside, height]))
     own = np.random.default_rng([*seed, 1, step])
     rotation = np.asarray(Rotation.random(random_state=own).as_matrix(), np.float64)
+    aside = aside + _ELSEWHERE * settings.size_m * own.uniform(-1, 1, 2)
     return Motion(rotation, np.array([*aside, _PLATE_M - float((solid.vertices @ rotation.T)[:, 2].min())]))
 
 
