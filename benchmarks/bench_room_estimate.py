@@ -26,7 +26,7 @@ from calib.refinement import CAMERA, PROJECTOR, SHARED, State
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
-from calib.rooms.likelihood import RoomPrior
+from calib.rooms.priors import RoomPrior
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import SyntheticRoom, random_room
 from calib.synthetic.rooms import RoomOptions

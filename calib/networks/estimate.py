@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Motion, Size, intersect
 from calib.networks.growth import placed, with_labels
-from calib.networks.likelihood import Fit, NetworkPrior, minimise
 from calib.networks.network import Device, Network
+from calib.networks.prior import NetworkPrior
 from calib.networks.sights import Sight, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import (
@@ -25,6 +25,7 @@ from calib.refinement import (
 )
 from calib.refinement.match_cells import joined
 from calib.refusal import RefusalError
+from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.planes import plane_through
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 
@@ -45,7 +46,7 @@ class NetworkEstimate:
 
     names: tuple[str, ...]
     sizes: Mapping[str, Size]
-    fit: Fit
+    fit: Fit[Network]
     covariance: Floats
     noise: Mapping[PairName, Noise]
     seed: PairName
@@ -54,7 +55,7 @@ class NetworkEstimate:
     @property
     def network(self) -> Network:
         """The most likely one."""
-        return self.fit.network
+        return self.fit.layout
 
     def device(self, name: str) -> Device:
         """One of the devices."""
@@ -252,13 +253,11 @@ class _Grown:
         labels = [label for label in self.labels if count[label] >= _LEAST_ON_PLANE]
         cells = into_cells(matches, labels) if labels else None
         camera, projector = (self.names.index(name) for name in pair)
-        own = (
-            ()
-            if cells is None
-            else tuple(
-                Sight(camera, projector, self.labels.index(label), cells[cells.plane == label]) for label in labels
-            )
-        )
+        own = [
+            Sight(len(self.labelled), camera, projector, self.labels.index(label), cells[cells.plane == label])
+            for label in labels
+            if cells is not None
+        ]
         return replace(self, labelled={**self.labelled, pair: matches}, sights=(*self.sights, *own))
 
     @property
@@ -269,26 +268,26 @@ class _Grown:
     @property
     def _free(self) -> Bools:
         free = np.ones(self.network.size, np.bool_)
-        free[self.network.device_columns(0)[PER_DEVICE:]] = False
+        free[self.network.device_columns(0)][PER_DEVICE:] = False
         return free
 
     def _settled(self, free: Bools | None = None) -> "_Grown":
         variances = [sight.cells.sigma_px**2 for sight in self.sights]
         chosen = self._free if free is None else free
-        fit = minimise(self.sights, self.network, self._prior, variances, chosen, _ROUGH)
-        return replace(self, network=fit.network)
+        fit = minimise(self.sights, self.network, self._prior, variances, chosen, tolerance=_ROUGH)
+        return replace(self, network=fit.layout)
 
     def estimate(self) -> NetworkEstimate:
         """All of it at once, with the noise that its residuals show."""
         free, prior = self._free, self._prior
         variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        fit = minimise(self.sights, self.network, prior, variances, free, _ROUGH)
+        fit = minimise(self.sights, self.network, prior, variances, free, tolerance=_ROUGH)
         noise: dict[tuple[int, int], Noise] = {}
         for last in range(_ROUNDS):
             noise = _noise(self.sights, fit, int(free.sum()))
             variances = [noise[each.camera, each.projector].variances(each.cells) for each in self.sights]
             tolerance = _CONVERGED if last == _ROUNDS - 1 else _ROUGH
-            fit = minimise(self.sights, fit.network, prior, variances, free, tolerance)
+            fit = minimise(self.sights, fit.layout, prior, variances, free, tolerance=tolerance)
         named = {(self.names[camera], self.names[projector]): each for (camera, projector), each in noise.items()}
         covariance = covariance_of(fit.information, free)
         return NetworkEstimate(
@@ -296,7 +295,7 @@ class _Grown:
         )
 
 
-def _noise(sights: tuple[Sight, ...], fit: Fit, freedom: int) -> dict[tuple[int, int], Noise]:
+def _noise(sights: tuple[Sight, ...], fit: Fit[Network], freedom: int) -> dict[tuple[int, int], Noise]:
     """Of each pair (camera, projector), by number; each absorbs of the parameters what its share of the cells is."""
     total, found = sum(len(sight.cells) for sight in sights), {}
     for pair in {(sight.camera, sight.projector) for sight in sights}:
