@@ -14,7 +14,7 @@ import numpy as np
 from calib.networks import NetworkEstimate, estimate_network
 from calib.numerics import Floats
 from calib.refusal import RefusalError
-from calib.synthetic import SyntheticNetwork, random_network
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 
 
 def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[list[float], list[float], list[float]]:
@@ -38,8 +38,10 @@ def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[list[f
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--rooms", type=int, default=10)
+    parser.add_argument("--wavy", type=float, default=0.0, help="of the walls, root mean square in metres")
     parser.add_argument("--sizes", nargs="+", default=["2x1", "1x2", "2x2"], metavar="CAMERASxPROJECTORS")
     args = parser.parse_args()
+    options = RoomOptions(boxes=2, count=40_000, wavy=args.wavy)
     print("            focals, %         places, mm       error/sigma  processor s  refused")
     print("            median   worst    median   worst")
     for size in args.sizes:
@@ -49,7 +51,7 @@ def main() -> None:
         relative: list[float] = []
         costs, refused = [], 0
         for seed in range(args.rooms):
-            network = random_network(np.random.default_rng(seed), cameras, projectors)
+            network = random_network(np.random.default_rng(seed), cameras, projectors, options)
             sizes = {name: device.size for name, device in network.devices.items()}
             start = time.process_time()
             try:

@@ -2,46 +2,46 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Motion, Size, intersect
 from calib.networks.growth import placed, with_labels
 from calib.networks.network import Device, Network
-from calib.networks.prior import NetworkPrior
+from calib.networks.prior import NetworkKnowledge, NetworkPrior
 from calib.networks.sights import Sight, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import (
-    ORDINARY_LENSES,
     PER_DEVICE,
     SQUARENESS_DEG,
+    LensPrior,
     Noise,
+    Shifts,
     covariance_of,
     device_of,
     into_cells,
-    noise_of,
-    of_any_device,
 )
-from calib.refinement.match_cells import joined
 from calib.refusal import RefusalError
-from calib.rooms.likelihood import Fit, minimise
+from calib.rooms.flatness import covariance_of_waves
+from calib.rooms.likelihood import CONVERGED, Fit, minimise
+from calib.rooms.noise import measured
 from calib.rooms.planes import plane_through
+from calib.rooms.smooth_errors import covariance_of_shifts
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 
 PairName = tuple[str, str]  # camera, projector
 
-_CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
 _LEAST_ON_PLANE = 100  # matches; fewer may be strays
 _SAMPLE = 3_000
-_ROUGH, _CONVERGED = 0.1, 1e-4  # in cost
+_ROUGH = 0.1  # in cost
 _ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
-    was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length.
+    was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
+    each plane is not flat, root mean square; 0 where nothing shows it.
     """
 
     names: tuple[str, ...]
@@ -51,6 +51,7 @@ class NetworkEstimate:
     noise: Mapping[PairName, Noise]
     seed: PairName
     sights: tuple[Sight, ...]
+    waves: Floats
 
     @property
     def network(self) -> Network:
@@ -78,8 +79,14 @@ def estimate_network(
     sizes: Mapping[str, Size],
     *,
     squareness_deg: float = SQUARENESS_DEG,
+    lenses: Mapping[str, LensPrior] | None = None,
+    points: Mapping[str, PrincipalPoint] | None = None,
+    shifts: Mapping[PairName, Shifts] | None = None,
 ) -> NetworkEstimate:
     """From the matches of each pair (camera, projector) with light in common, and each device's image size.
+
+    What is known of `lenses`, and of cameras' principal `points`, by name; a sigma of 0 holds it. `shifts`: by what
+    matches of a pair may be shifted, for the covariance.
 
     At least one pair sees a corner: its matches have the labels 0, 1, 2 on the faces, and further ones on other planes.
     All other pairs' labels are found through the devices that they share with it.
@@ -88,11 +95,13 @@ def estimate_network(
     pairs, or a device without a size or with both roles.
     """
     _refuse_wrong_input(captures, sizes)
-    seed, start = _seed(captures, sizes, squareness_deg)
-    grown = _Grown.from_corner(seed, captures[seed], start, captures, sizes, squareness_deg)
+    cameras = frozenset(camera for camera, _ in captures)
+    knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
+    seed, start = _seed(captures, knowledge)
+    grown = _Grown.from_corner(seed, captures, start, knowledge)
     while grown.waiting:
         grown = grown.with_next()
-    return grown.estimate()
+    return grown.estimate(shifts or {})
 
 
 def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:
@@ -105,24 +114,23 @@ def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str
         raise ValueError(f"'{min(missing)}' has no image size")
 
 
-def _centre(size: Size) -> PrincipalPoint:
-    return PrincipalPoint(((size[0] - 1) / 2, (size[1] - 1) / 2), _CENTRE_SIGMA * size[0])
-
-
-def _seed(
-    captures: Mapping[PairName, Matches], sizes: Mapping[str, Size], squareness_deg: float
-) -> tuple[PairName, SelfCalibration]:
+def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> tuple[PairName, SelfCalibration]:
     """The pair whose corner tells most of its camera's focal length, and what it tells."""
     refusals: list[RefusalError] = []
     found: list[tuple[float, PairName, SelfCalibration]] = []
     for pair, matches in captures.items():
         if matches.face is None or matches.on_each_face.min() < _LEAST_ON_PLANE:
             continue
-        camera, projector = (sizes[name] for name in pair)
+        camera, projector = pair
         faces = matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
         try:
             calibrated = self_calibrate(
-                faces, camera, projector, principal_point=_centre(camera), squareness_deg=squareness_deg
+                faces,
+                knowledge.sizes[camera],
+                knowledge.sizes[projector],
+                principal_point=knowledge.point(camera),
+                squareness_deg=knowledge.squareness_deg,
+                lenses=(knowledge.lens(camera), knowledge.lens(projector)),
             )
         except RefusalError as refusal:
             refusals.append(refusal)
@@ -141,17 +149,6 @@ def _seed(
     )
 
 
-def _prior(names: tuple[str, ...], cameras: set[str], sizes: Mapping[str, Size], squareness_deg: float) -> NetworkPrior:
-    """What holds for any camera or projector of its image size, for each device; the seed's faces are square."""
-    mean, sigma = np.empty((len(names), PER_DEVICE)), np.empty((len(names), PER_DEVICE))
-    for i, name in enumerate(names):
-        mean[i], sigma[i] = of_any_device(sizes[name], ORDINARY_LENSES[0])
-        if name in cameras:
-            sigma[i, 1:3] = _CENTRE_SIGMA * sizes[name][0]
-    pairs = tuple((a, b) for a in FACES for b in FACES if a < b)
-    return NetworkPrior(mean, sigma, pairs, float(np.radians(max(squareness_deg, 1e-3))))
-
-
 @dataclass(frozen=True, eq=False)
 class _Grown:
     """As far as devices are placed. `labelled`: matches of pairs that are part of it, with labels of its planes."""
@@ -162,21 +159,18 @@ class _Grown:
     sights: tuple[Sight, ...]
     labels: tuple[int, ...]
     captures: Mapping[PairName, Matches]
-    sizes: Mapping[str, Size]
-    squareness_deg: float
+    knowledge: NetworkKnowledge
 
     @classmethod
     def from_corner(
         cls,
         seed: PairName,
-        matches: Matches,
-        start: SelfCalibration,
         captures: Mapping[PairName, Matches],
-        sizes: Mapping[str, Size],
-        squareness_deg: float,
+        start: SelfCalibration,
+        knowledge: NetworkKnowledge,
     ) -> "_Grown":
         """One pair as calibrated, and the planes through its matches."""
-        rig = start.calibration
+        rig, matches = start.calibration, captures[seed]
         back = rig.rotation.T
         devices = (
             Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3))),
@@ -190,7 +184,7 @@ class _Grown:
             points = intersect(own, rig).points
             points = points[np.isfinite(points).all(axis=1)]
             planes.append(plane_through(points, np.ones(len(points))))
-        empty = cls(seed, Network(devices, tuple(planes)), {}, (), labels, captures, sizes, squareness_deg)
+        empty = cls(seed, Network(devices, tuple(planes)), {}, (), labels, captures, knowledge)
         return empty._with_pair(seed, matches)
 
     @property
@@ -239,14 +233,15 @@ class _Grown:
             own = evenly(matches.labels == label, _SAMPLE)
             points.append(points_on(pixels[1 - new][own], known.lens, known.pose, plane))
             seen.append(pixels[new][own])
-        device = placed(np.concatenate(points), np.concatenate(seen))
-        if device is None:
+        found = placed(np.concatenate(points), np.concatenate(seen))
+        if found is None:
             return None
+        device = self.knowledge.held(pair[new], found)
         network = Network((*self.network.devices, device), self.network.planes)
         more = replace(self, names=(*self.names, pair[new]), network=network)._with_pair(pair, matches)
         alone = np.zeros(network.size, np.bool_)
         alone[network.device_columns(len(self.names))] = True
-        return more._settled(alone)._settled()
+        return more._settled(alone & more._free)._settled()
 
     def _with_pair(self, pair: PairName, matches: Matches) -> "_Grown":
         count = np.bincount(matches.labels[matches.labels >= 0], minlength=max(self.labels) + 1)
@@ -262,13 +257,14 @@ class _Grown:
 
     @property
     def _prior(self) -> NetworkPrior:
-        cameras = {camera for camera, _ in self.captures}
-        return _prior(self.names, cameras, self.sizes, self.squareness_deg)
+        return self.knowledge.prior(self.names)
 
     @property
     def _free(self) -> Bools:
         free = np.ones(self.network.size, np.bool_)
         free[self.network.device_columns(0)][PER_DEVICE:] = False
+        for i, sigma in enumerate(self._prior.sigma):
+            free[self.network.device_columns(i)][:PER_DEVICE] = sigma > 0
         return free
 
     def _settled(self, free: Bools | None = None) -> "_Grown":
@@ -277,30 +273,21 @@ class _Grown:
         fit = minimise(self.sights, self.network, self._prior, variances, chosen, tolerance=_ROUGH)
         return replace(self, network=fit.layout)
 
-    def estimate(self) -> NetworkEstimate:
+    def estimate(self, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
         """All of it at once, with the noise that its residuals show."""
-        free, prior = self._free, self._prior
+        free, prior, pairs = self._free, self._prior, tuple(self.labelled)
         variances = [sight.cells.sigma_px**2 for sight in self.sights]
         fit = minimise(self.sights, self.network, prior, variances, free, tolerance=_ROUGH)
-        noise: dict[tuple[int, int], Noise] = {}
         for last in range(_ROUNDS):
-            noise = _noise(self.sights, fit, int(free.sum()))
-            variances = [noise[each.camera, each.projector].variances(each.cells) for each in self.sights]
-            tolerance = _CONVERGED if last == _ROUNDS - 1 else _ROUGH
+            levels = measured(self.sights, fit, variances, free, [1] * len(pairs), one_rig=False)
+            variances = levels.variances(self.sights)
+            tolerance = CONVERGED if last == _ROUNDS - 1 else _ROUGH
             fit = minimise(self.sights, fit.layout, prior, variances, free, tolerance=tolerance)
-        named = {(self.names[camera], self.names[projector]): each for (camera, projector), each in noise.items()}
-        covariance = covariance_of(fit.information, free)
+        of_waves, waves = covariance_of_waves(self.sights, fit, variances, free, levels)
+        of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
+        covariance = covariance_of(fit.information, free) + of_waves
+        covariance += covariance_of_shifts(self.sights, fit, variances, free, levels, of_shifts)
+        noise = dict(zip(pairs, levels.stations, strict=True))
         return NetworkEstimate(
-            self.names, self.sizes, fit, covariance, named, (self.names[0], self.names[1]), self.sights
+            self.names, self.knowledge.sizes, fit, covariance, noise, (self.names[0], self.names[1]), self.sights, waves
         )
-
-
-def _noise(sights: tuple[Sight, ...], fit: Fit[Network], freedom: int) -> dict[tuple[int, int], Noise]:
-    """Of each pair (camera, projector), by number; each absorbs of the parameters what its share of the cells is."""
-    total, found = sum(len(sight.cells) for sight in sights), {}
-    for pair in {(sight.camera, sight.projector) for sight in sights}:
-        own = [i for i, sight in enumerate(sights) if (sight.camera, sight.projector) == pair]
-        cells = reduce(joined, (sights[i].cells for i in own))
-        residual = np.concatenate([fit.residuals[i] for i in own])
-        found[pair] = noise_of(cells, residual, freedom * len(cells) / total)
-    return found

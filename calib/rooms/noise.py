@@ -53,8 +53,11 @@ def measured(
     variances: Sequence[Floats],
     free: Bools,
     repeats: Sequence[int],
+    *,
+    one_rig: bool = True,
 ) -> Levels:
-    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands.
+    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands. `one_rig`:
+    whether all captures are of the same two devices.
 
     Long waves tell of smooth errors of a station, which all its patches show, and of planes that are not flat, which
     all stations that see them show: a station's overdispersion is measured without the patches that are out of line.
@@ -69,7 +72,8 @@ def measured(
         seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
         noise, waves[own] = _of_station(seen, residuals, absorbed) if own else (_UNKNOWN, np.nan)
         stations.append(replace(noise, repeats=times))
-    alike = 1 + _coherence(patches, fit, stations) * (len({patch.capture for patch in patches}) - 1)
+    others = len({patch.capture for patch in patches}) - 1 if one_rig else 0
+    alike = 1 + (_coherence(patches, fit, stations) * others if others else 0.0)
     flat = Levels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
     of_stations = np.array([stations[patch.capture].inflation for patch in patches])
     by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)

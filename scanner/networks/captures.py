@@ -25,7 +25,7 @@ class Captures:
     sizes: Mapping[str, Size]
 
 
-def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
+def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> Captures:
     """Decode all captures, and find the corner in those that show one.
 
     Raises InputError for names that are none, a pair that is given twice, a device whose images differ in size.
@@ -51,7 +51,7 @@ def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
                     f"{recording.folder}: {name} has {size} pixels here and {known} in {where}; "
                     "a device keeps its size, or has another name"
                 )
-    decoded = {pair: _labelled(decode_recording(recording, terminal)) for pair, recording in recordings.items()}
+    decoded = {pair: _labelled(decode_recording(recording, terminal), config) for pair, recording in recordings.items()}
     return Captures(decoded, {name: size for name, (size, _) in sizes.items()})
 
 
@@ -65,12 +65,10 @@ def _pair_of(folder: Path) -> Pair:
     return camera, projector
 
 
-def _labelled(capture: Decoded) -> Decoded:
-    """With faces, where there is a corner; without one it is joined by what it shares with others. Nothing is known of
-    any camera beforehand.
-    """
+def _labelled(capture: Decoded, config: Config) -> Decoded:
+    """With faces, where there is a corner; without one it is joined by what it shares with others."""
     try:
-        (found,) = label([capture], [capture], Config())
+        (found,) = label([capture], [capture], config)
     except RefusalError as refusal:
         return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
     matches = found.matches

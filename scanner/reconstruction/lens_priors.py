@@ -1,7 +1,9 @@
-"""Priors of both lenses from a configuration, for every estimate."""
+"""Priors of all lenses from a configuration, for every estimate."""
+
+from collections.abc import Mapping
 
 from calib.geometry import DeviceSigmas, Intrinsics, Size
-from calib.refinement import ORDINARY_LENSES, LensPrior
+from calib.refinement import LensPrior
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import read_calibration
@@ -11,33 +13,42 @@ _SUREST = 1e-6  # nothing is known better of a term
 
 
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:
-    """Return the lens priors of camera and projector with images of these sizes.
+    """Return the lens priors of camera and projector with images of these sizes. Raises InputError."""
+    camera, projector = "a camera", "a projector"
+    found = lenses_by_name(config, {camera: camera_size}, {projector: projector_size})
+    return found[camera], found[projector]
 
-    Raises InputError if a named calibration belongs to neither device, or does not state the uncertainty of its lens
+
+def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
+    """Return the lens priors of devices, given their image sizes.
+
+    Raises InputError if a named calibration belongs to none of them, or does not state the uncertainty of its lens
     terms.
     """
     setting = config.lens
-    camera, projector = ORDINARY_LENSES
+    ordinary = LensPrior().with_sigmas(setting.decentering, setting.k3)
+    lenses = dict.fromkeys([*cameras, *projectors], ordinary)
     if setting.source is None:
-        return camera.with_sigmas(setting.decentering, setting.k3), projector.with_sigmas(
-            setting.decentering, setting.k3
-        )
+        return lenses
     file = setting.source / CALIBRATION_FILE if setting.source.is_dir() else setting.source
     calibration = read_calibration(file)
-    known = [
-        _told(device, sigma) if device.size == size else None
-        for device, sigma, size in (
-            (calibration.camera, calibration.sigma.camera, camera_size),
-            (calibration.projector, calibration.sigma.projector, projector_size),
+    sigma = calibration.sigma
+    known = {
+        name: told
+        for sizes, device, of_device in (
+            (cameras, calibration.camera, sigma.camera),
+            (projectors, calibration.projector, sigma.projector),
         )
-    ]
-    if known == [None, None]:
+        for name, size in sizes.items()
+        if device.size == size and (told := _told(device, of_device)) is not None
+    }
+    if not known:
+        seen = " or ".join(f"{name} of {size}" for name, size in {**cameras, **projectors}.items())
         raise InputError(
-            f"lens.from: {file} says nothing of lenses of a camera of {camera_size} or a projector of "
-            f"{projector_size}: expected a calibration with images of the same size that states the sigmas of its "
-            "distortion, as of scan board"
+            f"lens.from: {file} says nothing of lenses of {seen}: expected a calibration with images of the same size "
+            "that states the sigmas of its distortion, as of scan board"
         )
-    return known[0] or camera, known[1] or projector
+    return lenses | known
 
 
 def _told(device: Intrinsics, sigma: DeviceSigmas) -> LensPrior | None:

@@ -6,8 +6,11 @@ import pytest
 from calib.geometry import Size
 from calib.networks import NetworkEstimate, estimate_network
 from calib.numerics import Floats
+from calib.refinement import LensPrior
 from calib.refusal import RefusalError
-from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
+from calib.self_calibration import PrincipalPoint
+from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
+from calib.synthetic.rooms import random_waves
 
 OPTIONS = RoomOptions(boxes=1, count=15_000)
 
@@ -54,6 +57,39 @@ def test_all_devices_follow_from_one_corner(cameras: int, projectors: int, focal
     assert 0 < focals.max() < focal
     assert 0 < places.max() < place_m
     assert 0.05 < np.sqrt(np.mean(relative**2)) < 2.2  # errors of one network go together
+
+
+def test_a_wall_that_is_not_flat_is_told_and_widens_sigmas(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_the_floor(rng: np.random.Generator, options: RoomOptions) -> Floats:
+        return random_waves(rng, options) * (np.arange(6) == 0)[:, None, None]
+
+    monkeypatch.setattr(networks, "random_waves", of_the_floor)
+    made = random_network(np.random.default_rng(3), 2, 2, replace(OPTIONS, wavy=0.003))
+
+    estimate = estimate_network(made.captures, sizes_of(made))
+
+    first, second = (made.poses[name].translation for name in estimate.seed)
+    waves = estimate.waves * np.linalg.norm(second - first)
+    assert 0.001 < waves[0] < 0.006
+    assert waves[1:].max() < 0.001
+    assert 0.05 < np.sqrt(np.mean(errors(estimate, made)[2] ** 2)) < 1.5
+
+
+def test_what_is_known_of_a_device_is_used() -> None:
+    made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
+    known = {name: PrincipalPoint(made.devices[name].principal_point_px, 0.0) for name in ("camera1", "camera2")}
+    lens = LensPrior().with_sigmas(decentering=0.0)
+
+    usual = estimate_network(made.captures, sizes_of(made))
+    told = estimate_network(made.captures, sizes_of(made), points=known, lenses={"projector1": lens})
+
+    for name, point in known.items():
+        np.testing.assert_allclose(told.device(name).lens[1:3], point.px, rtol=1e-12)
+        assert not told.sigmas(name)[1:3].any()
+        assert 0 < told.sigmas(name)[0] < 0.9 * usual.sigmas(name)[0]
+    assert not told.device("projector1").lens[5:7].any()
+    assert usual.device("projector1").lens[5:7].all()
+    assert 0.05 < np.sqrt(np.mean(errors(told, made)[2] ** 2)) < 1.5
 
 
 def test_a_device_that_shares_no_light_is_named() -> None:
