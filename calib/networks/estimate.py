@@ -1,39 +1,27 @@
 """One maximum-likelihood estimate of all devices of a network and the planes that they share."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Motion, Size, intersect
-from calib.networks.growth import placed, with_labels
+from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
+from calib.networks.growth import ROUGH, Grown
 from calib.networks.network import Device, Network
-from calib.networks.prior import NetworkKnowledge, NetworkPrior
-from calib.networks.sights import Sight, points_on
-from calib.numerics import Bools, Floats, evenly
-from calib.refinement import (
-    PER_DEVICE,
-    SQUARENESS_DEG,
-    LensPrior,
-    Noise,
-    Shifts,
-    covariance_of,
-    device_of,
-    into_cells,
-)
+from calib.networks.overlaps import PairName
+from calib.networks.prior import NetworkKnowledge
+from calib.networks.sights import Sight
+from calib.numerics import Floats
+from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import CONVERGED, Fit, minimise
 from calib.rooms.noise import measured
-from calib.rooms.planes import plane_through
 from calib.rooms.smooth_errors import covariance_of_shifts
+from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 
-PairName = tuple[str, str]  # camera, projector
-
-_LEAST_ON_PLANE = 100  # matches; fewer may be strays
-_SAMPLE = 3_000
-_ROUGH = 0.1  # in cost
+_LEAST_ON_FACE = 100  # matches; fewer may be strays
 _ROUNDS = 3
 
 
@@ -89,7 +77,7 @@ def estimate_network(
     matches of a pair may be shifted, for the covariance.
 
     At least one pair sees a corner: its matches have the labels 0, 1, 2 on the faces, and further ones on other planes.
-    All other pairs' labels are found through the devices that they share with it.
+    All others follow by what they share with it: planes, whose labels travel along shared pixels, or any surface.
 
     Raises RefusalError if no pair's corner calibrates it, or a device does not connect; ValueError for fewer than two
     pairs, or a device without a size or with both roles.
@@ -98,10 +86,13 @@ def estimate_network(
     cameras = frozenset(camera for camera, _ in captures)
     knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
     seed, start = _seed(captures, knowledge)
-    grown = _Grown.from_corner(seed, captures, start, knowledge)
+    grown = Grown.from_corner(seed, captures, start, knowledge)
     while grown.waiting:
-        grown = grown.with_next()
-    return grown.estimate(shifts or {})
+        more = grown.with_next()
+        if more is None:
+            raise _not_connected(grown)
+        grown = more
+    return _estimated(grown.labelled_anew(), shifts or {})
 
 
 def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:
@@ -119,7 +110,7 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
     refusals: list[RefusalError] = []
     found: list[tuple[float, PairName, SelfCalibration]] = []
     for pair, matches in captures.items():
-        if matches.face is None or matches.on_each_face.min() < _LEAST_ON_PLANE:
+        if matches.face is None or matches.on_each_face.min() < _LEAST_ON_FACE:
             continue
         camera, projector = pair
         faces = matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
@@ -149,145 +140,52 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Grown:
-    """As far as devices are placed. `labelled`: matches of pairs that are part of it, with labels of its planes."""
+def _not_connected(grown: Grown) -> RefusalError:
+    loose = sorted({name for pair in grown.waiting for name in pair} - set(grown.names))
+    return RefusalError(
+        f"{', '.join(loose)}: not connected with {', '.join(grown.names)}.",
+        "Let them share light: a camera that sees two projectors' light in one place, or a projector whose light two "
+        "cameras see, on surfaces that are not all one plane.",
+    )
 
-    names: tuple[str, ...]
-    network: Network
-    labelled: Mapping[PairName, Matches]
-    sights: tuple[Sight, ...]
-    labels: tuple[int, ...]
-    captures: Mapping[PairName, Matches]
-    knowledge: NetworkKnowledge
 
-    @classmethod
-    def from_corner(
-        cls,
-        seed: PairName,
-        captures: Mapping[PairName, Matches],
-        start: SelfCalibration,
-        knowledge: NetworkKnowledge,
-    ) -> "_Grown":
-        """One pair as calibrated, and the planes through its matches."""
-        rig, matches = start.calibration, captures[seed]
-        back = rig.rotation.T
-        devices = (
-            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3))),
-            Device(device_of(rig.projector), Motion(back, -back @ rig.translation)),
-        )
-        count = np.bincount(matches.labels[matches.labels >= 0])
-        labels = tuple(int(label) for label in np.flatnonzero(count >= _LEAST_ON_PLANE))
-        planes = []
-        for label in labels:
-            own = matches[evenly(matches.labels == label, _SAMPLE)]
-            points = intersect(own, rig).points
-            points = points[np.isfinite(points).all(axis=1)]
-            planes.append(plane_through(points, np.ones(len(points))))
-        empty = cls(seed, Network(devices, tuple(planes)), {}, (), labels, captures, knowledge)
-        return empty._with_pair(seed, matches)
+def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
+    """A first fit; sights that are not on the plane that they were taken for have planes of their own."""
+    sights, network, prior = grown.sights, grown.network, grown.knowledge.prior(grown.names)
+    variances = [sight.cells.sigma_px**2 for sight in sights]
+    while True:
+        free, joints = grown.free(network), grown.joints(network)
+        fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
+        scores, freedom = tie_scores(sights, fit, variances, free)
+        per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
+        limit = WRONG_TIE * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
+        network = fit.layout
+        for plane in range(len(network.planes)):
+            worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
+            if per_freedom[worst] > limit:
+                network, sights = untied(network, sights, worst)
+        if len(network.planes) == len(fit.layout.planes):
+            return sights, fit
 
-    @property
-    def waiting(self) -> tuple[PairName, ...]:
-        """Pairs that are no part of it yet."""
-        return tuple(pair for pair in self.captures if pair not in self.labelled)
 
-    def with_next(self) -> "_Grown":
-        """With one pair more: of two placed devices, or else the one that places a new device by most matches."""
-        best: tuple[int, PairName, Matches] | None = None
-        for pair in self.waiting:
-            there = [name in self.names for name in pair]
-            if not any(there):
-                continue
-            matches = self._labelled(pair)
-            if all(there):
-                return self._with_pair(pair, matches)
-            count = np.bincount(matches.labels[matches.labels >= 0], minlength=1)
-            if np.count_nonzero(count >= _LEAST_ON_PLANE) >= 2 and (best is None or count.sum() > best[0]):
-                best = int(count.sum()), pair, matches
-        if best is not None and (more := self._with_device(*best[1:])) is not None:
-            return more
-        loose = sorted({name for pair in self.waiting for name in pair} - set(self.names))
-        raise RefusalError(
-            f"{', '.join(loose)}: not connected with {', '.join(self.names)}.",
-            "Let them share light on two walls at least: a camera that sees two projectors' light in one place, or a "
-            "projector whose light two cameras see.",
-        )
-
-    def _labelled(self, pair: PairName) -> Matches:
-        camera, projector = pair
-        others = self.labelled.items()
-        return with_labels(
-            self.captures[pair],
-            [matches for (c, _), matches in others if c == camera],
-            [matches for (_, p), matches in others if p == projector],
-        )
-
-    def _with_device(self, pair: PairName, matches: Matches) -> "_Grown | None":
-        """The device of a pair that is not placed yet, by the points that the other one sees on planes."""
-        new = 0 if pair[0] not in self.names else 1
-        pixels = matches.camera_px, matches.projector_px
-        known = self.network.devices[self.names.index(pair[1 - new])]
-        points, seen = [], []
-        for label, plane in zip(self.labels, self.network.planes, strict=True):
-            own = evenly(matches.labels == label, _SAMPLE)
-            points.append(points_on(pixels[1 - new][own], known.lens, known.pose, plane))
-            seen.append(pixels[new][own])
-        found = placed(np.concatenate(points), np.concatenate(seen))
-        if found is None:
-            return None
-        device = self.knowledge.held(pair[new], found)
-        network = Network((*self.network.devices, device), self.network.planes)
-        more = replace(self, names=(*self.names, pair[new]), network=network)._with_pair(pair, matches)
-        alone = np.zeros(network.size, np.bool_)
-        alone[network.device_columns(len(self.names))] = True
-        return more._settled(alone & more._free)._settled()
-
-    def _with_pair(self, pair: PairName, matches: Matches) -> "_Grown":
-        count = np.bincount(matches.labels[matches.labels >= 0], minlength=max(self.labels) + 1)
-        labels = [label for label in self.labels if count[label] >= _LEAST_ON_PLANE]
-        cells = into_cells(matches, labels) if labels else None
-        camera, projector = (self.names.index(name) for name in pair)
-        own = [
-            Sight(len(self.labelled), camera, projector, self.labels.index(label), cells[cells.plane == label])
-            for label in labels
-            if cells is not None
-        ]
-        return replace(self, labelled={**self.labelled, pair: matches}, sights=(*self.sights, *own))
-
-    @property
-    def _prior(self) -> NetworkPrior:
-        return self.knowledge.prior(self.names)
-
-    @property
-    def _free(self) -> Bools:
-        free = np.ones(self.network.size, np.bool_)
-        free[self.network.device_columns(0)][PER_DEVICE:] = False
-        for i, sigma in enumerate(self._prior.sigma):
-            free[self.network.device_columns(i)][:PER_DEVICE] = sigma > 0
-        return free
-
-    def _settled(self, free: Bools | None = None) -> "_Grown":
-        variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        chosen = self._free if free is None else free
-        fit = minimise(self.sights, self.network, self._prior, variances, chosen, tolerance=_ROUGH)
-        return replace(self, network=fit.layout)
-
-    def estimate(self, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
-        """All of it at once, with the noise that its residuals show."""
-        free, prior, pairs = self._free, self._prior, tuple(self.labelled)
-        variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        fit = minimise(self.sights, self.network, prior, variances, free, tolerance=_ROUGH)
-        for last in range(_ROUNDS):
-            levels = measured(self.sights, fit, variances, free, [1] * len(pairs), one_rig=False)
-            variances = levels.variances(self.sights)
-            tolerance = CONVERGED if last == _ROUNDS - 1 else _ROUGH
-            fit = minimise(self.sights, fit.layout, prior, variances, free, tolerance=tolerance)
-        of_waves, waves = covariance_of_waves(self.sights, fit, variances, free, levels)
-        of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-        covariance = covariance_of(fit.information, free) + of_waves
-        covariance += covariance_of_shifts(self.sights, fit, variances, free, levels, of_shifts)
-        noise = dict(zip(pairs, levels.stations, strict=True))
-        return NetworkEstimate(
-            self.names, self.knowledge.sizes, fit, covariance, noise, (self.names[0], self.names[1]), self.sights, waves
-        )
+def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
+    """All of it at once, with the noise that its residuals show."""
+    prior, pairs = grown.knowledge.prior(grown.names), tuple(grown.labelled)
+    sights, fit = _without_wrong_ties(grown)
+    free, variances = grown.free(fit.layout), [sight.cells.sigma_px**2 for sight in sights]
+    for last in range(_ROUNDS):
+        levels = measured(sights, fit, variances, free, [1] * len(pairs), one_rig=False)
+        variances, joints = levels.variances(sights), grown.joints(fit.layout)
+        tolerance = CONVERGED if last == _ROUNDS - 1 else ROUGH
+        fit = minimise(sights, fit.layout, prior, variances, free, joints=joints, tolerance=tolerance)
+    of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
+    of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
+    covariance = covariance_of(fit.information, free) + of_waves
+    covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
+    on_planes = {sight.capture for sight in sights}
+    noise = {
+        pair: level if i in on_planes else Noise(grown.overlaps.match_px(pair), 0.0, 0.0, 1.0)
+        for i, (pair, level) in enumerate(zip(pairs, levels.stations, strict=True))
+    }
+    seed = grown.names[0], grown.names[1]
+    return NetworkEstimate(grown.names, grown.knowledge.sizes, fit, covariance, noise, seed, sights, waves)

@@ -12,7 +12,9 @@ between the first two devices.
 
 from dataclasses import dataclass
 
-from calib.geometry import Motion
+import numpy as np
+
+from calib.geometry import Motion, cross
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
 from calib.rooms.planes import PER_PLANE, RoomPlane
@@ -60,3 +62,9 @@ class Network:
             tuple(device.moved(step[self.device_columns(i)]) for i, device in enumerate(self.devices)),
             tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
+
+
+def turned_by(points: Floats) -> Floats:
+    """How points (N, 3) follow a turn about the axes: ω × X for each axis ω, (N, 3, 3), components by rows."""
+    turned: Floats = np.swapaxes(cross(np.eye(3)[None], points[:, None]), 1, 2)
+    return turned

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion, cross, project, tangent_basis, unproject
-from calib.networks.network import PER_NODE, Network
+from calib.geometry import Motion, project, tangent_basis, unproject
+from calib.networks.network import PER_NODE, Network, turned_by
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
 from calib.rooms.planes import PER_PLANE, RoomPlane
@@ -63,10 +63,10 @@ class Sight:
         moved = np.concatenate(
             [
                 depth[:, None, None] * (onto @ (camera.pose.rotation @ by_camera)),
-                onto @ _turned(off),
+                onto @ turned_by(off),
                 onto,
                 np.zeros((len(rays), 3, PER_DEVICE)),
-                -_turned(points - projector.pose.translation),
+                -turned_by(points - projector.pose.translation),
                 np.broadcast_to(-_AXES, onto.shape),
                 tilts,
                 along[:, :, None],
@@ -93,9 +93,3 @@ def _meet(rays: Floats, pose: Motion, plane: RoomPlane) -> tuple[Floats, Floats]
     turned = rays @ pose.rotation.T
     facing = turned @ plane.normal
     return turned / facing[:, None], (plane.offset - float(plane.normal @ pose.translation)) / facing
-
-
-def _turned(points: Floats) -> Floats:
-    """ω × X for each axis ω, (N, 3, 3): components by rows, axes by columns."""
-    turned: Floats = np.swapaxes(cross(_AXES[None], points[:, None]), 1, 2)
-    return turned

@@ -4,8 +4,8 @@ Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.li
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Generic, Protocol, Self, TypeVar
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _BEHIND = 100.0  # the cost of a cell of a part behind a device, like one ten si
 
 class Layout(Protocol):
     """Devices, where they stand, and planes: a `Room`, or a network. Steps are (size,)."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def size(self) -> int:
@@ -52,6 +54,8 @@ class Part(Protocol[Seen]):
     Derivatives are by P own columns, the last three of them tilts and offset of the plane as it is seen, or by the
     layout's `columns` (Q,), which the own ones follow by `carried` (P, Q).
     """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def capture(self) -> int:
@@ -86,6 +90,9 @@ class Part(Protocol[Seen]):
     def carried(self, layout: Seen) -> Floats:
         """How its own columns follow those, (P, Q)."""
         ...
+
+
+AnyPart = TypeVar("AnyPart", bound=Part[Any])
 
 
 class Joint(Protocol[Seen]):

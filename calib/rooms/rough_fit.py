@@ -12,12 +12,12 @@ from calib.rooms.noise import rough_levels
 from calib.rooms.patches import Patch
 from calib.rooms.priors import RoomPrior
 from calib.rooms.room import Room
-from calib.rooms.ties import tie_scores, untied
+from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 
 _ROUNDS = 10
 _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
 _LEAST_IN_FRONT = 0.98
-_WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
+_MOST_WRONG = 0.25  # of the patches
 
 Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
 
@@ -50,7 +50,7 @@ def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Ro
         per_freedom = scores / np.maximum(freedom, 1)
         tied = freedom > 0
         worst = int(np.argmax(per_freedom))
-        if not tied.any() or per_freedom[worst] < _WRONG * max(float(np.median(per_freedom[tied])), 1.0):
+        if not tied.any() or per_freedom[worst] < WRONG_TIE * max(float(np.median(per_freedom[tied])), 1.0):
             break
         start, _ = untied(prior.start, patches, worst)
         room, patches = untied(fit.layout, patches, worst)

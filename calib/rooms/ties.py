@@ -8,11 +8,11 @@ from scipy.linalg import block_diag
 
 from calib.numerics import Bools, Floats
 from calib.refinement import covariance_of
-from calib.rooms.likelihood import PLANE, AnyLayout, Fit, Part
-from calib.rooms.patches import Patch
+from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
 from calib.rooms.planes import PER_PLANE, RoomPlane
-from calib.rooms.room import Room
 from calib.rooms.scores import PatchSums, reweighted, score
+
+WRONG_TIE = 30.0  # per degree of freedom, over the usual one
 
 
 def tie_scores(
@@ -65,12 +65,9 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
     return found.value, found.freedom
 
 
-def untied(room: Room, patches: Sequence[Patch], number: int) -> tuple[Room, tuple[Patch, ...]]:
-    """One patch on a plane of its own, added to the room's, which begins where the common one is."""
-    patch = patches[number]
-    apart = replace(patch, plane=len(room.planes))
-    plane = room.planes[patch.plane]
-    return (
-        replace(room, planes=(*room.planes, RoomPlane(plane.normal, plane.offset))),
-        (*patches[:number], apart, *patches[number + 1 :]),
-    )
+def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
+    """One part on a plane of its own, added to the layout's, which begins where the common one is."""
+    part = parts[number]
+    own = layout.planes[part.plane]
+    more = replace(layout, planes=(*layout.planes, RoomPlane(own.normal, own.offset)))
+    return more, (*parts[:number], replace(part, plane=len(layout.planes)), *parts[number + 1 :])

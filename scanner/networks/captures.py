@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.geometry import NO_FACE, Size
+import numpy as np
+
+from calib.geometry import FACES, NO_FACE, Size
 from calib.refusal import RefusalError
 from scanner.capture import open_capture
 from scanner.configuration import Config
@@ -66,10 +68,13 @@ def _pair_of(folder: Path) -> Pair:
 
 
 def _labelled(capture: Decoded, config: Config) -> Decoded:
-    """With faces, where there is a corner; without one it is joined by what it shares with others."""
+    """With faces and further planes, where there is a corner; without one it is joined by what it shares with others."""
     try:
         (found,) = label([capture], [capture], config)
     except RefusalError as refusal:
         return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
-    matches = found.matches
-    return found.with_matches(matches.with_faces(matches.labels.clip(NO_FACE)), None)
+    face, plane = found.matches.labels.clip(NO_FACE), found.plane
+    if plane is not None:
+        further = (face == NO_FACE) & (plane >= 0) & ~np.isin(plane, np.unique(plane[face >= 0]))
+        face = np.where(further, len(FACES) + plane, face).astype(np.int32)
+    return found.with_matches(found.matches.with_faces(face), None)

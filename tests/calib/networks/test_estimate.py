@@ -59,6 +59,54 @@ def test_all_devices_follow_from_one_corner(cameras: int, projectors: int, focal
     assert 0.05 < np.sqrt(np.mean(relative**2)) < 2.2  # errors of one network go together
 
 
+@pytest.mark.parametrize(("walls", "sights"), [(0, 0), (1, 1)])
+def test_a_camera_that_sees_less_than_two_faces_follows_by_shared_points(walls: int, sights: int) -> None:
+    """Boxes, of which no labels are known, and one wall or none."""
+    made = random_network(np.random.default_rng(4), 2, 1, replace(OPTIONS, boxes=5))
+    captures = {
+        pair: each.with_faces(np.where(each.labels < 3, each.labels, -1)) for pair, each in made.captures.items()
+    }
+    seen = made.captures["camera2", "projector1"]
+    seen = seen[(seen.labels >= 3) | (seen.labels < walls)]
+    captures["camera2", "projector1"] = replace(seen, face=None)
+
+    estimate = estimate_network(captures, sizes_of(made))
+
+    focals, places, relative = errors(estimate, made)
+    assert sum(sight.camera == estimate.names.index("camera2") for sight in estimate.sights) == sights
+    assert 0 < focals.max() < 0.02
+    assert 0 < places.max() < 0.02
+    assert 0.05 < np.sqrt(np.mean(relative**2)) < 2.0
+    assert 0.7 < estimate.noise["camera2", "projector1"].match_px / OPTIONS.noise_px < 1.6
+
+
+def test_a_sight_that_is_on_another_plane_has_a_plane_of_its_own() -> None:
+    """The floor is 5 cm higher for one pair."""
+    made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
+    pair = ("camera2", "projector2")
+    seen = made.captures[pair]
+    (camera, projector), (at, light) = ([kind[name] for name in pair] for kind in (made.devices, made.poses))
+    normals, offsets = made.scene.solids[0]
+    rays = camera.unproject(seen.camera_px) @ at.rotation.T
+    higher = offsets[0] + 0.05 * np.sign(at.translation @ normals[0] - offsets[0])
+    points = at.translation + rays * ((higher - at.translation @ normals[0]) / (rays @ normals[0]))[:, None]
+    lit = projector.project((points - light.translation) @ light.rotation)
+    on = (seen.labels == 0) & np.isfinite(lit[:, 0])
+    moved = replace(seen, projector_px=np.where(on[:, None], np.nan_to_num(lit), seen.projector_px))
+
+    estimate = estimate_network({**made.captures, pair: moved}, sizes_of(made))
+
+    planes = {sight.plane for sight in estimate.sights if sight.capture == list(estimate.noise).index(pair)}
+    others = {sight.plane for sight in estimate.sights if sight.capture != list(estimate.noise).index(pair)}
+    (own,) = planes - others
+    floor = estimate.network.planes[0]
+    first, second = (made.poses[name].translation for name in estimate.seed)
+    apart = estimate.network.planes[own].offset - floor.offset
+    assert abs(abs(apart) * np.linalg.norm(second - first) - 0.05) < 0.003
+    assert estimate.noise[pair].smooth_px < 0.02
+    assert 0 < errors(estimate, made)[0].max() < 0.004
+
+
 def test_a_wall_that_is_not_flat_is_told_and_widens_sigmas(monkeypatch: pytest.MonkeyPatch) -> None:
     def of_the_floor(rng: np.random.Generator, options: RoomOptions) -> Floats:
         return random_waves(rng, options) * (np.arange(6) == 0)[:, None, None]

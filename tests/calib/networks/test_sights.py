@@ -1,8 +1,8 @@
 import numpy as np
 
 from calib.geometry import Motion, rotation_about
-from calib.networks.growth import placed
 from calib.networks.network import Device, Network
+from calib.networks.placement import placed
 from calib.networks.sights import Sight
 from calib.refinement import Cells
 from calib.rooms.planes import RoomPlane
