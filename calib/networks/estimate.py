@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
 from calib.networks.growth import ROUGH, Grown
+from calib.networks.missing import not_connected
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
@@ -90,7 +91,7 @@ def estimate_network(
     while grown.waiting:
         more = grown.with_next()
         if more is None:
-            raise _not_connected(grown)
+            raise not_connected(grown)
         grown = more
     return _estimated(grown.labelled_anew(), shifts or {})
 
@@ -137,15 +138,6 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
     raise RefusalError(
         "No camera sees three faces of a corner in one projector's light.",
         "Turn one projector and one camera towards a corner of the room; the others follow from there.",
-    )
-
-
-def _not_connected(grown: Grown) -> RefusalError:
-    loose = sorted({name for pair in grown.waiting for name in pair} - set(grown.names))
-    return RefusalError(
-        f"{', '.join(loose)}: not connected with {', '.join(grown.names)}.",
-        "Let them share light: a camera that sees two projectors' light in one place, or a projector whose light two "
-        "cameras see, on surfaces that are not all one plane.",
     )
 
 

@@ -68,7 +68,7 @@ def _pair_of(folder: Path) -> Pair:
 
 
 def _labelled(capture: Decoded, config: Config) -> Decoded:
-    """With faces and further planes, where there is a corner; without one it is joined by what it shares with others."""
+    """With faces and further planes where there is a corner; others are joined by what they share with it."""
     try:
         (found,) = label([capture], [capture], config)
     except RefusalError as refusal:

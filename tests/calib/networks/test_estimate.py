@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -85,7 +86,8 @@ def test_a_sight_that_is_on_another_plane_has_a_plane_of_its_own() -> None:
     made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
     pair = ("camera2", "projector2")
     seen = made.captures[pair]
-    (camera, projector), (at, light) = ([kind[name] for name in pair] for kind in (made.devices, made.poses))
+    camera, projector = (made.devices[name] for name in pair)
+    at, light = (made.poses[name] for name in pair)
     normals, offsets = made.scene.solids[0]
     rays = camera.unproject(seen.camera_px) @ at.rotation.T
     higher = offsets[0] + 0.05 * np.sign(at.translation @ normals[0] - offsets[0])
@@ -144,8 +146,43 @@ def test_a_device_that_shares_no_light_is_named() -> None:
     made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
     apart = {pair: made.captures[pair] for pair in (("camera1", "projector1"), ("camera2", "projector2"))}
 
-    with pytest.raises(RefusalError, match=r"^camera(.), projector\1: not connected with camera(.), projector\2\."):
+    with pytest.raises(
+        RefusalError, match=r"^camera(.), projector\1: not connected with camera(.), projector\2\."
+    ) as no:
         estimate_network(apart, sizes_of(made))
+
+    assert "No capture is of one of these" in no.value.reason
+    assert re.match(
+        r"Take one of camera(.) in the light of projector(.), or of camera\2 in that of projector\1", no.value.advice
+    )
+
+
+@pytest.mark.parametrize(
+    ("split", "reason", "advice"),
+    [
+        (
+            True,
+            r"In the picture of projector1, camera. sees its (left|right) part and camera. its",
+            "Let camera. see what",
+        ),
+        (False, "in the picture of projector1, .* does not place it: all of it is on one plane", "a second wall"),
+    ],
+)
+def test_where_an_overlap_is_missing_is_told(split: bool, reason: str, advice: str) -> None:
+    """Two cameras see one half of the projector's picture each, or one of them the floor only."""
+    made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
+    one, other = made.captures.values()
+    if split:
+        right = (each.projector_px[:, 0] > made.devices["projector1"].width / 2 for each in (one, other))
+        one, other = one[next(right)], other[~next(right)]
+    else:
+        other = other[other.labels == 0]
+
+    with pytest.raises(RefusalError) as no:
+        estimate_network(dict(zip(made.captures, (one, other), strict=True)), sizes_of(made))
+
+    assert re.search(reason, no.value.reason)
+    assert re.search(advice, no.value.advice)
 
 
 def test_what_cannot_be_a_network_is_told() -> None:
