@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
+from calib.networks.doubts import PixelShape, pixel_shapes, refuse_mirrored, standing_alike
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.missing import not_connected
 from calib.networks.network import Device, Network
@@ -30,7 +31,7 @@ _ROUNDS = 3
 class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
     was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
-    each plane is not flat, root mean square; 0 where nothing shows it.
+    each plane is not flat, root mean square; 0 where nothing shows it. `shapes`: what each device's pixels seem to be.
     """
 
     names: tuple[str, ...]
@@ -41,6 +42,7 @@ class NetworkEstimate:
     seed: PairName
     sights: tuple[Sight, ...]
     waves: Floats
+    shapes: tuple[PixelShape, ...]
 
     @property
     def network(self) -> Network:
@@ -62,6 +64,11 @@ class NetworkEstimate:
         columns = self.network.device_columns(self.names.index(name))
         return np.sqrt(np.diag(self.covariance)[columns])
 
+    @property
+    def alike(self) -> list[tuple[str, str, float]]:
+        """Devices that stand almost in one place, with their distance over that of what they see."""
+        return standing_alike(self.names, self.sights, self.network)
+
 
 def estimate_network(
     captures: Mapping[PairName, Matches],
@@ -80,10 +87,11 @@ def estimate_network(
     At least one pair sees a corner: its matches have the labels 0, 1, 2 on the faces, and further ones on other planes.
     All others follow by what they share with it: planes, whose labels travel along shared pixels, or any surface.
 
-    Raises RefusalError if no pair's corner calibrates it, or a device does not connect; ValueError for fewer than two
-    pairs, or a device without a size or with both roles.
+    Raises RefusalError if no pair's corner calibrates it, or a device does not connect or is mirrored; ValueError for
+    fewer than two pairs, or a device without a size or with both roles.
     """
     _refuse_wrong_input(captures, sizes)
+    refuse_mirrored(captures, sizes)
     cameras = frozenset(camera for camera, _ in captures)
     knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
     seed, start = _seed(captures, knowledge)
@@ -172,7 +180,9 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         fit = minimise(sights, fit.layout, prior, variances, free, joints=joints, tolerance=tolerance)
     of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    covariance = covariance_of(fit.information, free) + of_waves
+    of_chance = covariance_of(fit.information, free)
+    shapes = tuple(pixel_shapes(sights, fit, of_chance, variances))
+    covariance = of_chance + of_waves
     covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {
@@ -180,4 +190,4 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         for i, (pair, level) in enumerate(zip(pairs, levels.stations, strict=True))
     }
     seed = grown.names[0], grown.names[1]
-    return NetworkEstimate(grown.names, grown.knowledge.sizes, fit, covariance, noise, seed, sights, waves)
+    return NetworkEstimate(grown.names, grown.knowledge.sizes, fit, covariance, noise, seed, sights, waves, shapes)

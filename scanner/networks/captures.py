@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Size
 from calib.refusal import RefusalError
-from scanner.capture import open_capture
+from scanner.capture import Recording, open_capture
 from scanner.configuration import Config
+from scanner.decoding import MirroredError
 from scanner.errors import InputError
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
@@ -53,7 +54,7 @@ def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> C
                     f"{recording.folder}: {name} has {size} pixels here and {known} in {where}; "
                     "a device keeps its size, or has another name"
                 )
-    decoded = {pair: _labelled(decode_recording(recording, terminal), config) for pair, recording in recordings.items()}
+    decoded = {pair: _labelled(_decoded(recording, terminal), config) for pair, recording in recordings.items()}
     return Captures(decoded, {name: size for name, (size, _) in sizes.items()})
 
 
@@ -65,6 +66,13 @@ def _pair_of(folder: Path) -> Pair:
             "rename it after its devices"
         )
     return camera, projector
+
+
+def _decoded(recording: Recording, terminal: Terminal) -> Decoded:
+    try:
+        return decode_recording(recording, terminal)
+    except MirroredError as error:
+        raise MirroredError(f"{recording.folder}: {error}") from error
 
 
 def _labelled(capture: Decoded, config: Config) -> Decoded:

@@ -185,6 +185,21 @@ def test_where_an_overlap_is_missing_is_told(split: bool, reason: str, advice: s
     assert re.search(advice, no.value.advice)
 
 
+def test_a_mirrored_picture_is_named() -> None:
+    made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
+    across = made.devices["projector2"].width - 1
+    captures = dict(made.captures)
+    for pair in (("camera1", "projector2"), ("camera2", "projector2")):
+        right = captures[pair].projector_px
+        captures[pair] = replace(captures[pair], projector_px=np.stack([across - right[:, 0], right[:, 1]], axis=1))
+
+    with pytest.raises(RefusalError, match="picture of projector2 is seen as in a mirror"):
+        estimate_network(captures, sizes_of(made))
+    captures["camera1", "projector2"] = made.captures["camera1", "projector2"]
+    with pytest.raises(RefusalError, match="camera2 in the light of projector2 is seen as in a mirror, but not"):
+        estimate_network(captures, sizes_of(made))
+
+
 def test_what_cannot_be_a_network_is_told() -> None:
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     first, second = made.captures.values()
