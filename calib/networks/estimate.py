@@ -13,7 +13,7 @@ from calib.networks.network import Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import Sight
-from calib.numerics import Floats
+from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
 from calib.rooms.flatness import covariance_of_waves
@@ -24,6 +24,7 @@ from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
 
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
+_MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
 _ROUNDS = 3
 
 
@@ -92,6 +93,7 @@ def estimate_network(
     """
     _refuse_wrong_input(captures, sizes)
     refuse_mirrored(captures, sizes)
+    captures = {pair: each[evenly(np.ones(len(each), np.bool_), _MOST)] for pair, each in captures.items()}
     cameras = frozenset(camera for camera, _ in captures)
     knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
     seed, start = _seed(captures, knowledge)

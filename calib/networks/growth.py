@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches, Motion
-from calib.networks.labels import with_labels
+from calib.networks.labels import label_map, read
 from calib.networks.network import Device, Network
-from calib.networks.overlaps import Overlaps, PairName
+from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, triangulated
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.shared_points import SharedPoints
@@ -119,7 +119,7 @@ class Grown:
         new = 0 if pair[0] not in self.names else 1
         known, matches = pair[1 - new], self._labels(pair)
         device = self.network.devices[self.names.index(known)]
-        pixels = matches.camera_px, matches.projector_px
+        pixels = pixels_of(matches, 0), pixels_of(matches, 1)
         points, seen = [], []
         for label, plane in enumerate(self.network.planes):
             own = evenly(matches.labels == label, _SAMPLE)
@@ -135,13 +135,17 @@ class Grown:
         return np.concatenate(points), np.concatenate(seen)
 
     def _labels(self, pair: PairName) -> Matches:
-        camera, projector = pair
-        others = [(other, matches) for other, matches in self.labelled.items() if other != pair]
-        return with_labels(
-            self.labelled.get(pair, replace(self.captures[pair], face=None)),
-            [matches for (c, _), matches in others if c == camera],
-            [matches for (_, p), matches in others if p == projector],
-        )
+        """Its matches, with what others tell of those without a label."""
+        matches = self.labelled.get(pair, replace(self.captures[pair], face=None))
+        label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face.copy()
+        for role, name in enumerate(pair):
+            others = [each for other, each in self.labelled.items() if other != pair and other[role] == name]
+            if not others or not (label == NO_FACE).any():
+                continue
+            raster, unlabelled = self.overlaps.rasters[name], np.flatnonzero(label == NO_FACE)
+            told = label_map(raster, [(pixels_of(each, role), each.labels) for each in others])
+            label[unlabelled] = read(raster, told, pixels_of(matches, role)[unlabelled])
+        return matches.with_faces(label)
 
     def _with_device(self, pair: PairName, points: Floats, pixels: Floats) -> "Grown | None":
         """The device of a pair that is not placed yet, by points that it sees."""

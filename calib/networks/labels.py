@@ -1,52 +1,50 @@
-"""Which plane of the room a match is on, as its neighbours of other pairs tell it.
+"""Which plane of the room a match is on, as other pairs tell it.
 
 A projector's pixel lights one point, whichever camera sees it, and a camera's pixel sees one point, whichever projector
-lights it.
+lights it. So labels are drawn into the image of the device that pairs share, and read there.
 """
 
-import numpy as np
-from scipy.spatial import cKDTree
+from collections.abc import Iterable
 
-from calib.geometry import NO_FACE, Matches
+import numpy as np
+
+from calib.geometry import NO_FACE
+from calib.networks.raster import Raster
 from calib.numerics import Floats, Ints
 
-_NEIGHBOURS = 4
-_WITHIN = 3.0  # typical distances between neighbours: further away nothing is told
-_ASIDE = 0.75  # of neighbours' mean distance: their mean is further away where all are on one side
-_SAMPLE = 5_000
+_SURROUNDED = 4  # of eight neighbours with the same label; where a plane ends beside a cell nothing is told
 
 
-def labels_across(pixels: Floats, known_px: Floats, known: Ints) -> Ints:
-    """Labels (N,) of a device's pixels (N, 2) from those of others of its pixels (M, 2), which have labels (M,).
+def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
+    """Labels (h, w) of a raster's cells from pixels (N, 2) and their labels (N,) of several pairs.
 
-    Neighbours on different sides of an edge agree on nothing: NO_FACE, as where there are none near, or all of them lie
-    on one side, beyond what the others see of that plane.
+    NO_FACE where none is near, where labels differ in a cell or beside it, and at the rim of what is labelled.
     """
-    if len(known_px) <= _NEIGHBOURS:
-        return np.full(len(pixels), NO_FACE, np.int32)
-    tree = cKDTree(known_px)
-    some = known_px[:: max(1, len(known_px) // _SAMPLE)]
-    typical = float(np.median(_nearest(tree, some, 2)[0][:, 1]))
-    distance, nearest = _nearest(tree, pixels, _NEIGHBOURS)
-    around = known[nearest]
-    aside = np.linalg.norm((known_px[nearest] - pixels[:, None]).mean(axis=1), axis=1)
-    agreed = (around == around[:, :1]).all(axis=1) & (distance[:, -1] <= _WITHIN * max(typical, 1.0))
-    agreed &= aside <= _ASIDE * distance.mean(axis=1)
-    labels: Ints = np.where(agreed, around[:, 0], NO_FACE).astype(np.int32)
+    shape = (raster.height, raster.width)
+    low, high = np.full(shape[0] * shape[1], np.iinfo(np.int32).max, np.int32), np.full(shape[0] * shape[1], NO_FACE)
+    for pixels, labels in labelled:
+        known = labels != NO_FACE
+        flat, inside = raster.numbers(pixels[known])
+        own = labels[known][inside]
+        np.minimum.at(low, flat, own)
+        np.maximum.at(high, flat, own)
+    found = high.reshape(shape)
+    padded = np.pad(np.where(high > low, -2, high).reshape(shape), 1, constant_values=NO_FACE)
+    around = [
+        padded[1 + y : 1 + y + shape[0], 1 + x : 1 + x + shape[1]]
+        for y in (-1, 0, 1)
+        for x in (-1, 0, 1)
+        if (x, y) != (0, 0)
+    ]
+    same, none = (sum((each == value).astype(np.int8) for each in around) for value in (found, NO_FACE))
+    told = (padded[1:-1, 1:-1] >= 0) & (same >= _SURROUNDED) & (same + none == len(around))
+    drawn: Ints = np.where(told, found, NO_FACE).astype(np.int32)
+    return drawn
+
+
+def read(raster: Raster, told: Ints, pixels: Floats) -> Ints:
+    """Labels (N,) of pixels (N, 2) from those of cells (h, w)."""
+    flat, inside = raster.numbers(pixels)
+    labels = np.full(len(pixels), NO_FACE, np.int32)
+    labels[inside] = told.ravel()[flat]
     return labels
-
-
-def _nearest(tree: "cKDTree[None]", pixels: Floats, count: int) -> tuple[Floats, Ints]:
-    """Distances and indices (N, count) of the nearest pixels."""
-    distance, nearest = tree.query(pixels, k=count)
-    return np.asarray(distance), np.asarray(nearest)
-
-
-def with_labels(matches: Matches, by_camera: list[Matches], by_projector: list[Matches]) -> Matches:
-    """Matches with what others' labels tell of those without: of the same camera, and of the same projector."""
-    label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face.copy()
-    for others, axis in ((by_camera, "camera_px"), (by_projector, "projector_px")):
-        for other in others:
-            unlabelled = np.flatnonzero(label == NO_FACE)
-            label[unlabelled] = labels_across(getattr(matches, axis)[unlabelled], getattr(other, axis), other.labels)
-    return matches.with_faces(label)

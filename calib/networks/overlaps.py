@@ -9,11 +9,14 @@ from calib.geometry import Matches, Size, unproject
 from calib.networks.network import Device, Network
 from calib.networks.raster import Raster, SeenAt, depths
 from calib.networks.shared_points import SharedPoints, shared_points
-from calib.numerics import Bools, Floats, evenly
+from calib.numerics import Bools, Floats
 
 PairName = tuple[str, str]  # camera, projector
 
-_DENSE = 100_000  # matches of a pair: more do not make tens of thousands of cells any better
+
+def pixels_of(matches: Matches, role: int) -> Floats:
+    """Of a pair's camera, 0, or its projector, 1."""
+    return matches.projector_px if role else matches.camera_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +31,8 @@ class Overlaps:
     @classmethod
     def of(cls, captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> "Overlaps":
         """From the matches of each pair."""
-        some = {pair: matches[evenly(np.ones(len(matches), np.bool_), _DENSE)] for pair, matches in captures.items()}
         pixels: dict[str, dict[str, tuple[Floats, Floats]]] = {}
-        for (camera, projector), matches in some.items():
+        for (camera, projector), matches in captures.items():
             pixels.setdefault(camera, {})[projector] = matches.camera_px, matches.projector_px
             pixels.setdefault(projector, {})[camera] = matches.projector_px, matches.camera_px
         shared = {hub: others for hub, others in pixels.items() if len(others) > 1}
@@ -94,7 +96,7 @@ class Overlaps:
         on_planes = np.zeros(raster.height * raster.width, np.bool_)
         for pair, matches in labelled.items():
             if hub in pair:
-                pixels = matches.camera_px if pair[0] == hub else matches.projector_px
+                pixels = pixels_of(matches, pair.index(hub))
                 on_planes[raster.numbers(pixels[matches.labels >= 0])[0]] = True
         loose: Bools = ~on_planes.reshape(raster.height, raster.width)
         return loose
