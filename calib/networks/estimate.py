@@ -1,7 +1,7 @@
 """One maximum-likelihood estimate of all devices of a network and the planes that they share."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibra
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
 _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
 _ROUNDS = 3
+_IN_FRONT = 0.98  # of a sight's cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,22 +153,36 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
 
 
 def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
-    """A first fit; sights that are not on the plane that they were taken for have planes of their own."""
-    sights, network, prior = grown.sights, grown.network, grown.knowledge.prior(grown.names)
-    variances = [sight.cells.sigma_px**2 for sight in sights]
+    """A first fit; sights that are not on the plane that they were taken for have planes of their own, and those that
+    end behind a device are left out.
+    """
+    prior = grown.knowledge.prior(grown.names)
+    network, sights = _in_front(grown.network, grown.sights)
     while True:
+        variances = [sight.cells.sigma_px**2 for sight in sights]
         free, joints = grown.free(network), grown.joints(network)
         fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
+        network, left = _in_front(fit.layout, sights)
+        if len(left) < len(sights):
+            sights = left
+            continue
         scores, freedom = tie_scores(sights, fit, variances, free)
         per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
         limit = WRONG_TIE * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
-        network = fit.layout
         for plane in range(len(network.planes)):
             worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
             if per_freedom[worst] > limit:
                 network, sights = untied(network, sights, worst)
         if len(network.planes) == len(fit.layout.planes):
             return sights, fit
+
+
+def _in_front(network: Network, sights: tuple[Sight, ...]) -> tuple[Network, tuple[Sight, ...]]:
+    """Sights that are before both devices, all but strays, and the planes that have one."""
+    kept = [each for each in sights if np.mean((each.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
+    seen = sorted({sight.plane for sight in kept})
+    planes = tuple(network.planes[plane] for plane in seen)
+    return replace(network, planes=planes), tuple(replace(each, plane=seen.index(each.plane)) for each in kept)
 
 
 def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:

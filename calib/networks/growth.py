@@ -99,20 +99,12 @@ class Grown:
         return tuple(self.overlaps.joints(network, self.names, self.labelled))
 
     def labelled_anew(self) -> "Grown":
-        """With labels of planes that were met later, and without planes that no pair sees enough of."""
+        """With labels of planes that were met later."""
         matches = {pair: self._labels(pair) for pair in self.labelled}
         again = replace(self, labelled={}, sights=())
         for pair, each in matches.items():
             again = again._with(pair, each)
-        seen = sorted({sight.plane for sight in again.sights})
-        number = np.full(len(self.network.planes) + 1, NO_FACE, np.int32)  # the last for NO_FACE
-        number[seen] = np.arange(len(seen))
-        return replace(
-            again,
-            network=replace(self.network, planes=tuple(self.network.planes[plane] for plane in seen)),
-            labelled={pair: each.with_faces(number[each.labels]) for pair, each in matches.items()},
-            sights=tuple(replace(sight, plane=int(number[sight.plane])) for sight in again.sights),
-        )
+        return again
 
     def _known_points(self, pair: PairName) -> tuple[Floats, Floats]:
         """Of a pair with a placed device: points (N, 3), and the other device's pixels (N, 2)."""
@@ -178,6 +170,8 @@ class Grown:
             points = triangulated(devices[0], devices[1], some.camera_px, some.projector_px)
             points = points[np.isfinite(points).all(axis=1)]
             found = plane_through(points, np.ones(len(points)), devices[0].pose.translation)
+            if not _in_front(found, devices[0], devices[1], some.camera_px):
+                continue
             same = [k for k, plane in enumerate(planes) if _alike(plane, found, points, devices[0].pose.translation)]
             label[new] = same[0] if same else len(planes)
             planes += () if same else (found,)
@@ -205,6 +199,13 @@ class Grown:
             if not joints:
                 break
         return replace(self, network=network)
+
+
+def _in_front(plane: RoomPlane, camera: Device, projector: Device, camera_px: Floats) -> bool:
+    """Whether nearly all of what a camera sees of a plane is before it and before a projector."""
+    points = points_on(camera_px, camera.lens, camera.pose, plane)
+    ahead = [(points - device.pose.translation) @ device.pose.rotation[:, 2] > 0 for device in (camera, projector)]
+    return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
 
 
 def _alike(plane: RoomPlane, found: RoomPlane, points: Floats, eye: Floats) -> bool:

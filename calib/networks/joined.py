@@ -14,9 +14,10 @@ import numpy as np
 from calib.geometry import Matches, unproject
 from calib.networks.estimate import NetworkEstimate
 from calib.networks.raster import Raster, SeenAt, depths
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
+from calib.networks.shared_points import SharedPoints
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly
 
-_LEAST_SHARED = 50
+_LEAST_SHARED, _SAMPLE = 50, 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,8 @@ class Joined:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two cameras' depths in one projector's light: median difference, relative to the depth, what the noise of matches
-    alone would make of it, and the number of cells that both saw.
+    """Two cameras' depths in one projector's light: median difference, relative to the depth, what sigmas of matches and
+    devices would make of it, and the number of cells that both saw.
     """
 
     first: str
@@ -92,18 +93,34 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
         best.reshape(height, width),
         np.count_nonzero(weight, axis=0).reshape(height, width),
         seen,
-        tuple(_disagreements(tuple(by_camera), depth, np.stack(chances))),
+        tuple(_disagreements(estimate, projector, raster, seen, depth, np.stack(chances))),
     )
 
 
-def _disagreements(names: tuple[str, ...], depth: Floats, variance: Floats) -> list[Disagreement]:
-    found = []
-    for i, j in combinations(range(len(names)), 2):
+def _disagreements(
+    estimate: NetworkEstimate,
+    projector: str,
+    raster: Raster,
+    seen: Mapping[str, Floats],
+    depth: Floats,
+    variance: Floats,
+) -> list[Disagreement]:
+    """Of each two cameras, in the order of `seen`; depths and their variances by noise, (cameras, cells)."""
+    found, hub, network = [], estimate.names.index(projector), estimate.network
+    for (i, first), (j, second) in combinations(enumerate(seen), 2):
         both = np.isfinite(depth[i]) & np.isfinite(depth[j])
         if np.count_nonzero(both) < _LEAST_SHARED:
             continue
-        mean = (depth[i, both] + depth[j, both]) / 2
-        off = float(np.median(np.abs(depth[i, both] - depth[j, both]) / mean))
-        sigma = np.sqrt(variance[i, both] + variance[j, both]) / mean
-        found.append(Disagreement(names[i], names[j], off, float(np.median(sigma)) / SIGMA_PER_MEDIAN, int(both.sum())))
+        off = float(np.median(2 * np.abs(depth[i, both] - depth[j, both]) / (depth[i, both] + depth[j, both])))
+        some = evenly(both, _SAMPLE)
+        slopes = np.zeros((len(some), network.size))
+        for number, name, sign in ((i, first, 1), (j, second, -1)):
+            alone = (estimate.names.index(name),)
+            pixels = raster.centres.reshape(-1, 2)[some], seen[name].reshape(-1, 1, 2)[some]
+            points = SharedPoints(hub, alone, *pixels, np.ones((len(some), 1)), depth[number, some])
+            slopes[:, points.columns(network)] += sign * points.depth_slopes(network)
+        by_devices = np.einsum("nc,cd,nd->n", slopes, estimate.covariance, slopes, optimize=True)
+        sigma = np.sqrt(variance[i, some] + variance[j, some] + by_devices)
+        expected = float(np.median(2 * sigma / (depth[i, some] + depth[j, some]))) / SIGMA_PER_MEDIAN
+        found.append(Disagreement(first, second, off, expected, int(both.sum())))
     return found

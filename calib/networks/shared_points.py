@@ -58,11 +58,14 @@ class SharedPoints:
         robust = np.minimum(1.0, limit / np.maximum(size, 1e-12))
         cost = float(np.sum(robust * size * (2 * size - robust * size))) + _BEHIND * np.count_nonzero(~ahead)
         weight = weight * robust[:, None]
-        along = np.einsum("mk,mka,mka->m", weight, by_depth, by_depth)
-        follows = np.einsum("mk,mka,mkac->mc", weight, by_depth, jacobian) / np.maximum(along, 1e-300)[:, None]
-        left = jacobian - by_depth[..., None] * follows[:, None, None]
+        left = jacobian + by_depth[..., None] * _slope_of_depth(weight, by_depth, jacobian)[:, None, None]
         rows = (left * np.sqrt(weight)[..., None, None]).reshape(-1, left.shape[-1])
         return cost, rows.T @ (off * np.sqrt(weight)[..., None]).ravel(), rows.T @ rows
+
+    def depth_slopes(self, network: Network) -> Floats:
+        """How the depths along the hub's rays follow `columns`, (M, Q)."""
+        _, by_depth, jacobian, _ = self._linearised(network)
+        return _slope_of_depth(1 / self.variance, by_depth, jacobian)
 
     def relative(self, network: Network) -> tuple[Floats, Floats]:
         """χ² of each point, over what half of all points would be below, (M,); and by how many sigmas the first device
@@ -126,6 +129,13 @@ class SharedPoints:
             by_depth[:, k] = np.einsum("mij,mj->mi", by_point, turned @ other.pose.rotation)
         by_depth[~known] = 0.0
         return np.nan_to_num(off), np.nan_to_num(by_depth), before
+
+
+def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Floats:
+    """Of the best depth under weights (M, K), (M, Q)."""
+    along = np.einsum("mk,mka,mka->m", weight, by_depth, by_depth)
+    slope: Floats = -np.einsum("mk,mka,mkac->mc", weight, by_depth, jacobian) / np.maximum(along, 1e-300)[:, None]
+    return slope
 
 
 def shared_points(

@@ -9,8 +9,8 @@ from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import percent
 from scanner.results import MEASUREMENT_GRADE, Verdict
 
-# Of the depth, and of what noise makes of it: cameras that are further apart do not see one surface.
-_APART, _OF_NOISE = 0.002, 3.0
+# Of the depth, and of what sigmas make of it: cameras that are further apart do not see one surface.
+_APART, _OF_SIGMAS = 0.002, 3.0
 _FAR_APART = 0.02
 # Projector pixels: cells of matches that are off by more follow another network than all others.
 _STRAINED_PX, _FOREIGN_PX = 0.25, 1.0
@@ -37,14 +37,14 @@ def verdict_on(network: SolvedNetwork) -> Verdict:
             reasons,
             _keystone(network) or MOVED,
         )
-    if worst is not None and worst.relative > _FAR_APART:
+    if worst is not None and worst.relative > max(_FAR_APART, _OF_SIGMAS * worst.expected):
         return Verdict(
             "refused",
             f"{worst.first} and {worst.second} do not see one surface: they are {percent(worst.relative)} apart.",
             reasons,
             _keystone(network) or MOVED,
         )
-    if worst is not None and worst.relative > max(_APART, _OF_NOISE * worst.expected):
+    if worst is not None and worst.relative > max(_APART, _OF_SIGMAS * worst.expected):
         return Verdict(
             "fair",
             f"{names}, but {worst.first} and {worst.second} are {100 * worst.relative:.2g} % of the depth apart.",
@@ -106,7 +106,7 @@ def _reasons(network: SolvedNetwork) -> Iterator[str]:
         for each in surface.disagreements:
             yield (
                 f"In the light of {projector}, {each.first} and {each.second} are {100 * each.relative:.2g} % of the "
-                f"depth apart at {each.count:,} places; noise alone makes it {100 * each.expected:.2g} %."
+                f"depth apart at {each.count:,} places; by the sigmas it is {100 * each.expected:.2g} %."
             )
         if np.isfinite(surface.gain):
             yield f"Points of {projector} that several cameras see have sigmas {surface.gain:.2f} times smaller."
