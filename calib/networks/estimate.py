@@ -25,7 +25,8 @@ from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibra
 
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
 _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
-_ROUNDS = 3
+_ROUNDS = 4
+_BENT = 4.0  # times the variance of noise: pixels that devices share then tell more than the plane that they are on
 _IN_FRONT = 0.98  # of a sight's cells
 
 
@@ -190,16 +191,23 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
     prior, pairs = grown.knowledge.prior(grown.names), tuple(grown.labelled)
     sights, fit = _without_wrong_ties(grown)
     free, variances = grown.free(fit.layout), [sight.cells.sigma_px**2 for sight in sights]
+    shapes: tuple[PixelShape, ...] = ()
+    bent: list[tuple[int, int]] = []
     for last in range(_ROUNDS):
         levels = measured(sights, fit, variances, free, [1] * len(pairs), one_rig=False)
-        variances, joints = levels.variances(sights), grown.joints(fit.layout)
+        variances, joints = levels.variances(sights), grown.joints(fit.layout, bent)
         tolerance = CONVERGED if last == _ROUNDS - 1 else ROUGH
         fit = minimise(sights, fit.layout, prior, variances, free, joints=joints, tolerance=tolerance)
+        if not shapes:  # while planes hold all pairs, so that what contradicts them shows
+            shapes = tuple(pixel_shapes(sights, fit, covariance_of(fit.information, free), variances))
+        bent = [
+            (sight.capture, int(sight.cells.plane[0]))
+            for sight, variance in zip(sights, variances, strict=True)
+            if np.median(variance / sight.cells.sigma_px**2) > _BENT
+        ]
     of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    of_chance = covariance_of(fit.information, free)
-    shapes = tuple(pixel_shapes(sights, fit, of_chance, variances))
-    covariance = of_chance + of_waves
+    covariance = covariance_of(fit.information, free) + of_waves
     covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {

@@ -4,7 +4,7 @@ Points are known on planes, which labels tell, and where a placed device shares 
 starts from the direct linear transform, and the joint estimate takes it from there.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,9 +94,15 @@ class Grown:
             free[network.device_columns(i)][:PER_DEVICE] = sigma > 0
         return free
 
-    def joints(self, network: Network) -> tuple[SharedPoints, ...]:
-        """What ties devices where their matches are on no plane."""
-        return tuple(self.overlaps.joints(network, self.names, self.labelled))
+    def joints(self, network: Network, bent: Collection[tuple[int, int]] = ()) -> tuple[SharedPoints, ...]:
+        """What ties devices where matches are on no plane, or on one that is `bent`: number of the pair, label."""
+        labelled = {
+            pair: matches.with_faces(
+                np.where(np.isin(matches.labels, [k for p, k in bent if p == i]), NO_FACE, matches.labels)
+            )
+            for i, (pair, matches) in enumerate(self.labelled.items())
+        }
+        return tuple(self.overlaps.joints(network, self.names, labelled))
 
     def labelled_anew(self) -> "Grown":
         """With labels of planes that were met later."""

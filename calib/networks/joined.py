@@ -45,8 +45,8 @@ class Joined:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two cameras' depths in one projector's light: median difference, relative to the depth, what sigmas of matches and
-    devices would make of it, and the number of cells that both saw.
+    """Two cameras' depths in one projector's light: median difference, relative to the depth, what the sigmas of
+    matches and devices would make of it, and the number of cells that both saw.
     """
 
     first: str

@@ -20,7 +20,7 @@ from calib.refinement import PER_DEVICE
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.contacts import alike_in_blocks
 
-_MOST, _FEWEST = 500, 30
+_MOST, _FEWEST = 2000, 30
 _STEPS = 4
 _BEHIND = 100.0
 
