@@ -21,10 +21,11 @@ from calib.rooms.likelihood import CONVERGED, Fit, minimise
 from calib.rooms.noise import measured
 from calib.rooms.smooth_errors import covariance_of_shifts
 from calib.rooms.ties import WRONG_TIE, tie_scores, untied
-from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
+from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
 _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
+_METHODS: tuple[Method, ...] = ("refined", "paper")
 _ROUNDS = 4
 _BENT = 4.0  # times the variance of noise: pixels that devices share then tell more than the plane that they are on
 _IN_FRONT = 0.98  # of a sight's cells
@@ -119,37 +120,49 @@ def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str
 
 
 def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> tuple[PairName, SelfCalibration]:
-    """The pair whose corner tells most of its camera's focal length, and what it tells."""
+    """The pair whose corner tells most of its camera's focal length, and what it tells.
+
+    Where no corner calibrates a pair alone, as of walls that are not flat, one is taken that has a closed form: all
+    pairs together have to tell whether that leads to anything.
+    """
+    cornered = {
+        pair: matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
+        for pair, matches in captures.items()
+        if matches.face is not None and matches.on_each_face.min() >= _LEAST_ON_FACE
+    }
+    if not cornered:
+        raise RefusalError(
+            "No camera sees three faces of a corner in one projector's light.",
+            "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+        )
     refusals: list[RefusalError] = []
-    found: list[tuple[float, PairName, SelfCalibration]] = []
-    for pair, matches in captures.items():
-        if matches.face is None or matches.on_each_face.min() < _LEAST_ON_FACE:
-            continue
-        camera, projector = pair
-        faces = matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
-        try:
-            calibrated = self_calibrate(
-                faces,
-                knowledge.sizes[camera],
-                knowledge.sizes[projector],
-                principal_point=knowledge.point(camera),
-                squareness_deg=knowledge.squareness_deg,
-                lenses=(knowledge.lens(camera), knowledge.lens(projector)),
-            )
-        except RefusalError as refusal:
-            refusals.append(refusal)
-            continue
-        focal_px = calibrated.calibration.sigma.camera.focal_px
-        sigma = np.inf if focal_px is None else focal_px[0] / calibrated.calibration.camera.focal_px[0]
-        found.append((sigma, pair, calibrated))
-    if found:
-        _, pair, calibrated = min(found, key=lambda each: each[0])
-        return pair, calibrated
-    if refusals:
-        raise refusals[0]
-    raise RefusalError(
-        "No camera sees three faces of a corner in one projector's light.",
-        "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+    for method in _METHODS:
+        found: list[tuple[float, PairName, SelfCalibration]] = []
+        for pair, matches in cornered.items():
+            try:
+                calibrated = _calibrated(pair, matches, knowledge, method)
+            except RefusalError as refusal:
+                refusals.append(refusal)
+                continue
+            focal_px = calibrated.calibration.sigma.camera.focal_px
+            sigma = 1 / len(matches) if focal_px is None else focal_px[0] / calibrated.calibration.camera.focal_px[0]
+            found.append((sigma, pair, calibrated))
+        if found:
+            _, pair, calibrated = min(found, key=lambda each: each[0])
+            return pair, calibrated
+    raise refusals[0]
+
+
+def _calibrated(pair: PairName, matches: Matches, knowledge: NetworkKnowledge, method: Method) -> SelfCalibration:
+    camera, projector = pair
+    return self_calibrate(
+        matches,
+        knowledge.sizes[camera],
+        knowledge.sizes[projector],
+        principal_point=knowledge.point(camera),
+        method=method,
+        squareness_deg=knowledge.squareness_deg,
+        lenses=(knowledge.lens(camera), knowledge.lens(projector)),
     )
 
 
