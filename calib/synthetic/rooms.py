@@ -82,7 +82,7 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
         solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
-        scene = Scene(solids, _random_balls(rng, options), _random_waves(rng, options))
+        scene = Scene(solids, _random_balls(rng, options), random_waves(rng, options))
         stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
@@ -142,7 +142,7 @@ def _station(
     pixels = jittered_grid(rng, rig.projector, options.count)
     rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
     points, plane = cast(rays, projector_eye, scene)
-    points = _on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
+    points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
     seen = inside(camera_px, rig.camera)
     there, again = cast(points[seen] - eye, eye, scene)
@@ -158,7 +158,7 @@ def _station(
     return SyntheticStation(Matches(camera_px[seen], noisy, label), to_camera.T, eye)
 
 
-def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
+def random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
     """For each of the six planes some waves' vectors (3) in radians per metre, phase and amplitude, (6, waves, 5)."""
     waves = np.empty((_WALLS, _WAVES, 5))
     directions = rng.normal(size=(_WALLS, _WAVES, 3))
@@ -169,7 +169,7 @@ def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
     return waves
 
 
-def _on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
+def on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
     """Points (N, 3) moved along the rays (N, 3) to where walls that are not flat are."""
     moved = points.copy()
     for wall in np.flatnonzero(waves[:, :, 4].any(axis=1)):

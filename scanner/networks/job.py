@@ -5,7 +5,6 @@ from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.errors import InputError
 from scanner.networks.captures import read_pairs
 from scanner.networks.save import save_network
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
@@ -25,15 +24,10 @@ def network(
     terminal: Terminal,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
-    if config.camera.principal_point.known is not None:
-        raise InputError(
-            "camera.principal_point.known belongs to one camera, but a network has several and measures their points: "
-            "leave it out, as with --set 'camera.principal_point={prior: centre}'"
-        )
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
-        captures = read_pairs(folders, terminal)
+        captures = read_pairs(folders, config, terminal)
         refuse_unknown(known, captures)
-        solved = solve_network(captures, known, config.corner.squareness_deg, terminal)
+        solved = solve_network(captures, known, config, terminal)
         verdict = verdict_on(solved)
         save_network(solved, verdict, folder, config)
         if verdict.grade == "refused":
