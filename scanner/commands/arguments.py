@@ -323,7 +323,11 @@ def of_room(parser: ArgumentParser) -> None:
 
 def of_network(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "captures", type=Path, nargs="+", metavar="CAPTURE", help="folders named <camera>-<projector>, in any order"
+        "captures",
+        type=Path,
+        nargs="*",
+        metavar="CAPTURE",
+        help="folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config",
     )
     add_config(parser, required=False)
     parser.add_argument(

@@ -14,7 +14,7 @@ from scanner.decoding import MirroredError
 from scanner.errors import InputError
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
-from scanner.results import Decoded
+from scanner.results import CAPTURE_FOLDER, Decoded
 from scanner.ui import Terminal
 
 Pair = tuple[str, str]
@@ -45,7 +45,7 @@ def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> C
     if roles:
         raise InputError(f"'{min(roles)}' names a camera in one capture and a projector in another; give it one role")
     sizes: dict[str, tuple[Size, Path]] = {}
-    recordings = {pair: open_capture(folder) for pair, folder in named.items()}
+    recordings = {pair: open_capture(_recording_in(folder)) for pair, folder in named.items()}
     for pair, recording in recordings.items():
         for name, size in zip(pair, (recording.camera_size, recording.projector_size), strict=True):
             known, where = sizes.setdefault(name, (size, recording.folder))
@@ -54,8 +54,13 @@ def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> C
                     f"{recording.folder}: {name} has {size} pixels here and {known} in {where}; "
                     "a device keeps its size, or has another name"
                 )
-    decoded = {pair: _labelled(_decoded(recording, terminal), config) for pair, recording in recordings.items()}
+    decoded = {pair: labelled(_decoded(recording, terminal), config) for pair, recording in recordings.items()}
     return Captures(decoded, {name: size for name, (size, _) in sizes.items()})
+
+
+def _recording_in(folder: Path) -> Path:
+    """The capture folder itself, or that in what `scan network --config` keeps of a pair."""
+    return folder / CAPTURE_FOLDER if (folder / CAPTURE_FOLDER).is_dir() else folder
 
 
 def _pair_of(folder: Path) -> Pair:
@@ -75,7 +80,7 @@ def _decoded(recording: Recording, terminal: Terminal) -> Decoded:
         raise MirroredError(f"{recording.folder}: {error}") from error
 
 
-def _labelled(capture: Decoded, config: Config) -> Decoded:
+def labelled(capture: Decoded, config: Config) -> Decoded:
     """With faces and further planes where there is a corner; others are joined by what they share with it."""
     try:
         (found,) = label([capture], [capture], config)
