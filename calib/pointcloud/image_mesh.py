@@ -25,7 +25,7 @@ Floats32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """`points` (N, 3) in the camera's frame, their `pixel` (N, 2) and unit `normals` (N, 3); the camera's `focal_px`."""
+    """`points` (N, 3) in the camera's frame, their `pixel` (N, 2) and unit `normals` (N, 3); camera's `focal_px`."""
 
     pixel: Floats
     points: Floats

@@ -1,8 +1,8 @@
 """Finds a sphere of known radius in an organised cloud by random sample consensus (Fischler and Bolles 1981).
 
 Seeds are spread over the image, less than half the sphere's image apart. Three points of a ring around a seed define
-one sphere of that radius that bulges towards the camera. Its score is the share of evenly spaced samples of the sphere's
-image whose points lie on the sphere. A plane scores a quarter.
+one sphere of that radius that bulges towards the camera. Its score is the share of evenly spaced samples of the
+sphere's image whose points lie on the sphere. A plane scores a quarter.
 """
 
 from dataclasses import dataclass

@@ -24,8 +24,8 @@ class BoardOptions:
     """Parameters: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
 
     `tilt_deg`: range of the angle between the board's normal and the line to the camera; `distance`: its range;
-    `aside`: largest offset of its middle, as a share of the picture; `bend`: standard deviation of each term of the bend,
-    the height of the board's edge over half its length.
+    `aside`: largest offset of its middle, as a share of the picture; `bend`: standard deviation of each term of the
+    bend, the height of the board's edge over half its length.
     """
 
     camera: Intrinsics = _CAMERA
