@@ -21,7 +21,7 @@ class _NetworkDevice(DeviceEntry, PlacedEntry):
 
 class _NetworkEntry(Entry):
     unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
-    devices: list[_NetworkDevice] = Field(min_length=1, max_length=1000)
+    devices: list[_NetworkDevice] = Field(min_length=2, max_length=1000)
 
 
 @dataclass(frozen=True, eq=False)

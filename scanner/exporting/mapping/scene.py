@@ -23,10 +23,13 @@ _FEWEST = 50
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """`projectors` with their places and `mesh`, in the mesh's unit and the frame of the result: y is down."""
+    """`projectors` with their places and `mesh`, in the mesh's unit and the frame of the result: y is down.
+    `baseline`: between which devices that unit is, where no length is known.
+    """
 
     projectors: tuple[StoredDevice, ...]
     mesh: Mesh
+    baseline: str
 
 
 def read_scene(result: Path) -> Scene:
@@ -42,7 +45,9 @@ def read_scene(result: Path) -> Scene:
     scan = read_finished_scan(result)
     found = scan.calibration
     pose = Motion(found.rotation.T.copy(), found.projector_centre)
-    return Scene((StoredDevice("projector", "projector", found.projector, pose),), build_mesh(scan))
+    return Scene(
+        (StoredDevice("projector", "projector", found.projector, pose),), build_mesh(scan), "from camera to projector"
+    )
 
 
 def _of_network(result: Path) -> Scene:
@@ -53,7 +58,8 @@ def _of_network(result: Path) -> Scene:
     mesh = surface_through(read_cloud(result / NETWORK_CLOUD_FILE), network.unit)
     if mesh is None:
         raise InputError(f"{result / NETWORK_CLOUD_FILE}: its points do not hang together as a surface to project on")
-    return Scene(projectors, mesh)
+    first, second = (each.name for each in network.devices[:2])
+    return Scene(projectors, mesh, f"from {first} to {second}")
 
 
 def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:

@@ -40,7 +40,7 @@ def export(request: Request) -> list[str]:
     """Write everything into a folder. Raises InputError and OSError."""
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
     scene = read_scene(request.result)
-    metres, remarks = in_metres(scene.mesh.unit)
+    metres, remarks = in_metres(scene.mesh.unit, scene.baseline)
     views = seen_by_all(scene)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres
     content = content_on(largest_wall(scene.mesh), views, eye)

@@ -215,6 +215,15 @@ def test_shifts_project_as_the_projector_does(focal_px: tuple[float, float]) -> 
     assert screen[:, 2] == pytest.approx(20 * (depth - 0.1) / (19.9 * depth))
 
 
+def test_a_network_without_a_length_names_its_baseline(
+    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = Path(shutil.copytree(network, tmp_path / "hall"))
+    change("unit: m", "unit: baseline")(result)
+    assert run("export", result, "--to", "mapping") == 0
+    assert "one baseline, from camera to left, was written as one metre" in capsys.readouterr().out
+
+
 def test_a_single_rig_has_one_projector(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room", unit="mm")
     assert run("export", written.folder, "--to", "mapping") == 0
