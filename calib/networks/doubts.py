@@ -13,7 +13,7 @@ from calib.networks.network import Network
 from calib.networks.overlaps import PairName
 from calib.networks.raster import Raster, SeenAt
 from calib.networks.sights import Sight
-from calib.numerics import Floats, evenly
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, evenly, median
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.refusal import RefusalError
 from calib.rooms.likelihood import Fit
@@ -56,14 +56,18 @@ def _is_mirrored(matches: Matches, size: Size) -> bool:
 
 @dataclass(frozen=True)
 class PixelShape:
-    """By how much pixels are wider than high, and their `skew`, relative, with standard deviations; `significance`: χ²
-    of two degrees of freedom.
+    """By how much pixels are off square along x, and their `skew`, relative; `significance`: χ² of two degrees of
+    freedom.
     """
 
     aspect: float
-    aspect_sigma: float
     skew: float
     significance: float
+
+    @property
+    def off_square(self) -> float:
+        """The larger of both."""
+        return max(abs(self.aspect), abs(self.skew))
 
 
 def pixel_shapes(
@@ -85,11 +89,10 @@ def pixel_shapes(
             information += np.einsum("n,nai,naj->ij", weight, own, own)
             across[:, sight.columns(network)] += np.einsum("n,nai,nac->ic", weight, own, jacobian)
         if not information.any():
-            found.append(PixelShape(0.0, np.inf, 0.0, 0.0))
+            found.append(PixelShape(0.0, 0.0, 0.0))
             continue
         told = score(slope, information, across, covariance, np.zeros(network.size))
-        left = np.linalg.pinv(information - across @ covariance @ across.T)
-        found.append(PixelShape(float(told.step[0]), float(np.sqrt(left[0, 0])), float(told.step[1]), told.value))
+        found.append(PixelShape(float(told.step[0]), float(told.step[1]), told.value))
     return found
 
 
@@ -105,6 +108,36 @@ def _by_shape(sight: Sight, network: Network, predicted: Floats, number: int) ->
     by_x = (after - before) / (2 * _STEP_PX)
     own -= by_x[:, :, None] * (sight.cells.camera_px - (x0, y0))[:, None]
     return own
+
+
+@dataclass(frozen=True)
+class Strain:
+    """How far a pair's cells are off, the median as a standard deviation: `across_px` the line on which a wall that is
+    not flat moves them, where noise makes `noise_px` of it; and as heights over the planes, `uneven`, relative to the
+    camera's distance.
+    """
+
+    across_px: float
+    noise_px: float
+    uneven: float
+
+
+def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
+    """By number of the pair, of all that have a sight."""
+    found: dict[int, list[Floats]] = {}
+    for sight, residual in zip(sights, fit.residuals, strict=True):
+        by_height = sight.predict(fit.layout)[1][:, :, -1]
+        size = np.linalg.norm(by_height, axis=1)
+        across = (by_height[:, 1] * residual[:, 0] - by_height[:, 0] * residual[:, 1]) / size
+        height = np.sum(by_height * residual, axis=1) / size**2
+        eye = fit.layout.devices[sight.camera].pose.translation
+        relative = height / np.linalg.norm(sight.points(fit.layout) - eye, axis=1)
+        found.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
+    return {
+        capture: Strain(SIGMA_PER_MEDIAN * median(across), median(sigma), SIGMA_PER_MEDIAN * median(relative))
+        for capture, each in found.items()
+        for across, sigma, relative in (np.concatenate(each, axis=1),)
+    }
 
 
 def standing_alike(names: Sequence[str], sights: Sequence[Sight], network: Network) -> list[tuple[str, str, float]]:

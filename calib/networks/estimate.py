@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
-from calib.networks.doubts import PixelShape, pixel_shapes, refuse_mirrored, standing_alike
+from calib.networks.doubts import PixelShape, Strain, pixel_shapes, refuse_mirrored, standing_alike, strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.missing import not_connected
 from calib.networks.network import Device, Network
@@ -36,6 +36,7 @@ class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
     was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
     each plane is not flat, root mean square; 0 where nothing shows it. `shapes`: what each device's pixels seem to be.
+    `strains`: of each pair that sees a plane.
     """
 
     names: tuple[str, ...]
@@ -47,6 +48,7 @@ class NetworkEstimate:
     sights: tuple[Sight, ...]
     waves: Floats
     shapes: tuple[PixelShape, ...]
+    strains: Mapping[PairName, Strain]
 
     @property
     def network(self) -> Network:
@@ -227,5 +229,15 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         pair: level if i in on_planes else Noise(grown.overlaps.match_px(pair), 0.0, 0.0, 1.0)
         for i, (pair, level) in enumerate(zip(pairs, levels.stations, strict=True))
     }
-    seed = grown.names[0], grown.names[1]
-    return NetworkEstimate(grown.names, grown.knowledge.sizes, fit, covariance, noise, seed, sights, waves, shapes)
+    return NetworkEstimate(
+        grown.names,
+        grown.knowledge.sizes,
+        fit,
+        covariance,
+        noise,
+        (grown.names[0], grown.names[1]),
+        sights,
+        waves,
+        shapes,
+        {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
+    )

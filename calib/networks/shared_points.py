@@ -53,7 +53,7 @@ class SharedPoints:
         """Cost under Huber's loss, half its gradient (Q,) and its Gauss–Newton Hessian (Q, Q), of `columns`."""
         off, by_depth, jacobian, ahead = self._linearised(network)
         weight = np.where(ahead[:, None], 1 / self.variance, 0.0)
-        size = np.sqrt(np.einsum("mk,mka,mka->m", weight, off, off))
+        size = np.sqrt(np.sum(weight[..., None] * off**2, axis=(1, 2)))
         limit = ROBUST_SIGMAS * np.sqrt(self.freedom / 2)
         robust = np.minimum(1.0, limit / np.maximum(size, 1e-12))
         cost = float(np.sum(robust * size * (2 * size - robust * size))) + _BEHIND * np.count_nonzero(~ahead)
@@ -72,7 +72,7 @@ class SharedPoints:
         that sees it is off, across the line that the hub's ray is in its image, (M,).
         """
         off, by_depth, _, ahead = self._linearised(network)
-        square = np.einsum("mk,mka,mka->m", 1 / self.variance, off, off) / chi2.ppf(0.5, self.freedom)
+        square = np.sum(off**2 / self.variance[..., None], axis=(1, 2)) / chi2.ppf(0.5, self.freedom)
         first = np.arange(len(off)), np.argmax(np.isfinite(self.variance), axis=1)
         own, way = off[first], by_depth[first] / np.linalg.norm(by_depth[first], axis=1, keepdims=True)
         across = (own[:, 0] * way[:, 1] - own[:, 1] * way[:, 0]) / np.sqrt(self.variance[first])
@@ -89,8 +89,9 @@ class SharedPoints:
         known = np.isfinite(self.variance)
         for _ in range(_STEPS):
             off, by_depth, _ = self._predicted(others, hub, turned, depth)
-            square = np.einsum("mk,mka,mka->m", 1 / self.variance, by_depth, by_depth)
-            step = np.einsum("mk,mka,mka->m", 1 / self.variance, by_depth, off) / np.maximum(square, 1e-300)
+            weighted = by_depth / self.variance[..., None]
+            square = np.sum(weighted * by_depth, axis=(1, 2))
+            step = np.sum(weighted * off, axis=(1, 2)) / np.maximum(square, 1e-300)
             depth = np.where(depth - step > 0.2 * depth, depth - step, 0.2 * depth)
         off, by_depth, before = self._predicted(others, hub, turned, depth)
         ahead = (depth > 0) & ((before[..., 2] > 0) | ~known).all(axis=1)
@@ -133,8 +134,10 @@ class SharedPoints:
 
 def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Floats:
     """Of the best depth under weights (M, K), (M, Q)."""
-    along = np.einsum("mk,mka,mka->m", weight, by_depth, by_depth)
-    slope: Floats = -np.einsum("mk,mka,mkac->mc", weight, by_depth, jacobian) / np.maximum(along, 1e-300)[:, None]
+    count, weighted = len(weight), weight[..., None] * by_depth
+    along = np.sum(weighted * by_depth, axis=(1, 2))
+    pull = (weighted.reshape(count, 1, -1) @ jacobian.reshape(count, by_depth[0].size, -1))[:, 0]
+    slope: Floats = -pull / np.maximum(along, 1e-300)[:, None]
     return slope
 
 

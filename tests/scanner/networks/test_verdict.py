@@ -24,9 +24,12 @@ def verdict_of(made: SyntheticNetwork, captures: Mapping[tuple[str, str], Matche
     return verdict_on(SolvedNetwork(Captures({}, sizes), estimate, surfaces, 1.0, "baseline"))
 
 
-@pytest.mark.parametrize(("turned_px", "grade"), [(0.0, "good"), (3.0, "refused")])
-def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, grade: str) -> None:
-    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=2, count=15_000))
+@pytest.mark.parametrize(
+    ("turned_px", "wavy", "grade"), [(0.0, 0.0, "good"), (0.0, 0.005, "good"), (1.0, 0.0, "refused")]
+)
+def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, wavy: float, grade: str) -> None:
+    """And walls with waves of half a centimetre are not taken for it."""
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000, wavy=wavy))
     moved = made.captures["camera2", "projector2"]
     turned = replace(moved, camera_px=moved.camera_px + np.array([turned_px, 0.0]))
 
@@ -37,12 +40,12 @@ def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, g
     assert "keystone" not in verdict.advice
 
 
-def test_a_projector_that_corrects_keystone_is_named() -> None:
-    """Its picture is 3 % narrower at one edge."""
-    made = random_network(np.random.default_rng(3), 2, 2, RoomOptions(boxes=2, count=15_000))
+def test_a_projector_that_corrects_keystone_is_told() -> None:
+    """Its picture is 1 % narrower at one edge."""
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000))
     width, height = made.devices["projector2"].size
     to_middle = np.array([[1.0, 0, -width / 2], [0, 1, 0], [0, 0, 1]])
-    keystone = np.linalg.inv(to_middle) @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.03 / height, 1]]) @ to_middle
+    keystone = np.linalg.inv(to_middle) @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.01 / height, 1]]) @ to_middle
     captures = {
         pair: replace(each, projector_px=mapped(keystone, each.projector_px)) if pair[1] == "projector2" else each
         for pair, each in made.captures.items()
@@ -50,8 +53,8 @@ def test_a_projector_that_corrects_keystone_is_named() -> None:
 
     verdict = verdict_of(made, captures)
 
-    assert verdict.grade != "good"
-    assert "in the menu of projector2" in verdict.advice
+    assert verdict.grade == "refused"
+    assert "in the projectors' menus" in verdict.advice
 
 
 def test_two_devices_in_one_place_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
