@@ -13,7 +13,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
 from scanner.pipeline import take
-from scanner.results import CAPTURES_FOLDER
+from scanner.results import CAPTURES_FOLDER, Decoded
 from scanner.ui import Terminal
 
 
@@ -43,7 +43,8 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -
 
     Raises DeviceError, StorageError; what was captured before stays.
     """
-    decoded, sizes = {}, {}
+    decoded: dict[Pair, Decoded] = {}
+    sizes: dict[str, Size] = {}
     for number, ((camera, projector), config) in enumerate(pairs.items(), start=1):
         place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
         place.mkdir(parents=True)

@@ -12,6 +12,7 @@ from scanner.commands.main import main as scan
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
+from scanner.pipeline import take
 
 HALL = Path(__file__).parents[3] / "configs" / "hall-sim.yaml"
 SMALL = ["camera.width=306", "camera.height=256", "projector.width=320", "projector.height=180"]
@@ -92,16 +93,14 @@ def test_captures_or_devices_are_asked_for(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_a_device_that_fails_costs_no_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import scanner.networks.live as live
-
-    whole: Callable[..., object] = live.take
+    whole: Callable[..., object] = take
 
     def failing(rig: object, config: object, place: Path, *rest: object) -> object:
         if place.name == "right-stage":
             raise InputError("the cable is out")
         return whole(rig, config, place, *rest)
 
-    monkeypatch.setattr(live, "take", failing)
+    monkeypatch.setattr("scanner.networks.live.take", failing)
     assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 2
     (kept,) = tmp_path.glob("out-incomplete*")
     (capture,) = kept.glob("captures/*/capture/capture.yaml")
