@@ -51,7 +51,7 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
         return []
     if not (partial / STATE).is_file():
         if in_the_way:
-            raise InputError(f"{partial}: is in the way and was not left by a scan: look into it, and remove it")
+            raise InputError(f"{partial}: exists but was not left by a scan: check its content, and remove it")
         return []
     claim = Claim(partial / STATE)
     try:

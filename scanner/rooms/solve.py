@@ -124,7 +124,7 @@ def _registered(
     if not registration.groups:
         raise RefusalError(
             "No two stations show the same part of a room: " + _reasons(captures, registration),
-            "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
+            "Each station should see about a third of what the previous one saw, with more than a bare wall in it.",
         )
     return _Registered(seen, changed, registration)
 

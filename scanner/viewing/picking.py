@@ -74,4 +74,4 @@ class Picked:
             case (first, second, third):
                 angle, sigma_cell = angle_cells(angle_at(scan, scene, (first, second, third)))
                 return f"Angle: **{angle} {sigma_cell}**"
-        raise ValueError(f"{len(self.points)} points measure nothing")
+        raise ValueError(f"{len(self.points)} points selected: expected one, two or three")
