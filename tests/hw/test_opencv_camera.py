@@ -166,7 +166,7 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
 def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
     value = "MJPG" if key == "codec" else 10.0
     assert OpenCVRigSettings(backend="opencv", camera=0, **{key: value}).has_gain
-    with pytest.raises(ValidationError, match=f"{key}: of a stream it cannot be set"):
+    with pytest.raises(ValidationError, match=f"{key}: cannot be set for a stream"):
         OpenCVRigSettings(backend="opencv", camera="http://phone/video", **{key: value})
 
 
