@@ -202,8 +202,8 @@ def rendered(seeds: int) -> None:
             for frame in capture.frames:
                 decoder.add(frame)
             decoding = decoder.finish()
-            facts = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
-            looked.append(look(Decoded(facts, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
+            metadata = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
+            looked.append(look(Decoded(metadata, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
         try:
             result = calibrate_seen(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)
         except (RefusalError, InputError) as refusal:

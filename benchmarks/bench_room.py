@@ -83,9 +83,9 @@ def config_of(true: Sequence[TrueStation], camera: Size) -> Config:
 
 def measure(true: Sequence[TrueStation], camera: Size) -> Row:
     config, quiet = config_of(true, camera), Terminal(quiet=True)
-    facts = CaptureMetadata(camera, Size(*PROJECTOR))
+    metadata = CaptureMetadata(camera, Size(*PROJECTOR))
     captures = [
-        Decoded(facts, each.matches, GivenMatches(each.picture, smooth_px=0.0), str(number))
+        Decoded(metadata, each.matches, GivenMatches(each.picture, smooth_px=0.0), str(number))
         for number, each in enumerate(true)
     ]
     began = time.process_time()
