@@ -1,4 +1,4 @@
-"""What the program makes of captures in which something is wrong: light, lenses, motion, pictures, files.
+"""Robustness against imperfect captures: light, lenses, motion, pictures, files.
 
     python benchmarks/bench_conditions.py --quick            one room, the standard sequence: some minutes
     python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes conditions/results.md

@@ -45,7 +45,7 @@ _INTRODUCTION = """\
 A configuration is a YAML file, such as [configs/room-sim.yaml](../configs/room-sim.yaml) or
 [configs/room.yaml](../configs/room.yaml).
 
-- A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` needs the projector's. Other keys are
+- A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` the projector's. All other keys are
   optional; `–` stands for a default that depends on the capture, as its meaning says.
 - The command line overrides the file, with YAML values: `--set camera.width=640`.
 - An unknown key or an impossible value is an error that names the nearest key or the possible values.

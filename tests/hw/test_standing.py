@@ -33,7 +33,7 @@ def compared() -> Standing:
 def stand(compared: Standing, before: np.ndarray | float, now: np.ndarray | float, share: np.ndarray | float) -> bool:
     """Whether frames stand of which the first has a share of the picture before."""
     last = (1 - share) * np.asarray(now) + share * np.asarray(before)
-    seen = [compared.sums.seen(frame(light, 0.4)) for light in (before, last, now)]
+    seen = [compared.sums.brightness(frame(light, 0.4)) for light in (before, last, now)]
     return compared.stands(*seen)
 
 
