@@ -42,7 +42,7 @@ _QUIET = Terminal(quiet=True)
 
 
 def run() -> None:
-    """Do it."""
+    """Compile."""
     begun_s = time.monotonic()
     if sys.stderr.isatty():
         print("Compiling for this machine …", file=sys.stderr)

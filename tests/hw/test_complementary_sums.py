@@ -1,4 +1,4 @@
-"""Pictures that prove each other, in frames with noise, blur and an uneven scene."""
+"""Verification by complementary sums, in frames with noise, blur and an uneven scene."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ class Scene:
 
 
 def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
-    """What is found in a group of `series` where the projector shows other pictures, and what is tolerated."""
+    """The foreign share found in a group of `series` where the projector shows other pictures, and the tolerance."""
     scene = Scene(noise)
     sums = scene.sums()
     seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}
@@ -70,7 +70,7 @@ def test_a_share_of_a_neighbour_is_found(number: int, towards: int, share: float
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
 def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None:
-    """The picture before stays for too long, and all that follow are late by so many."""
+    """The previous picture stays too long, and all that follow are late by as many frames."""
     for start in range(1, 8):
         right = series()
         shown = right[:start] + [right[start - 1]] * behind + right[start:]
@@ -86,7 +86,7 @@ def steps(count: int, period: float = 10.0, response: float = 1.0) -> list[np.nd
 
 
 def found_in_steps(shown: list[np.ndarray]) -> tuple[float, float]:
-    """What is found, and what is tolerated, in steps that follow each other."""
+    """The foreign share found in successive steps, and the tolerance."""
     scene = Scene(1.5)
     sums, group = scene.sums(), range(len(shown))
     seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}

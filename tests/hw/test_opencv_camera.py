@@ -22,7 +22,7 @@ SIZE = (32, 24)
 
 
 class Capture:
-    """OpenCV's interface; `frames` in turns, every 5 ms, then nothing more."""
+    """OpenCV's interface: delivers `frames` in order, every 5 ms, then nothing."""
 
     def __init__(
         self, *frames: np.ndarray, obeys: bool = True, opens: bool = True, fixed: Collection[int] = ()

@@ -1,4 +1,4 @@
-"""One more picture proves bits without inverses; edges tell shares of others, in a scene with noise and bounces."""
+"""The parity check of bits without inverses, in a scene with noise and interreflection."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Whether frames of a stream are alike, under noise that depends on brightness and is alike within blocks."""
+"""Whether frames of a stream are alike, under noise that depends on brightness and correlates within blocks."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,7 +15,7 @@ RNG = np.random.default_rng(3)
 
 
 def frame(light: np.ndarray | float, noise: float) -> Image:
-    """A frame of light 0 … 1; half of the noise is alike within blocks."""
+    """A frame of light 0 … 1; half of the noise correlates within blocks."""
     height, width = SIZE[1], SIZE[0]
     blocks = RNG.standard_normal((height // BLOCK, width // BLOCK)).repeat(BLOCK, 0).repeat(BLOCK, 1)
     levels = 20 + 180 * np.broadcast_to(light, (height, width)) + noise * (blocks + RNG.standard_normal(blocks.shape))
