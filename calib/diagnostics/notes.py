@@ -65,7 +65,7 @@ def _on_interval(refinement: Refinement) -> list[str]:
 
 
 def _on_lenses(refinement: Refinement) -> list[str]:
-    """A note if the lens terms cause most of the uncertainty."""
+    """How much of the uncertainty is that of the lenses, where it is most of it."""
     every, lenses = sigma_if(refinement, {}), sigma_if(refinement, dict.fromkeys(WEAK_TERMS, _EXACTLY))
     share = float(np.sqrt(max(every**2 - lenses**2, 0.0)))
     if share < _MOST * every or every < _WORTH_TELLING:
@@ -78,7 +78,7 @@ def _on_lenses(refinement: Refinement) -> list[str]:
 
 
 def _on_next_view(refinement: Refinement, view: NextView | None) -> list[str]:
-    """A note on the gain of a further capture, if it is worthwhile."""
+    """What a further capture would gain, where there is something to gain."""
     sigma = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]))
     if view is None or view.sigma > WORTH_A_CAPTURE * sigma:
         return []

@@ -159,7 +159,7 @@ def _station(
 
 
 def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
-    """Waves of the six planes (6, waves, 5): wave vector (3) in radians per metre, phase and amplitude."""
+    """For each of the six planes some waves' vectors (3) in radians per metre, phase and amplitude, (6, waves, 5)."""
     waves = np.empty((_WALLS, _WAVES, 5))
     directions = rng.normal(size=(_WALLS, _WAVES, 3))
     lengths = rng.uniform(*_WAVELENGTHS, (_WALLS, _WAVES, 1))
@@ -170,7 +170,7 @@ def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
 
 
 def _on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
-    """Points (N, 3) moved along their rays (N, 3) onto the wavy walls."""
+    """Points (N, 3) moved along the rays (N, 3) to where walls that are not flat are."""
     moved = points.copy()
     for wall in np.flatnonzero(waves[:, :, 4].any(axis=1)):
         on = plane == wall

@@ -33,8 +33,9 @@ def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[
     ]
     if known == [None, None]:
         raise InputError(
-            f"lens.from: {file} has no lens terms with sigmas for a camera of {camera_size} or a projector of "
-            f"{projector_size}: expected a calibration of devices with these image sizes, such as scan board makes"
+            f"lens.from: {file} says nothing of lenses of a camera of {camera_size} or a projector of "
+            f"{projector_size}: expected a calibration with images of the same size that states the sigmas of its "
+            "distortion, as of scan board"
         )
     return known[0] or camera, known[1] or projector
 

@@ -52,7 +52,7 @@ def test_a_calibration_tells_the_lenses_that_it_states_sigmas_of(tmp_path: Path)
 
 def test_a_calibration_of_other_devices_is_refused(tmp_path: Path) -> None:
     config = load_config(None, [f"lens={{from: {calibrated(tmp_path / 'other.yaml')}}}"])
-    with pytest.raises(InputError, match=r"other\.yaml has no lens terms with sigmas for a camera of 640 × 480"):
+    with pytest.raises(InputError, match=r"lens\.from: .*other\.yaml says nothing of lenses of a camera of 640 × 480"):
         lenses_of(config, Size(640, 480), PROJECTOR)
 
 
