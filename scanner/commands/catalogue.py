@@ -147,7 +147,7 @@ Exit codes: 4 if no two stations belong together, or if one could as well be tur
         arguments.of_live,
         "live",
         """
-Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and told. Enter
+Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
 keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C ends it, and keeps what was kept.
 """,
     ),

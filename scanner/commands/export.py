@@ -19,5 +19,5 @@ def run(args: Namespace) -> None:
     target.check_name(out)
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
-        told = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS))
-    terminal.show(*told, f"Written: {out}", f"→ {target.opened_by}")
+        written = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS))
+    terminal.show(*written, f"Written: {out}", f"→ {target.opened_by}")

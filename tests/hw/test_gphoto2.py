@@ -181,7 +181,7 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
 def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "list_screens", lambda: [SimulatedWindow(PROJECTOR, list).screen])
     found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
-    assert found.told["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
+    assert found.described["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
     pasted = tmp_path / "pasted.yaml"
     pasted.write_text("\n".join(found.lines))
     rig = load_config(pasted).rig
