@@ -1,4 +1,4 @@
-"""How well the decoder's matches agree with the truth of simulated rooms, for each preset.
+"""Errors of the decoder's matches in simulated rooms, for each preset.
 
     python benchmarks/bench_accuracy.py [--seeds 0 1 2] [--presets quick standard concave]
 
@@ -34,7 +34,7 @@ WELL_LIT = 0.1
 
 @dataclass(frozen=True)
 class Compared:
-    """Of every camera pixel (H, W): `error_px` (H, W, 2) and `sigma_px`, NaN without match; `well_lit`; `crease_px`,
+    """Per camera pixel (H, W): `error_px` (H, W, 2) and `sigma_px`, NaN without match; `well_lit`; `crease_px`,
     the distance to the nearest pixel of another face, infinite off the faces.
     """
 

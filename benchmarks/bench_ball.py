@@ -1,4 +1,4 @@
-"""The paper's test with a ball (section 5), on whole scans of simulated rooms: is it found, how large, how round?
+"""The paper's test with a ball (section 5), on whole scans of simulated rooms: detection, size and form errors.
 
     python benchmarks/bench_ball.py --seeds 0 1 2 3 --diameters-mm 100 240
 

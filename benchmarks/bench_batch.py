@@ -1,4 +1,4 @@
-"""What a batch costs beside the work itself: throughput on one and two processes, on a scheduler, and a second run.
+"""Overhead of a batch: throughput on one and two processes, on a scheduler, and of a second run.
 
     python benchmarks/bench_batch.py --captures 1000
 
@@ -100,7 +100,7 @@ def _seconds_each_alone(jobs: tuple[Job, ...], out: Path) -> float:
 
 
 def _warm(client: Any, job: Job, out: Path, workers: int) -> None:
-    """Every worker has loaded everything."""
+    """Make every worker load all modules."""
     client.wait_for_workers(workers)
     addresses = list(client.scheduler_info(n_workers=-1)["workers"])
     client.gather(

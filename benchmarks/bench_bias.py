@@ -1,4 +1,4 @@
-"""Which of the decoder's corrections takes away more than it adds: mean errors over whole faces, each off in turn.
+"""The effect of each of the decoder's corrections: mean errors over whole faces with each switched off.
 
     python benchmarks/bench_bias.py [--seeds 0 1 2] [--under '{"ambient": 1.0}'] [--exposure 0.25]
 
@@ -70,7 +70,7 @@ def switched_off(names: Off) -> Iterator[None]:
 
 
 def room_of(settings: SimulatedRigSettings, widths: float | None) -> SimulatedRoom:
-    """A room whose projector's focal length is so many picture widths; None: the rig's own."""
+    """A room whose projector has this focal length in picture widths; None for the rig's own."""
     place = simulation.place_room
 
     def placed(*where: object) -> Room:

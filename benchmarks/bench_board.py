@@ -73,7 +73,7 @@ def real(folder: Path) -> None:
 
 
 def _scatter_of_focals(result: FromBoards, peers: list[Corners], sizes: tuple[Size, Size]) -> None:
-    """How the projector moves when one board is left out."""
+    """Scatter of the projector's parameters when one board is left out."""
     moved = np.array([each.moved[[9, 11, 12]] for each in result.found.predictions])
     whole = calibrate(peers, *sizes).projector[0]
     theirs = []
@@ -93,7 +93,7 @@ def _own_corners(view: View) -> Corners:
 
 
 def stereo_rms(calibration: Calibration, boards: list[Corners]) -> float:
-    """OpenCV's definition: flat boards, each at the pose that both devices' corners like best; root mean square."""
+    """The stereo error by OpenCV's definition: flat boards, each at its best-fitting pose."""
     camera, projector = calibration.camera, calibration.projector
     squares, count = 0.0, 0
     for board in boards:
@@ -202,8 +202,8 @@ def rendered(seeds: int) -> None:
             for frame in capture.frames:
                 decoder.add(frame)
             decoding = decoder.finish()
-            facts = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
-            looked.append(look(Decoded(facts, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
+            metadata = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
+            looked.append(look(Decoded(metadata, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
         try:
             result = calibrate_seen(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)
         except (RefusalError, InputError) as refusal:

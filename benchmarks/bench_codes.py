@@ -1,4 +1,4 @@
-"""How Gray and XOR codes, alone and together, stand up to light that has bounced about.
+"""Gray and XOR codes, alone and together, under interreflection.
 
     python benchmarks/bench_codes.py [--bounced 0.5 2.5 4 8]
 

@@ -1,7 +1,7 @@
-"""What the program makes of captures in which something is wrong: light, lenses, motion, pictures, files.
+"""Robustness against imperfect captures: light, lenses, motion, pictures, files.
 
     python benchmarks/bench_conditions.py --quick            one room, the standard sequence: some minutes
-    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two, into conditions/results.md
+    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes conditions/results.md
     python benchmarks/bench_conditions.py --only flicker --seeds 3 --sequences gray -v
 
 Each capture is taken of a simulated room, written as a capture folder, and replayed through the command line in this

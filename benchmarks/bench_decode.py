@@ -1,4 +1,4 @@
-"""How long the decoder takes, next to a plain copy of the same frames in the same run, and next to what it may take.
+"""Time of decoding, relative to a plain copy of the same frames in the same run, and to its limit.
 
     python benchmarks/bench_decode.py [--width 2448 --height 2048] [--projector 1920x1080] [--repeat 5]
 
@@ -111,21 +111,21 @@ class Measured:
 
     @property
     def folding_copies(self) -> float:
-        """Folding in all frames, in plain copies of them."""
+        """Time of accumulating all frames, in plain copies of them."""
         return self.frames * self.frame_s / self.copy.in_one_piece_s
 
     @property
     def copies(self) -> float:
-        """All of it, likewise."""
+        """Total time, in plain copies."""
         return self.all_s / self.copy.in_one_piece_s
 
     @property
     def copies_frame_by_frame(self) -> float:
-        """All of it, in copies of frame by frame."""
+        """Total time, in copies made frame by frame."""
         return self.all_s / self.copy.frame_by_frame_s
 
     def growth_from(self, smaller: "Measured") -> float:
-        """How many times as long it takes for a pixel."""
+        """Ratio of the time per pixel to that of another run."""
         return (self.all_s / self.pixels) / (smaller.all_s / smaller.pixels)
 
 
@@ -151,7 +151,7 @@ def decode(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: li
 
 
 def peak_memory(patterns: tuple[Pattern, ...], projector: tuple[int, int], frames: list[Image]) -> int:
-    """Bytes of the arrays of a run of its own, beside the frames, which the decoder keeps."""
+    """Peak bytes of the arrays of a separate run, without the frames, which the decoder keeps."""
     tracemalloc.start()
     decode(patterns, projector, frames)
     peak = tracemalloc.get_traced_memory()[1]

@@ -1,4 +1,4 @@
-"""How long it takes from the last frame until everything is saved, and where the time goes.
+"""Time from the last frame until everything is saved, by stage.
 
     python benchmarks/bench_end_to_end.py [--repeat 3] [--profile 30]
 

@@ -1,4 +1,4 @@
-"""How many matches get the wrong face, and how long it takes.
+"""Share of matches with a wrong face, and the time it takes.
 
     python benchmarks/bench_faces.py --rooms 30 --boxes 10 --seed 0
 

@@ -34,7 +34,7 @@ CASES = (("known", SMOOTH_PX), ("unknown", SMOOTH_PX), ("known", 0.0))
 
 @dataclass
 class Outcome:
-    """Of one room: for each case the deviations of the rig's columns in sigmas, None if refused; `modes` (3, modes, 2)
+    """One room: for each case the deviations of the rig's columns in sigmas, None if refused; `modes` (3, modes, 2)
     and `noise_px` of the faces.
     """
 

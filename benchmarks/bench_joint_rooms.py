@@ -1,4 +1,4 @@
-"""Three captures of each of several simulated rooms, nothing known beforehand, calibrated together and merged.
+"""Three captures of each of several simulated rooms, calibrated jointly without prior knowledge, and merged.
 
     python benchmarks/bench_joint_rooms.py --seeds 0 1 2 3 4
 

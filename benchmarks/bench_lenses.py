@@ -1,4 +1,4 @@
-"""Are the sigmas true where lenses are decentred, as all of them are a little? Random rigs before corners.
+"""Errors over sigmas for decentred lenses: random rigs in front of corners.
 
     python benchmarks/bench_lenses.py --rigs 24 --seed 0
     python benchmarks/bench_lenses.py --random-rigs 1000
@@ -130,7 +130,7 @@ def line(row: Row, outcomes: list[Outcome]) -> str:
 
 
 def not_square(rigs: int, seed: int, pool: ProcessPoolExecutor) -> None:
-    """Tell how many of so many rigs before square corners were refused, and for what, by what was told of the walls."""
+    """Print how many rigs before square corners were refused and why, for each prior of the walls' angles."""
     for squareness_deg in (0.0, 0.3):
         row = Row(0.0003, squareness_deg=squareness_deg, matches=20_000)
         outcomes = list(pool.map(outcome, repeat(row), repeat(None), repeat(seed), range(rigs)))

@@ -1,4 +1,4 @@
-"""Clouds while one looks: how fast, how true, and a plain decoder on the same frames.
+"""Live clouds: rate, delay and errors, beside a plain decoder on the same frames.
 
     python benchmarks/bench_live.py [--clouds 40] [--exposure-ms 33.3] [--rooms 3]
 
@@ -54,14 +54,14 @@ def plain(grey: Image, sequence: LiveSequence) -> Floats:
 
 
 def prepared(bench: LiveBench) -> tuple[FirstLook, LiveSequence, Decoder]:
-    """As the program does it before the first cloud."""
+    """Prepare the live sequence as the program does before the first cloud."""
     seen = look(bench.rig, Config())
     sequence = best_sequence(bench.rig, seen, bench.calibration, DEPTHS)
     return seen, sequence, Decoder(sequence, seen, bench.calibration)
 
 
 def speed(smaller: float, clouds: int, exposure_s: float) -> list[str]:
-    """A row: how many clouds came of the rounds that a camera exposed, and how late."""
+    """A row of the table: rate and delay of clouds."""
     bench = LiveBench(calibration=calibration(smaller=smaller))
     seen, sequence, decoder = prepared(bench)
     still = [each for each in islice(rounds(bench.rig, sequence, seen.response), 3) if each is not None]
@@ -99,7 +99,7 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def judged(name: str, coordinate: Floats, sigma: Floats | None, true: Floats, sequence: LiveSequence) -> list[str]:
-    """A row: what share of the pixels is there, and how far they are off."""
+    """A row of the table: share of measured pixels, and their errors."""
     off = np.abs(coordinate - true)
     there = np.isfinite(off)
     in_sigmas = "" if sigma is None else f"{np.quantile(off[there] / sigma[there], 0.683):.2f}"

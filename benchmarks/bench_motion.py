@@ -70,7 +70,7 @@ class Case:
 
     @property
     def turn(self) -> dict[str, object]:
-        """Of the device, for the settings of the simulated rig."""
+        """The turn of the device, as settings of the simulated rig."""
         return {"device": self.device, "direction_deg": self.direction_deg}
 
 
@@ -88,7 +88,7 @@ def patterns_of(preset: PresetName, *, apart: bool) -> tuple[Pattern, ...]:
 
 
 def cases(options: argparse.Namespace) -> Iterator[Case]:
-    """Drawn at random, those of one room and preset together."""
+    """Random cases, grouped by room and preset."""
     rng = np.random.default_rng(options.seed)
     groups = [(room, preset) for room in options.rooms for preset in options.presets]
     for number, (room, preset) in enumerate(groups):
@@ -117,7 +117,7 @@ class Footage:
         self._view = room.renderer
 
     def frames(self, case: Case, patterns: Sequence[Pattern]) -> Iterator[Image]:
-        """Those of a capture."""
+        """The frames of a capture."""
         noise = np.random.default_rng(case.noise)
         for number, pattern in enumerate(patterns):
             px = case.px * number / len(patterns) if case.kind == "drift" else case.px
@@ -140,7 +140,7 @@ class Footage:
 
 
 def run(case: Case, footage: Footage) -> tuple[str, str]:
-    """What became of it, and figures."""
+    """The outcome of a case, with its figures."""
     patterns = patterns_of(case.preset, apart=case.apart)
     decoder = Decoder(patterns, PROJECTOR)
     truth = footage.room.calibration
@@ -171,7 +171,7 @@ def run(case: Case, footage: Footage) -> tuple[str, str]:
 
 
 def sigma_of(found: Calibration) -> float:
-    """The larger sigma of the focal lengths in per cent."""
+    """The larger sigma of the two focal lengths, in per cent."""
     devices = ((found.camera, found.sigma.camera), (found.projector, found.sigma.projector))
     return max(100 * float(np.max(sigma.focal_px)) / device.focal_px[0] for device, sigma in devices)
 
@@ -187,7 +187,7 @@ def errors(found: Calibration, truth: Calibration) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a case."""
+    """The outcome of a case."""
 
     case: Case
     outcome: str
@@ -198,7 +198,7 @@ class Row:
 
 
 def run_all(cases: Sequence[Case], results: Path | None) -> list[Row]:
-    """Those of one room, one after the other; each is printed, and kept in `results`, as soon as it is known."""
+    """Run the cases of one room in order; each is printed, and written to `results`, as soon as it is known."""
     room = SimulatedRoom(SimulatedRigSettings(seed=cases[0].room), CAMERA, PROJECTOR)
     footage, rows = Footage(room), []
     for case in cases:
@@ -212,7 +212,7 @@ def run_all(cases: Sequence[Case], results: Path | None) -> list[Row]:
 
 
 def earlier(results: Path | None) -> dict[Case, Row]:
-    """What a file of results knows already."""
+    """The outcomes in a file of results."""
     if results is None or not results.exists():
         return {}
     found = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
@@ -221,7 +221,7 @@ def earlier(results: Path | None) -> dict[Case, Row]:
 
 
 def totals(rows: Sequence[Row]) -> Iterator[str]:
-    """How often what became of which motion, a line each."""
+    """Counts of outcomes by kind of motion, a line each."""
     counts: Counter[tuple[str, str, str]] = Counter()
     for row in rows:
         case = row.case

@@ -1,4 +1,4 @@
-"""Things on a turntable and put down by hand, joined without a guess, against the truth.
+"""Things on a turntable and put down by hand, joined without an initial guess, against the truth.
 
     python benchmarks/bench_objects.py [--things 4] [--first 0] [--steps 12] [--free] [--camera 408 342] [--noise 0.05]
     python benchmarks/bench_objects.py --balls 3

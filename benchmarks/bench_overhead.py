@@ -1,4 +1,4 @@
-"""What a frame costs beside its exposure, for every pattern, pipelined and sequential.
+"""Time per frame beyond its exposure, pipelined and sequential.
 
     python benchmarks/bench_overhead.py
     python benchmarks/bench_overhead.py --camera stream
@@ -46,7 +46,7 @@ LIMIT = 1.3  # exposures
 
 
 def decode(rig: Rig, config: Config, folder: Path) -> None:
-    """A capture that is recorded and decoded as in a scan."""
+    """Record and decode a capture as in a scan."""
     patterns = config.sequence.patterns(config.projector_size)
     stream = record(capture(rig, patterns), folder)
     decoder = Decoder(patterns, config.projector_size)
@@ -138,7 +138,7 @@ def measure_stream(config: Config, latencies_ms: list[float], scans: int) -> Non
 
 
 def one_stream(rig: StreamedRig, config: Config, folder: Path) -> str:
-    """A capture, and a line on what its pictures cost."""
+    """A capture of a stream, and a line on its time per picture."""
     decode(rig, config, folder)
     timing, seconds = rig.timing, rig.tally.seconds_per_frame
     limit_s = timing.soonest_s + 2 * timing.period_s

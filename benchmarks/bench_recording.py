@@ -1,4 +1,4 @@
-"""Whether the camera has to wait until its frames are recorded and decoded.
+"""Whether recording and decoding keep up with the camera.
 
     python benchmarks/bench_recording.py --out some/folder/on/the/disk [--rounds 3]
 
@@ -66,7 +66,7 @@ WAYS: dict[str, Callable[[Image], bytes]] = {
 
 
 def exposed(images: list[Image], period_s: float) -> Iterator[tuple[Pattern, Frame]]:
-    """Frames as they come from a camera that waits for nothing."""
+    """Frames of a camera that does not wait for the consumer."""
     due_s = time.monotonic()
     for pattern, image in zip(PATTERNS, images, strict=True):
         due_s = max(due_s, time.monotonic() - period_s) + period_s
@@ -116,7 +116,7 @@ def captures(out: Path, rounds: int) -> Table:
 
 
 def worked_ms(work: Callable[[], object]) -> float:
-    """The least of three, of all processors together."""
+    """Processor time in ms, the least of three runs."""
     worked = []
     for _ in range(3):
         begin_s = time.process_time()

@@ -1,4 +1,4 @@
-"""Scans from films of simulated rooms that nothing synchronised, against their truth.
+"""Scans from unsynchronised films of simulated rooms, against their truth.
 
     python benchmarks/bench_recordings.py [--rooms 0] [--films phone sharpened …] [--width 640]
     python benchmarks/bench_recordings.py --drawn 200 --width 480
@@ -133,18 +133,18 @@ def shaking(time_s: float) -> tuple[float, float, float]:
 
 
 def stabilised(time_s: float) -> tuple[float, float, float]:
-    """As stabilisation turns each frame of a camera that stands on a vibrating table."""
+    """Shifts by electronic stabilisation of a camera on a vibrating table."""
     return 0.3 * float(np.sin(40 * time_s)), 0.3 * float(np.sin(50 * time_s)), 0.05 * float(np.sin(31 * time_s))
 
 
 def settling(time_s: float) -> tuple[float, float, float]:
-    """As focus that breathes, or a tripod that sinks."""
+    """Slow motion, as by focus breathing or a sinking tripod."""
     return 0.02 * time_s, 0.03 * time_s, 0.0
 
 
 @dataclass
 class Stage:
-    """A simulated room with what the camera sees of each picture, kept."""
+    """A simulated room, with cached images of each picture."""
 
     room: SimulatedRoom
     seen: dict[bytes, Light]

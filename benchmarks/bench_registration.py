@@ -1,4 +1,4 @@
-"""Stations of made-up rooms registered without a guess, against where they stood.
+"""Registration of stations of synthetic rooms without an initial guess, against the truth.
 
     python benchmarks/bench_registration.py --seeds 0 20 --kinds whole open stranger two moved bare [--painted]
 
@@ -29,7 +29,7 @@ _LIMITS = (1.0, 0.08)  # degrees, metres
 
 @dataclass(frozen=True)
 class Stop:
-    """A station, and which room and rig it is of."""
+    """A station with its room and rig."""
 
     station: Station
     room: int

@@ -1,4 +1,4 @@
-"""How fast the simulated rig renders, and what its cameras see: python benchmarks/bench_render.py --seeds 10"""
+"""Rendering speed of the simulated rig, and statistics of its views: python benchmarks/bench_render.py --seeds 10"""
 
 import argparse
 import resource

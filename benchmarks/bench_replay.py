@@ -1,4 +1,4 @@
-"""What `scan replay` of real captures costs, next to reading their frames with OpenCV in the same run.
+"""Processor time of `scan replay`, relative to reading the frames with OpenCV in the same run.
 
     python benchmarks/bench_replay.py [--captures DIR] [--repeat 3]
 
@@ -28,7 +28,7 @@ _MOST_READINGS = 5
 
 
 def processor_s(action: Callable[[], object], repeat: int) -> float:
-    """The least of several times: other work only adds to it."""
+    """Processor seconds, the least of several runs, because other work only adds to it."""
     found = []
     for _ in range(repeat):
         begin_s = time.process_time()
@@ -38,7 +38,7 @@ def processor_s(action: Callable[[], object], repeat: int) -> float:
 
 
 def read(files: list[Path]) -> None:
-    """All frames, as they are in their files."""
+    """Read all frames from their files."""
     for file in files:
         if cv2.imread(str(file), cv2.IMREAD_UNCHANGED) is None:
             raise SystemExit(f"{file}: OpenCV cannot read it")

@@ -50,7 +50,7 @@ _TURNED_DEG = (0.3, 1.0)
 
 @dataclass(frozen=True)
 class Row:
-    """Of one room: errors in mm and degrees; surfaces of the cloud and of pixels, median and 95 %, as shares of the
+    """One room: errors in mm and degrees; surfaces of the cloud and of pixels, median and 95 %, as shares of the
     diagonal in percent; errors over sigmas.
     """
 
@@ -83,9 +83,9 @@ def config_of(true: Sequence[TrueStation], camera: Size) -> Config:
 
 def measure(true: Sequence[TrueStation], camera: Size) -> Row:
     config, quiet = config_of(true, camera), Terminal(quiet=True)
-    facts = CaptureMetadata(camera, Size(*PROJECTOR))
+    metadata = CaptureMetadata(camera, Size(*PROJECTOR))
     captures = [
-        Decoded(facts, each.matches, GivenMatches(each.picture, smooth_px=0.0), str(number))
+        Decoded(metadata, each.matches, GivenMatches(each.picture, smooth_px=0.0), str(number))
         for number, each in enumerate(true)
     ]
     began = time.process_time()
@@ -152,14 +152,14 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
 
 
 def seen_by(station: TrueStation, camera: Size) -> Floats:
-    """What its pixels truly see, (H, W, 3) in the simulation's frame; NaN where nothing was lit."""
+    """True points (H, W, 3) of the camera's pixels in the simulation's frame; NaN where nothing was lit."""
     world = np.full((camera.height * camera.width, 3), np.nan)
     world[station.pixel] = station.points @ station.place.rotation.T + station.place.translation
     return world.reshape(camera.height, camera.width, 3)
 
 
 def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
-    """By how much the distance of the two balls errs, in metres; NaN where one was not seen."""
+    """Error of the distance between the two balls in metres; NaN where one was not seen."""
     seen = list(zip(room.stations, truth, strict=True))
     balls = [
         [station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]] for station, each in seen]

@@ -42,7 +42,7 @@ _FACING, _CROSSING = -0.98, 0.1  # of two normals' product
 
 @dataclass
 class Errors:
-    """Of one way to estimate: pose errors (mm, degrees) with whether the station is held in all directions."""
+    """Errors of one estimate: pose errors (mm, degrees) with whether the station is held in all directions."""
 
     millimetres: list[float] = field(default_factory=list)
     degrees: list[float] = field(default_factory=list)
@@ -138,7 +138,7 @@ def _exact(found: RoomEstimate, truth: Room) -> RoomEstimate:
 
 
 def _gap_there(found: RoomEstimate, truth: Room, first: int, second: int) -> float:
-    """The true distance at the place where it was measured."""
+    """The true distance, at the point where it was measured."""
     one, other = truth.planes[first], truth.planes[second]
     middle = (centre_of(found, first) + centre_of(found, second)) / 2
     foot = middle - (one.normal @ middle - one.offset) * one.normal
@@ -200,12 +200,12 @@ def accuracy(count: int, matches: int, wavy: float, balls: int, tangential: floa
 
 
 def _loose(made: SyntheticRoom, balls: int) -> list[Matches]:
-    """What is on balls and on planes too small to be told; nothing where there are no balls."""
+    """Matches on balls and on very small planes; none where there are no balls."""
     return [station.matches[station.matches.labels < 0] for station in made.stations] if balls else []
 
 
 def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
-    """Without planes that only turned up in the estimate."""
+    """Without planes that exist in the estimate only."""
     size = truth.size
     room = replace(found.room, planes=found.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))

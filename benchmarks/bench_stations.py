@@ -1,4 +1,4 @@
-"""What more stations cost: 6, 12 and 24 of one room, registered without a guess and estimated together.
+"""Cost of more stations: 6, 12 and 24 of one room, registered without an initial guess and estimated jointly.
 
     python benchmarks/bench_stations.py [--stations 6 12 24] [--matches 20000] [--seed 1]
 

@@ -1,4 +1,4 @@
-"""Does the calibration know when it is right? Random views, ordinary and degenerate, over the whole range of rigs.
+"""Acceptance and refusal of random views, ordinary and degenerate, over the whole range of rigs.
 
     python benchmarks/bench_views.py --views 500 --seed 0
 
@@ -65,7 +65,7 @@ def random_options(rng: np.random.Generator) -> CaptureOptions:
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[CaptureOptions, SyntheticCapture]:
-    """Rigs are drawn until one sees the corner with both devices."""
+    """Draw rigs until both devices see the corner."""
     while True:
         options = _changed(rng, kind, random_options(rng))
         for _ in range(20):
@@ -119,7 +119,7 @@ def random_view(rng: np.random.Generator, kind: str) -> View:
 
 
 def _split(plane: Matches, labels: tuple[int, ...]) -> Matches:
-    """One plane in strips that are called different faces."""
+    """One plane cut into strips with different face labels."""
     x = plane.camera_px[:, 0]
     inner = np.quantile(x, np.linspace(0, 1, len(labels) + 1)[1:-1])
     return plane.with_faces(np.array(labels, np.int32)[np.digitize(x, inner)])
@@ -167,7 +167,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a view: `deviation` (4,) in sigmas of an accepted one; `needless` refusals; a `line` to print."""
+    """The outcome of a view: `deviation` (4,) in sigmas of an accepted one; `needless` refusals; a `line` to print."""
 
     kind: str
     deviation: np.ndarray | None = None

@@ -4,7 +4,7 @@
 
 Each of the 52 frames of a scan is compared with what the simulated camera sees of its pattern at rest, and with the
 patterns before and after it: no more than 2 % of a frame may be of those. The wall has jitter, and misses a refresh now
-and then, which neither projector nor camera tell of. `--without-inverses`: 39 frames, whose bits their parity proves.
+and then, which neither projector nor camera tell of. `--without-inverses`: 39 frames, verified by parity.
 Needs what `make rig` installs.
 """
 
@@ -36,7 +36,7 @@ _BUSY = "while True: sum(range(100000))"
 
 @contextmanager
 def busy(count: int) -> Iterator[None]:
-    """So many processes that compute."""
+    """Run this many busy processes."""
     with ExitStack() as processes:
         for _ in range(count):
             process = processes.enter_context(subprocess.Popen([sys.executable, "-c", _BUSY]))

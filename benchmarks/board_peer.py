@@ -1,4 +1,4 @@
-"""How others calibrate from boards: local homographies at the corners, then OpenCV's stereoCalibrate.
+"""The usual calibration from boards: local homographies at the corners, then OpenCV's stereoCalibrate.
 
 D. Moreno and G. Taubin, Simple, accurate, and robust projector-camera calibration, 3DIMPVT 2012; with the thresholds
 and windows that the script of github.com/kamino410/procam-calibration has.
@@ -111,7 +111,7 @@ def calibrate(boards: Sequence[Corners], camera_size: tuple[int, int], projector
 
 
 def predicted(peer: Peer, board: Corners, camera_px: Floats) -> Floats:
-    """Where the plane of a board, placed by its corners in the camera, has camera pixels (N, 2) in the projector."""
+    """Projector pixels of camera pixels (N, 2), by the plane of a board placed by its corners in the camera."""
     flat = np.concatenate([board.points, np.zeros((len(board.points), 1))], axis=1)
     _, turn, place = cv2.solvePnP(flat, board.camera_px, *peer.camera, flags=cv2.SOLVEPNP_ITERATIVE)
     rotation = cv2.Rodrigues(turn)[0]

@@ -5,7 +5,7 @@
 
 Both scan the same simulated rooms, alone and from two places, and replay the same recordings, each with the calibration
 beside it, too. What they print, their exit codes, and the numbers and words in calibration.yaml, matches.npz and the
-clouds are compared; files that only one of them writes are told. Exit code 1 if anything differs.
+clouds are compared; files that only one of them writes are listed. Exit code 1 if anything differs.
 """
 
 import argparse
@@ -97,7 +97,7 @@ def _off(first: Any, second: Any) -> float:
 
 
 def _changes(first: str, second: str) -> Iterator[str]:
-    """Which words of a text are others now."""
+    """The words of a text that differ."""
     words = first.split(), second.split()
     for kind, begin, end, new, until in SequenceMatcher(None, *words, autojunk=False).get_opcodes():
         if kind != "equal":
@@ -146,7 +146,7 @@ _READERS = {".yaml": _yaml, ".npz": _npz, ".ply": _ply, ".html": _html}
 
 
 def main() -> int:
-    """Compare, and tell."""
+    """Compare, and print the differences."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path, help="a checkout")
     parser.add_argument("after", type=Path, help="another")

@@ -1,4 +1,4 @@
-"""The Cramér–Rao bound of a synthetic capture: what no unbiased calibration can undercut."""
+"""The Cramér–Rao bound of a synthetic capture."""
 
 from collections.abc import Sequence
 from dataclasses import replace

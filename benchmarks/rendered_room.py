@@ -1,4 +1,4 @@
-"""Whole rooms rendered by Mitsuba 3, as captures with their truth: an opinion on light that is not this project's.
+"""Whole rooms rendered by Mitsuba 3, as captures with ground truth, independent of this project's simulation.
 
     python benchmarks/rendered_room.py SEQUENCE OUT [--seed 0] [--stations 6] [--paths 1024] [--tangential 0.0003]
 

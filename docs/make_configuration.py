@@ -35,30 +35,22 @@ _UNITS_BY_KEY = {
     "packet_size": "bytes",
     "bit_depth": "bits",
 }
-_TYPES = {
-    "integer": "whole number",
-    "number": "number",
-    "boolean": "true or false",
-    "string": "text",
-    "object": "keys by name",
-}
+_TYPES = {"integer": "integer", "number": "number", "boolean": "boolean", "string": "string", "object": "keys by name"}
 
 _INTRODUCTION = """\
 # Configuration
 
 <!-- Written by docs/make_configuration.py from the descriptions in the schema: change those, and run it again. -->
 
-A configuration is a YAML file. [configs/room-sim.yaml](../configs/room-sim.yaml) and
-[configs/room.yaml](../configs/room.yaml) are two to start from.
+A configuration is a YAML file, such as [configs/room-sim.yaml](../configs/room-sim.yaml) or
+[configs/room.yaml](../configs/room.yaml).
 
-- A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` the projector's. Every other key may
-  be left out; `–` stands for a default that depends on the capture, as its meaning says.
-- Every key can be given on the command line as well, after the file and with YAML values: `--set camera.width=640`.
-- A key that is unknown, or a value that is impossible, is an error that names the nearest key or the values that are
-  possible. Nothing is ignored.
-- Units are part of the names: `_px` pixels, `_deg` degrees, `_us` microseconds, `_m` metres, `_hz` hertz.
-- `scan replay` and `scan calibrate` need no more than `camera.principal_point` and, for matches, the two sizes. A
-  recording knows its own sizes.
+- A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` the projector's. All other keys are
+  optional; `–` stands for a default that depends on the capture, as its meaning says.
+- The command line overrides the file, with YAML values: `--set camera.width=640`.
+- An unknown key or an impossible value is an error that names the nearest key or the possible values.
+- Names contain units: `_px` pixels, `_deg` degrees, `_us` microseconds, `_m` metres, `_hz` hertz.
+- `scan replay` and `scan calibrate` need only `camera.principal_point` and, for matches, the two sizes.
 """
 
 
@@ -107,9 +99,14 @@ def _values(schema: dict[str, Any], section: dict[str, Any]) -> dict[str, dict[s
 def _table(fields: dict[str, dict[str, Any]], prefix: str) -> list[str]:
     if not fields:
         return []
-    rows = ["| key | type | unit | default | meaning |", "| --- | --- | --- | --- | --- |"]
+    rows = ["| key | type | default | meaning |", "| --- | --- | --- | --- |"]
     for name, field in fields.items():
-        cells = (f"`{prefix}{name}`", _type(field), _unit(name), _default(field), _meaning(field))
+        cells = (
+            f"`{prefix}{name}`",
+            ", ".join(filter(None, (_type(field), _unit(name)))),
+            _default(field),
+            _meaning(field),
+        )
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return ["\n".join(rows) + "\n"]
 
@@ -134,9 +131,9 @@ def _list_type(option: dict[str, Any]) -> str:
     inner = option.get("prefixItems") or [option["items"]]
     each = _one_type(inner[0])
     if "prefixItems" in option:
-        return f"[x, y], each a {each}"
+        return f"[x, y], each {each}"
     most = f"up to {option['maxItems']}, " if "maxItems" in option else ""
-    return f"list of {most}each a {each}"
+    return f"list of {most}each {each}"
 
 
 def _range(option: dict[str, Any]) -> str:
@@ -146,7 +143,7 @@ def _range(option: dict[str, Any]) -> str:
         return f", {low:.12g} to {high:.12g}"
     parts = [
         f"{words} {bound:.12g}"
-        for words, bound in (("at least", low), ("above", above), ("below", below), ("at most", high))
+        for words, bound in (("≥", low), (">", above), ("<", below), ("≤", high))
         if bound is not None
     ]
     return ", " + ", ".join(parts) if parts else ""

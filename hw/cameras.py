@@ -74,7 +74,7 @@ def refuse_other_setting(
     else:
         same, told, made = not differs(wanted, found, tolerance), f"{wanted:g}", f"{found:g}"
     if not same:
-        raise DeviceError(f"camera {name}: wanted {told} as {what}, but the camera made it {made}. {advice}")
+        raise DeviceError(f"camera {name}: {what} was set to {told}, but reads back as {made}. {advice}")
 
 
 def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, int]) -> None:

@@ -104,7 +104,7 @@ def _there(gp: Any) -> list[tuple[str, str]]:
         found = gp.Camera.autodetect()
         return [(str(found.get_name(index)), str(found.get_value(index))) for index in range(found.count())]
     except gp.GPhoto2Error as error:
-        raise DeviceError(f"photo cameras cannot be looked for: {error.string}") from error
+        raise DeviceError(f"searching for photo cameras failed: {error.string}") from error
 
 
 def connect(settings: GPhotoRigSettings, size: tuple[int, int], refresh_hz: float) -> "GPhotoCamera":
@@ -198,7 +198,7 @@ class GPhotoCamera:
     def _image(self, content: bytes, name: str) -> Image:
         image = _developed(content) if self._raw else cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
-            raise FrameLostError(f"{name} is no picture of the format {'raw' if self._raw else 'jpeg'}")
+            raise FrameLostError(f"{name} is not an image of the format {'raw' if self._raw else 'jpeg'}")
         refuse_other_size(self.name, self.size, (image.shape[1], image.shape[0]))
         return np.asarray(image)
 
@@ -265,7 +265,9 @@ class GPhotoCamera:
             raise DeviceError(f"camera {self.name}: it has no setting {names[0]}. Set it in the camera's menu.")
         config, widget = found
         if (choices := [str(each) for each in widget.get_choices()]) and value not in choices:
-            raise DeviceError(f"camera {self.name}: {names[0]} {value!r} is none of its own: {', '.join(choices)}.")
+            raise DeviceError(
+                f"camera {self.name}: {names[0]} {value!r} is not available; it offers {', '.join(choices)}."
+            )
         with self._errors(f"does not take {value!r} as {names[0]}"):
             widget.set_value(value)
             self._camera.set_config(config)

@@ -66,9 +66,7 @@ class OpenCVRigSettings(CameraRigSettings):
     def _only_drivers_are_told(self) -> Self:
         told = [key for key in ("exposure_us", "gain", "codec") if getattr(self, key) is not None]
         if told and not isinstance(self.camera, int):
-            raise ValueError(
-                f"{told[0]}: of a stream it cannot be set by this program; leave it out, and set it in the camera's app"
-            )
+            raise ValueError(f"{told[0]}: cannot be set for a stream; leave it out, and set it in the camera's app")
         return self
 
 

@@ -147,7 +147,7 @@ def take(
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
         found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
         found = _as_recorded(found, live.metadata, live.account())
-    return replace(found, facts=replace(found.facts, truth=opened.truth))
+    return replace(found, metadata=replace(found.metadata, truth=opened.truth))
 
 
 def replay(
@@ -245,8 +245,8 @@ def decode(
         decoding = decoder.finish()
     decoding = replace(decoding, smooth_px=with_smooth_errors_of_film(decoding.smooth_px, stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
-    facts = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
-    return Decoded(facts, decoding.matches, decoding, name)
+    metadata = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
+    return Decoded(metadata, decoding.matches, decoding, name)
 
 
 def reconstruct(

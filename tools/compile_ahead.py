@@ -42,7 +42,7 @@ _QUIET = Terminal(quiet=True)
 
 
 def run() -> None:
-    """Do it."""
+    """Compile."""
     begun_s = time.monotonic()
     if sys.stderr.isatty():
         print("Compiling for this machine …", file=sys.stderr)
@@ -107,8 +107,8 @@ def _true_matches(pose: int) -> Decoded:
     width, height = _PROJECTOR_SIZE
     white = room.renderer.render(np.full((height, width), 255, np.uint8))
     photograph = np.clip(255 / white.max() * white, 0, 255).astype(np.uint8)
-    facts = CaptureMetadata(_CAMERA_SIZE, _PROJECTOR_SIZE, PRESETS["standard"].patterns(_PROJECTOR_SIZE))
-    return Decoded(facts, matches, GivenMatches(photograph), f"Capture {pose + 1}")
+    metadata = CaptureMetadata(_CAMERA_SIZE, _PROJECTOR_SIZE, PRESETS["standard"].patterns(_PROJECTOR_SIZE))
+    return Decoded(metadata, matches, GivenMatches(photograph), f"Capture {pose + 1}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A capture as it is taken of a simulated room, and what happens to its frames on their way into a folder."""
+"""A capture of a simulated room, and changes of its frames before they are written."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,7 +51,7 @@ class Capture:
     moved_px: tuple[float, float] = (0.0, 0.0)
 
     def replaced(self, frames: dict[int, Image]) -> "Capture":
-        """The same with other frames in some places."""
+        """The capture with some frames replaced."""
         return replace(self, frames=tuple(frames.get(number, frame) for number, frame in enumerate(self.frames)))
 
     def write(self, folder: Path) -> None:
@@ -81,7 +81,7 @@ def _tinted(frame: Image, tint: tuple[float, float, float]) -> Image:
 
 
 def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
-    """Those of a preset, or of 'gray': Gray code down to a pixel with inverses, and no fringes."""
+    """The patterns of a preset, or of 'gray': Gray code down to a pixel with inverses, and no fringes."""
     if sequence == "gray":
         return sequence_for(projector_size, cell=1, shifts=0)
     return PRESETS[cast(PresetName, sequence)].patterns(projector_size)

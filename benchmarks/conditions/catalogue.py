@@ -1,4 +1,4 @@
-"""What can be wrong with a capture, each at rising strength."""
+"""The catalogue of conditions, each at rising strength."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -61,7 +61,7 @@ class Condition:
         return self.exposure(room) if callable(self.exposure) else self.exposure
 
     def settings(self, patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
-        """Of the rig, for a capture of some patterns."""
+        """The rig's settings, for a capture of some patterns."""
         return dict(self.rig(patterns, rng) if callable(self.rig) else self.rig)
 
 

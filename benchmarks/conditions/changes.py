@@ -1,4 +1,4 @@
-"""What happens to the frames of a capture on their way into a folder, be it by devices, software or mistake."""
+"""Changes of a capture's frames by devices, software or mistakes."""
 
 from collections.abc import Callable
 from dataclasses import replace

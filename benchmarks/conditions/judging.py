@@ -1,4 +1,4 @@
-"""What came of a capture, held against the truth: right, refused although it could be decoded, confident and wrong."""
+"""Judges a capture against the truth: right, refused although it could be decoded, or confident and wrong."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ _NUMBERS = 4
 
 @dataclass(frozen=True)
 class Truth:
-    """Of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
+    """The truth of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
 
     `moved_px`: of the frames, against `projector_px`. `pinhole`: whether the projector is one, with square pixels. If
     not, only the camera's focal length is held against the truth, and matches may as well be pixels of the panel, to
@@ -39,7 +39,7 @@ class Truth:
     panel: Floats | None = None
 
     def moved(self, by_px: tuple[float, float]) -> "Truth":
-        """That of frames that were moved to the right and down, which moves the camera's principal point along."""
+        """The calibration of shifted frames, whose principal point is shifted as well."""
         camera = self.calibration.camera
         x, y = camera.principal_point_px
         there = replace(camera, principal_point_px=(x + by_px[0], y + by_px[1]))
@@ -62,12 +62,12 @@ class CalibrationError:
 
     @property
     def is_wrong(self) -> bool:
-        """Beyond what a result that the program stands behind may be off by."""
+        """Whether an error exceeds the limits of an accepted result."""
         return not (self._worst(self.sigmas) <= MOST_SIGMAS and self._worst(self.percent) <= MOST_PERCENT)
 
     @property
     def is_useful(self) -> bool:
-        """Within either of the limits."""
+        """Whether an error is within one of the limits."""
         return self._worst(self.sigmas) <= MOST_SIGMAS or self._worst(self.percent) <= MOST_PERCENT
 
     @staticmethod

@@ -1,6 +1,6 @@
 """A page of plain code that decodes Gray codes and fringes, with no checks and no corrections.
 
-What it decodes well could be decoded: it says of a refused capture whether the refusal was needed. It shares nothing
+It tells whether the refusal of a capture was necessary. It shares nothing
 with the program's decoder but the definition of the patterns.
 """
 

@@ -49,7 +49,7 @@ def admitted(outcomes: Iterable[Outcome]) -> list[Outcome]:
 
 
 def markdown(outcomes: Sequence[Outcome]) -> str:
-    """The table, and what it comes to."""
+    """The table and its totals."""
     by_row = defaultdict(list)
     for outcome in outcomes:
         by_row[outcome.name, outcome.strength].append(outcome)

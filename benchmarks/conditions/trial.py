@@ -47,7 +47,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of a trial. Shares and errors are None where the program gave no matches or no calibration.
+    """The outcome of a trial. Shares and errors are None where the program gave no matches or no calibration.
 
     `decodable`: whether a refused capture could have been decoded; None for one that was not refused. `match_sigmas`:
     errors of matches in their sigmas, the median and 90 %.
@@ -140,7 +140,7 @@ def _truth(
 
 
 def plain_decodings(capture: Capture, truth: Truth) -> list[Matches]:
-    """What a page of plain code makes of it; of a Gray code alone also without its finest bits."""
+    """Decodings by plain code; of a Gray code alone also without its finest bits."""
     alone = not any(isinstance(pattern, Phase) for pattern in capture.patterns)
     unresolved = range(_UNRESOLVED_BITS + 1 if alone else 1)
     plain = partial(plain_matches, capture.patterns, capture.frames, calibration=truth.calibration)

@@ -1,4 +1,4 @@
-"""Where something else did better than this project's refined method: found in the results, not chosen by hand."""
+"""Finds in the results all comparisons that a peer won against the refined method."""
 
 from collections.abc import Iterator, Mapping
 

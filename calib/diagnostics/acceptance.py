@@ -72,7 +72,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
     _refuse_ambiguous(fit, others, np.array([*relative.values(), *centre]), words)
     for name, field in _absurd_focals(fit, knowledge).items():
         raise RefusalError(
-            f"The solution has a {name} with a focal length of {field:.2g} image widths, which hardly any has"
+            f"The solution has a {name} with a focal length of {field:.2g} image widths, which is implausible"
             + _because(_reasons(refinement, words)),
             f"The faces may not be square to each other, or {words.unrelated}. " + words.move + words.shape,
         )

@@ -43,7 +43,7 @@ def size_of_sheet(
     part = matches[:: max(1, len(matches) // _MOST_MATCHES)]
     part = part[np.flatnonzero(intersect(part, calibration).in_front)]
     if len(part) < 3:
-        raise ValueError("the matches on the sheet are not in front of the devices")
+        raise ValueError("the matches on the board are not in front of the devices")
     cluster = blocks(
         np.rint(part.camera_px).astype(np.int64), max(1, round(calibration.camera.width * _ALIKE_OF_WIDTH))
     )

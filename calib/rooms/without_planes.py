@@ -41,7 +41,7 @@ def estimate_without_planes(
         if not contacts:
             raise RefusalError(
                 "The stations' surfaces do not lie on each other closely enough to be estimated together.",
-                "Let them share more of what they see.",
+                "Take stations that overlap more.",
             )
         fit = minimise((), fit.layout, known, (), free, joints=contacts)
     covariance = covariance_of(fit.information, free)

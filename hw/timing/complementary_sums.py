@@ -41,7 +41,7 @@ class ComplementarySums:
     tolerance: float
     variance: float
 
-    def seen(self, image: Image) -> Floats:
+    def brightness(self, image: Image) -> Floats:
         """Normalised brightness (N,) of a frame: 0 for black, 1 for white."""
         return (_grey(image[self.pixels]) - self.dark) / self.contrast
 

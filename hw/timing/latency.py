@@ -33,14 +33,14 @@ LOST_ADVICE = (
 
 @dataclass(frozen=True)
 class _Arrival:
-    """When the light of a flash arrived. `seen`: during an exposure; otherwise some time before the next began.
+    """When the light of a flash arrived. `observed`: during an exposure; otherwise some time before the next began.
 
     `after_s`: measured from the end of its swap, which took `swapping_s`. `soonest_s`: lower limit from the swap's
     begin.
     """
 
     after_s: float
-    seen: bool
+    observed: bool
     soonest_s: float
     swapping_s: float
 
@@ -92,7 +92,7 @@ class LatencyCalibration:
             arrival = self._flash(first_s, _AT_ONCE_S + waits_s * (number > 2 * _FLASHES))
             if arrival is None:
                 continue
-            if arrival.seen:
+            if arrival.observed:
                 seen.append(arrival)
             if len(seen) == _FLASHES:
                 return Latency(
@@ -155,7 +155,7 @@ class LatencyCalibration:
                 else:
                     arrival = _Arrival(after_s, begin_s - flipped_s < at_once_s, 0.0, swapping_s)
             if arrival is not None and missing < _EDGE:
-                return arrival if arrival.seen or not hidden else None
+                return arrival if arrival.observed or not hidden else None
         raise DeviceError(
             f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {self._camera.name} still does "
             "not see the new one. Check that it looks at the projector's light, and that its frames arrive, then rerun."

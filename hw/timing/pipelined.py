@@ -96,7 +96,7 @@ class PipelinedAcquisition:
                     foreign = self._verification.foreign_share(
                         group
                     )  # again, because neighbouring frames may have been repeated
-                    if not self._flies_again(group, foreign):
+                    if not self._repeats_pipelined(group, foreign):
                         self._prove(group, foreign, taken)
                         self._verification.settle(group)
                 if not self._schedule.outstanding:
@@ -114,8 +114,8 @@ class PipelinedAcquisition:
         return (frame for _, frame in self._series(with_parity(images, (), ()), proven=False))
 
     def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frame]]:
-        """Numbers and frames. Between them the caller may repeat others after `_land`. Only pictures in a group are
-        pipelined; without verification (`proven` False) all are, and frames come in order.
+        """Numbers and frames; the caller may repeat others in between, after `_stop_pipelining`. Grouped pictures are
+        pipelined. Without verification (`proven` False) all are, and frames come in order.
         """
         self._pictures = NumberedPictures(shown.images)
         self._verification = FrameVerification(self._sums, self._pictures, shown.level, shown.even)
@@ -127,7 +127,7 @@ class PipelinedAcquisition:
         self._schedule = TriggerSchedule(self._projector, self.rhythm)
         try:
             while self._schedule.outstanding or self._again or self._pictures.has(self._next):
-                at_rest = [] if self._schedule.outstanding else self._that_rest()
+                at_rest = [] if self._schedule.outstanding else self._next_at_rest()
                 if at_rest:
                     yield from self._at_rest(at_rest)
                     continue
@@ -135,27 +135,27 @@ class PipelinedAcquisition:
                 if frame is None:
                     self._missed(number)
                 else:
-                    self._calm_down()
+                    self._lower_penalty()
                     yield number, frame
         finally:
             with suppress(DeviceError):  # another error was raised before
                 self._schedule.settle()
 
-    def _that_rest(self) -> list[int]:
+    def _next_at_rest(self) -> list[int]:
         """The next pictures to take at rest, up to the first that may be pipelined."""
-        found = [*self._again] if self._grounded else self._again[: self._resting]
+        found = [*self._again] if self._unverifiable else self._again[: self._resting]
         if len(found) < len(self._again):
             return found
         number = self._next
         while self._pictures.has(number) and (
-            len(found) < self._resting or self._grounded or not self._may_fly(number)
+            len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number)
         ):
             found.append(number)
             number += 1
         return found
 
     def _at_rest(self, numbers: Sequence[int]) -> Iterator[tuple[int, Frame]]:
-        self._landed = True
+        self._stopped = True
         for number, frame in self._rest(numbers):
             self._rested.add(number)
             self._resting = max(0, self._resting - 1)
@@ -163,7 +163,7 @@ class PipelinedAcquisition:
                 self._again.remove(number)
             self._next = max(self._next, number + 1)
             yield number, frame
-            if not self._landed:
+            if not self._stopped:
                 break  # others were shown meanwhile and replaced the picture on its way
 
     def _rest(self, numbers: Sequence[int], twice: Collection[int] = ()) -> Iterator[tuple[int, Frame]]:
@@ -187,29 +187,29 @@ class PipelinedAcquisition:
                 self._verification.stood_alone(number)
             yield number, frame
 
-    def _land(self) -> None:
+    def _stop_pipelining(self) -> None:
         """Stop pipelining: let all scheduled pictures be shown, and schedule those that were not exposed again."""
         self._again = sorted({*self._again, *self._schedule.settle()})
-        self._landed = False
+        self._stopped = False
 
     @property
-    def _grounded(self) -> bool:
+    def _unverifiable(self) -> bool:
         """Whether verification is impossible with this scene."""
         return self._unfounded >= _MOST_UNFOUNDED
 
-    def _is_grounded(self, group: Group) -> bool:
-        return self._grounded and self._rested.issuperset(group)
+    def _is_unverifiable(self, group: Group) -> bool:
+        return self._unverifiable and self._rested.issuperset(group)
 
-    def _may_fly(self, number: int) -> bool:
+    def _may_be_pipelined(self, number: int) -> bool:
         return self._in_order or self._verification.lacks(number)
 
     def _catch(self) -> tuple[int, Frame | None]:
         """Expose the next picture on its way; returns its number and frame, or None if it was missed or lost."""
         schedule = self._schedule
         if not schedule.outstanding:  # the first picture is shown as soon as it is drawn
-            self._appoint(most=1)
+            self._schedule_next(most=1)
             schedule.light_s()
-        self._appoint()
+        self._schedule_next()
         light_s = schedule.light_s()
         time.sleep(max(0.0, light_s - time.monotonic()))
         latest_s = schedule.latest_begin_s(self._exposure_s)
@@ -233,21 +233,21 @@ class PipelinedAcquisition:
             log.info("frame %d was lost (%s)", number, lost)
             self.tally.retriggered += 1
             return number, None
-        self._schedule.seen()
+        self._schedule.captured()
         return number, frame
 
     def _while_exposed(self) -> None:
         """Work done during the exposure."""
-        self._appoint()
+        self._schedule_next()
         self._verification.judge()
 
-    def _appoint(self, most: int | None = None) -> None:
+    def _schedule_next(self, most: int | None = None) -> None:
         """Schedule the pictures that must leave before the next one is exposed, at most `most` of them."""
         period_s = self.period_s
         while (most is None or most > 0) and self._schedule.wants(period_s):
             if self._again:
                 number = self._again.pop(0)
-            elif self._pictures.has(self._next) and self._may_fly(self._next):
+            elif self._pictures.has(self._next) and self._may_be_pipelined(self._next):
                 number, self._next = self._next, self._next + 1
             else:
                 return
@@ -260,24 +260,24 @@ class PipelinedAcquisition:
         self._again = sorted({*self._again, number})
         if self._jitter.fails() or self._in_order:
             self._rest_a_while()
-            self._land()
+            self._stop_pipelining()
 
     def _rest_a_while(self) -> None:
         """Take the next frames at rest, twice as many as the last time."""
         self._resting, self._penalty = self._penalty, min(_MOST_AT_REST, 2 * self._penalty)
 
-    def _calm_down(self) -> None:
+    def _lower_penalty(self) -> None:
         self._caught_in_row += 1
         self._jitter.holds()
         if self._caught_in_row % _CALM == 0:
             self._penalty = max(1, self._penalty // 2)
 
-    def _flies_again(self, group: Group, foreign: float) -> bool:
+    def _repeats_pipelined(self, group: Group, foreign: float) -> bool:
         """Whether to repeat a group with foreign light pipelined, because a single late picture does not need rest.
 
         Not if several groups failed, nor for parity groups or groups that were partly taken at rest.
         """
-        if foreign <= self._verification.tolerance or group in self._doubts or self._is_grounded(group):
+        if foreign <= self._verification.tolerance or group in self._doubts or self._is_unverifiable(group):
             return False
         log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
         several = self._unfounded > 0 or any(self._verification.lacks(other[0]) for other in self._doubts)
@@ -296,7 +296,7 @@ class PipelinedAcquisition:
 
         Frames at rest can be wrong, too. If repeated frames look the same, the scene is the cause.
         """
-        if self._is_grounded(group):
+        if self._is_unverifiable(group):
             return
         verification, last = self._verification, None
         for attempt in range(ATTEMPTS):
@@ -309,7 +309,7 @@ class PipelinedAcquisition:
                 break
             self.tally.retriggered += len(suspects)
             last = verification.look(suspects)
-            self._land()
+            self._stop_pipelining()
             # Reverse the order: the same late picture would otherwise leave the same trace.
             order = suspects if attempt % 2 else suspects[::-1]
             for number, frame in self._rest(order, twice=order if attempt or verification.is_even(group) else ()):

@@ -38,7 +38,7 @@ _SPARE = 0.5  # of a frame period: less than flashes suggest at best; more after
 
 
 @dataclass(frozen=True)
-class _Showing:
+class _ShownPicture:
     """A picture swapped in at `begun_s`. Its first frame arrives no sooner than `soonest_s`; by the calibration, frames
     show nothing else from `latest_s` on.
     """
@@ -83,20 +83,20 @@ class StandingFrames:
         self._frozen = 0
         self._upcoming: Iterator[Image] = iter(())
         self._prepared: Image | None = None
-        self._waiting = deque[_Showing]()
+        self._waiting = deque[_ShownPicture]()
         self.missed = 0
 
     def at_rest(self, image: Image) -> Frame:
         """The frame of a single image; the same array as before is not shown again. Raises DeviceError."""
         if image is self._shown:
             now_s = time.monotonic()
-            return self._frame(self._resting(_Showing(now_s, now_s, now_s - _UNSEEN_S)))
+            return self._frame(self._resting(_ShownPicture(now_s, now_s, now_s - _UNSEEN_S)))
         self._projector.prepare(image)
         run = self._resting(self._flipped(image))
         self._refuse_frozen([each.image for each in run.frames])
         return self._frame(run)
 
-    def in_flight(self, images: Iterator[Image]) -> Generator[Frame | None]:
+    def pipelined(self, images: Iterator[Image]) -> Generator[Frame | None]:
         """Frames of pipelined images; ends with None after a missed one. Raises DeviceError.
 
         Images still on their way when the iterator is closed must be shown again.
@@ -136,7 +136,7 @@ class StandingFrames:
         """Forget the last picture: the wall, or its appearance, has changed."""
         self._shown = self._before = None
 
-    def _resting(self, showing: _Showing) -> _Run:
+    def _resting(self, showing: _ShownPicture) -> _Run:
         """Wait for stable frames of a picture that no other follows."""
         self._number = self._camera.reader.newest
         for compared, (run, came_s) in enumerate(self._runs(showing)):
@@ -151,7 +151,7 @@ class StandingFrames:
             "rerun."
         )
 
-    def _caught(self, showing: _Showing) -> _Run:
+    def _caught(self, showing: _ShownPicture) -> _Run:
         """Frames of a pipelined picture before the next one may appear; fewer than wanted if it was missed."""
         found = _Run([], [])
         for run, came_s in self._runs(showing):
@@ -174,7 +174,7 @@ class StandingFrames:
         told = self._is_whole(following) or self._standing.differs(run.seen[-1], after)
         return told and self._standing.stands(after, run.seen[-1], run.seen[0])
 
-    def _runs(self, showing: _Showing) -> Iterator[tuple[_Run, float]]:
+    def _runs(self, showing: _ShownPicture) -> Iterator[tuple[_Run, float]]:
         """After each frame that may show a picture: the last frames that are alike, and its time of arrival."""
         begin_s = showing.latest_s if self._before is None else showing.soonest_s
         run = _Run([], [])
@@ -182,13 +182,13 @@ class StandingFrames:
             arrival = self._following()
             if arrival.came_s < begin_s:
                 continue
-            seen = self._sums.seen(arrival.image)
+            seen = self._sums.brightness(arrival.image)
             alike = run if run.seen and self._standing.stands(self._before, run.seen[-1], seen) else _Run([], [])
             count = 1 - self._camera.average
             run = _Run([*alike.frames[count:], arrival], [*alike.seen[count:], seen])
             yield run, arrival.came_s
 
-    def _noted(self, run: _Run, showing: _Showing) -> _Run:
+    def _noted(self, run: _Run, showing: _ShownPicture) -> _Run:
         """Record how long the picture had to stay, if its frames differ from the previous picture."""
         if self._has_come(run):
             self._needed_s.append(run.frames[-1].came_s - showing.soonest_s)
@@ -230,17 +230,17 @@ class StandingFrames:
         if self._prepared is not None:
             self._projector.prepare(self._prepared)
 
-    def _flipped(self, image: Image) -> _Showing:
+    def _flipped(self, image: Image) -> _ShownPicture:
         """Swap in the prepared picture."""
         swap = self._projector.flip()
         self._shown = image
         latest_s = swap.done_s + self._timing.latest_s + self._timing.period_s
-        return _Showing(swap.begun_s, swap.begun_s + self._timing.soonest_s, latest_s)
+        return _ShownPicture(swap.begun_s, swap.begun_s + self._timing.soonest_s, latest_s)
 
     def _frame(self, run: _Run) -> Frame:
         total = np.sum([each.image for each in run.frames], axis=0, dtype=np.uint16)
         mean = np.rint(total / np.float32(len(run.frames))).astype(np.uint8)
-        self._before = self._sums.seen(mean)
+        self._before = self._sums.brightness(mean)
         return Frame(mean, self._camera.exposure_us, run.frames[0].timestamp_ns)
 
     def _counted(self, frame: Frame | None) -> Frame | None:

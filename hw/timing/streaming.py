@@ -109,9 +109,9 @@ class StreamAcquisition:
         """Take all frames in order; yields after each one and its repetitions."""
         number = 0
         while self._pictures.has(number):
-            with closing(self.standing.in_flight(self._flying(number))) as flight:
+            with closing(self.standing.pipelined(self._verifiable(number))) as frames:
                 frame = None
-                for frame in flight:
+                for frame in frames:
                     if frame is None:
                         break
                     self._note(number, frame, number - 1)
@@ -122,20 +122,20 @@ class StreamAcquisition:
                     self._verify(first)
                     yield
             if frame is None and self._pictures.has(number):
-                self.tally.retriggered += self._may_fly(number)
+                self.tally.retriggered += self._may_be_pipelined(number)
                 self._note(number, self.standing.at_rest(self._pictures[number]), number - 1)
                 self._verification.judge()
                 number += 1
             self._verify(first)
             yield
 
-    def _flying(self, number: int) -> Iterator[Image]:
+    def _verifiable(self, number: int) -> Iterator[Image]:
         """Successive pictures from this number on that can be verified."""
-        while self._pictures.has(number) and self._may_fly(number):
+        while self._pictures.has(number) and self._may_be_pipelined(number):
             yield self._pictures[number]
             number += 1
 
-    def _may_fly(self, number: int) -> bool:
+    def _may_be_pipelined(self, number: int) -> bool:
         return self._unfounded < _MOST_UNFOUNDED and self._verification.lacks(number)
 
     def _note(self, number: int, frame: Frame, before: int) -> None:

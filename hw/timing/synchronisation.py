@@ -80,10 +80,10 @@ def _rehearsed_pipelined(
 
 
 @dataclass
-class _Flown:
+class _LastMode:
     """Whether the acquisition of the last frames was pipelined."""
 
-    lately: bool = False
+    pipelined: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class SynchronisedRig(TimedRig):
     timing: Timing
     sequential: SequentialAcquisition
     pipelined: PipelinedAcquisition | None = None
-    _flown: _Flown = field(default_factory=_Flown)
+    _last_mode: _LastMode = field(default_factory=_LastMode)
 
     @property
     def latency_s(self) -> float:
@@ -112,7 +112,7 @@ class SynchronisedRig(TimedRig):
     @property
     def least_s(self) -> float:
         """The exposure and, in sequential acquisition, the latency."""
-        return self.sequential.exposure_s + (0.0 if self._flown.lately else self.timing.latency_s)
+        return self.sequential.exposure_s + (0.0 if self._last_mode.pipelined else self.timing.latency_s)
 
     def _acquired(
         self,
@@ -121,10 +121,10 @@ class SynchronisedRig(TimedRig):
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        flying = self.pipelined if (level or unpaired) and not exposures_us else None
-        self._flown.lately = flying is not None and flying.possible
-        if flying is not None and self._flown.lately:
-            return flying.frames(images, level, unpaired)
+        pipelined = self.pipelined if (level or unpaired) and not exposures_us else None
+        self._last_mode.pipelined = pipelined is not None and pipelined.possible
+        if pipelined is not None and self._last_mode.pipelined:
+            return pipelined.frames(images, level, unpaired)
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
@@ -132,7 +132,7 @@ class SynchronisedRig(TimedRig):
             "delay_ms": round(1e3 * self.timing.delay_s, 2),
             "overlapping": self.timing.overlaps,
         }
-        if self.pipelined is not None and self._flown.lately:
+        if self.pipelined is not None and self._last_mode.pipelined:
             found |= {
                 "pictures_in_flight": self.pipelined.rhythm.outstanding,
                 "missed_in_flight": self.pipelined.missed,

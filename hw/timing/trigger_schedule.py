@@ -131,7 +131,7 @@ class TriggerSchedule:
         self.slot += 1
         return number
 
-    def seen(self) -> None:
+    def captured(self) -> None:
         """The last picture was captured, so none before it is on the wall any more."""
         self._before = self._before[-1:]
 

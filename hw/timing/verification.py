@@ -76,7 +76,7 @@ class FrameVerification:
 
     def note(self, number: int, image: Image) -> None:
         """Record the frame of a picture."""
-        self._seen[number] = self._sums.seen(image)
+        self._seen[number] = self._sums.brightness(image)
 
     def judge(self) -> None:
         """Add all groups that can be judged now to `judged`."""
@@ -141,9 +141,9 @@ class FrameVerification:
         return 1.0 if share is None else share
 
     def _can_be_judged(self, group: Group) -> bool:
-        return self._is_told(group) and (self.foreign_share(group) > self.tolerance or self._has_witnesses(group))
+        return self._is_complete(group) and (self.foreign_share(group) > self.tolerance or self._has_witnesses(group))
 
-    def _is_told(self, group: Group) -> bool:
+    def _is_complete(self, group: Group) -> bool:
         return all(number in self._seen and self._beside[number] <= self._seen.keys() for number in group)
 
     def _has_witnesses(self, group: Group) -> bool:
@@ -151,4 +151,4 @@ class FrameVerification:
         if not self.is_even(group):
             return True
         others = {self._unproven.get(other, group) for number in group for other in self._beside[number]} - {group}
-        return all(self._is_told(other) and self.foreign_share(other) <= self.tolerance for other in others)
+        return all(self._is_complete(other) and self.foreign_share(other) <= self.tolerance for other in others)

@@ -134,7 +134,7 @@ def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing
         with progress.step("Finding the board"):
             detected = detect(decoded.texture, target)
         return Seen(
-            decoded.texture, view_of(decoded.name, detected, decoded.matches, target, decoded.facts.camera_size)
+            decoded.texture, view_of(decoded.name, detected, decoded.matches, target, decoded.metadata.camera_size)
         )
     except NotFoundError as error:
         return Missing(decoded.name, str(error))

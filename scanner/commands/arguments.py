@@ -53,7 +53,7 @@ def of_scan(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--object", action="store_true", help="with --stations and --calibration: scan a thing that you turn in between"
     )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="with --object: the rig's")
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="with --object: calibration of the rig")
     _add_fill(parser)
     add_out(parser, default="scans/<name of the configuration>")
     add_overwrite(parser)
@@ -76,7 +76,7 @@ def of_batch(parser: ArgumentParser) -> None:
         "sources",
         nargs="+",
         metavar="FOLDER",
-        help="every capture below it; or a name with * in it; or a list (.csv) with a column 'capture'",
+        help="folder that contains captures; or a pattern with *; or a list (.csv) with a column 'capture'",
     )
     add_config(parser, required=False)
     add_calibration(parser, kind=str)  # may be far away, as the captures
@@ -98,7 +98,7 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--periods", metavar="N,…", help="periods to a picture, in the order of the frames, as in 59,64,70"
     )
-    parser.add_argument("--order", metavar="N", help="if several orders fit: the number of one in the list")
+    parser.add_argument("--order", metavar="N", help="number in the list, if several orders fit")
     parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")
     parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
     parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only recognise)")
@@ -133,9 +133,12 @@ def of_new(parser: ArgumentParser) -> None:
 def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
-    parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture stands (default: 0.2s)")
+    parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture is shown (default: 0.2s)")
     parser.add_argument(
-        "--loops", type=int, metavar="N", help="with --video: how often it is shown there and back (default: 1)"
+        "--loops",
+        type=int,
+        metavar="N",
+        help="with --video: how often all are shown to and fro (default: 1)",
     )
     add_out(parser)
     add_quiet(parser)
@@ -158,7 +161,7 @@ def of_check(parser: ArgumentParser) -> None:
         type=_seconds,
         default=0.0,
         metavar="SECONDS",
-        help="seconds to look for drift, as in 60 (default: as long as the rest takes)",
+        help="seconds to look for drift, as in 60 (default: the duration of the other checks)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
@@ -211,7 +214,7 @@ def of_measure(parser: ArgumentParser) -> None:
         action="append",
         default=[],
         metavar=("X1", "Y1", "X2", "Y2"),
-        help="between the points at two camera pixels",
+        help="distance between the points at two camera pixels",
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
@@ -222,7 +225,7 @@ def of_measure(parser: ArgumentParser) -> None:
 
 
 def of_accept(parser: ArgumentParser) -> None:
-    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders that scans left")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders of scans' results")
     parser.add_argument(
         "--ball-bar",
         required=True,
@@ -247,7 +250,10 @@ def of_view(parser: ArgumentParser) -> None:
 def of_console(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="of the rig, for live clouds (default: the newest result's)"
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="for live clouds: of the rig (default: the newest result's)",
     )
     add_address(parser)
 
@@ -260,7 +266,7 @@ def of_photos(parser: ArgumentParser) -> None:
         "--matches",
         type=Path,
         metavar="FILE",
-        help="matches.npz of the two photos: camera_px in the first, projector_px in the second",
+        help="matches.npz of two photos: camera_px in the first, projector_px in the second",
     )
     add_masks(parser)
     parser.add_argument(
@@ -331,7 +337,7 @@ def of_network(parser: ArgumentParser) -> None:
     )
     add_config(parser, required=False)
     parser.add_argument(
-        "--distance", metavar="A,B,LENGTH", help="what is known between two devices, as in left,stage,2.35m"
+        "--distance", metavar="A,B,LENGTH", help="known distance between two devices, as in left,stage,2.35m"
     )
     add_out(parser, default="scans/network")
     add_overwrite(parser)
@@ -354,10 +360,10 @@ def of_live(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
     parser.add_argument("--clouds", type=int, metavar="N", help="keep N clouds, then end")
-    parser.add_argument("--room", action="store_true", help="kept clouds are of a room in which the rig is moved")
-    parser.add_argument("--every", metavar="TIME", help="keep a cloud so often, as in 2s")
+    parser.add_argument("--room", action="store_true", help="the rig moves in a room (default: a thing is moved)")
+    parser.add_argument("--every", metavar="TIME", help="keep a cloud at this interval, as in 2s")
     parser.add_argument(
-        "--depths", metavar="NEAR,FAR", help="everything is between, as in 0.3m,0.6m: finer (default: anywhere)"
+        "--depths", metavar="NEAR,FAR", help="range of depths, as in 0.3m,0.6m, for finer clouds (default: any)"
     )
     parser.add_argument("--page", action="store_true", help="show the clouds on a page in the browser, too")
     add_address(parser)
@@ -376,7 +382,7 @@ def of_compare(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--depths",
         metavar="D1,D2,…",
-        help="where to compare, as in 1m,2m,3m (default: the depths of CAL_A's scene, or around where both look)",
+        help="depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison there")

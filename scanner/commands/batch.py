@@ -48,11 +48,11 @@ def run(args: Namespace) -> None:
             return workers
 
         found: Batch = run_batch(jobs, args.out, start, terminal, retry=args.retry)
-    told = ", ".join(f"{count:,} with exit code {code}" for code, count in sorted(found.counts.items()))
+    counts = ", ".join(f"{count:,} with exit code {code}" for code, count in sorted(found.counts.items()))
     fresh = len(found.rows) - found.kept
     rate = f", {fresh / found.seconds:.2g} a second" if fresh else ""
     terminal.show(
-        f"{len(found.rows):,} captures ({found.kept:,} of them done before): {told}",
+        f"{len(found.rows):,} captures ({found.kept:,} of them done before): {counts}",
         f"{found.seconds:.1f} s{rate}",
         f"Result: {args.out} ({', '.join(found.files)})",
         f"→ Open {args.out.rstrip('/')}/{found.files[0]} in a browser: a line for each capture, with its report.",

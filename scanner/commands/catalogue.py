@@ -49,7 +49,7 @@ arguments, a batch does what is left. Sources and --out may be far away, as in s
         "patterns",
     ),
     "new": Command(
-        "Write a configuration that explains itself, with the devices that are found filled in.",
+        "Write a commented configuration, with the devices that are found filled in.",
         arguments.of_new,
         "new",
     ),
@@ -63,13 +63,13 @@ Each line says what was found and, after an arrow, what to do. --write puts the 
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
 these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
 
-Exit codes: 0 if a scan would work, be it poorly; 3 if a device fails; 4 if a scan of this view would be refused. What
-is known is shown in any case.
+Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused. The
+results so far are always shown.
 """,
     ),
     "export": Command("Write a result in another program's format and conventions.", arguments.of_export, "export"),
     "measure": Command(
-        "Measure in a result: how round a ball and how flat the faces came out, and how far two points are apart.",
+        "Measure in a result: the form of a ball, the flatness of the faces, and distances between points.",
         arguments.of_measure,
         "measure",
         """
@@ -93,8 +93,8 @@ the results: the largest errors count.
         arguments.of_photos,
         "photos",
         """
-The photos may be cropped, if all of them are in the same way: the principal point is found, too. The zoom must not
-change between them. The second photo is the one that the result is about.
+The photos may be cropped if all are cropped alike, because the principal point is estimated, too. The zoom must not
+change between them. The result is that of the first two photos.
 """,
     ),
     "board": Command(
@@ -102,8 +102,8 @@ change between them. The second photo is the one that the result is about.
         arguments.of_board,
         "board",
         """
-Three captures are the least, six to ten are good: tilted by 20 to 45 degrees to either side and up and down, at
-different distances, so that together they fill the pictures of both devices. Nothing but the board is moved.
+Take six to ten captures, at least three. Tilt the board by 20 to 45 degrees to either side and up and down, at
+different distances, so that together the captures fill both pictures. Move nothing but the board.
 
 Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
 """,
@@ -114,7 +114,7 @@ Exit codes: 2 if the board is not found; 4 if these boards do not determine a ca
         "room",
         """
 Each station should see about a third of what another one saw, and one at least a corner of the room. Stations of
-another room, or of a rig that was changed, are named and left out. To take them: scan --config FILE --stations N.
+another room, or of a rig that was changed, are named and left out. To take stations: scan --config FILE --stations N.
 
 Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
 """,
@@ -135,9 +135,9 @@ Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the 
         arguments.of_object,
         "object",
         """
-The rig rests, and the thing is turned between stations, on a turntable or by hand, so that half of what is seen is
-seen again. What rests, table and wall, is told from what moved, and left out. To take them: scan --config FILE
---object --stations N --calibration FILE.
+The rig is fixed, and the thing is turned between stations, on a turntable or by hand. Successive stations should
+overlap by half. The static background, such as table and wall, is recognised and left out. To take stations: scan
+--config FILE --object --stations N --calibration FILE.
 
 Exit codes: 4 if no two stations belong together, or if one could as well be turned otherwise, as of a ball.
 """,
@@ -147,7 +147,7 @@ Exit codes: 4 if no two stations belong together, or if one could as well be tur
         arguments.of_live,
         "live",
         """
-Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and told. Enter
+Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
 keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C ends it, and keeps what was kept.
 """,
     ),

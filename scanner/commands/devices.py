@@ -26,19 +26,19 @@ class _Device:
 
 @dataclass(frozen=True)
 class Found:
-    """What is `told` of cameras and of screens, the `lines` of a configuration that choose the first of each, and the
-    `problems` of looking for them; `nothing`: no camera was found, and no screen can be looked for.
+    """Cameras and screens `described` by heading, the configuration `lines` that choose the first of each, and the
+    `problems` of the search. `nothing`: no camera was found, and screens cannot be listed.
     """
 
-    told: dict[str, list[str]]
+    described: dict[str, list[str]]
     lines: list[str]
     problems: list[str]
     nothing: bool
 
     def paragraphs(self) -> Iterator[str]:
         """Return a paragraph for each kind of device, for people."""
-        for heading, told in self.told.items():
-            yield "\n  ".join([heading, *(told or ["none found"])])
+        for heading, described in self.described.items():
+            yield "\n  ".join([heading, *(described or ["none found"])])
 
 
 def run(args: Namespace) -> None:
@@ -65,21 +65,21 @@ def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> 
                 cameras += map(_camera, backend.load().list_cameras())
         except DeviceError as error:
             problems.append(str(error))
-    told = {"Cameras": [*(_told(cameras) or ["none found"]), *problems, _ADDRESSES]}
+    described = {"Cameras": [*(_lines_of(cameras) or ["none found"]), *problems, _ADDRESSES]}
     screens: list[_Device] | None = None
     try:
         with terminal.step("Looking for screens"):
             screens = [_screen(screen) for screen in list_screens()]
-        told["Screens"] = _told(screens)
+        described["Screens"] = _lines_of(screens)
     except DeviceError as error:
         problems.append(str(error))
-        told["Screens"] = [str(error)]
+        described["Screens"] = [str(error)]
     # The desktop begins on the first screen; a projector is mostly the last.
     lines = list(_to_paste([camera for camera in cameras if camera.rig], (screens or [])[::-1]))
-    return Found(told, lines, problems, not cameras and screens is None)
+    return Found(described, lines, problems, not cameras and screens is None)
 
 
-def _told(devices: Sequence[_Device]) -> list[str]:
+def _lines_of(devices: Sequence[_Device]) -> list[str]:
     return [line for device in devices for line in (device.name, device.abilities) if line]
 
 

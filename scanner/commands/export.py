@@ -28,8 +28,8 @@ def run(args: Namespace) -> None:
     target.check_name(out)
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):
-        told = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma))
-    terminal.show(*told, f"Written: {out}", f"→ {target.opened_by}")
+        written = target.write(Request(args.result, out, args.overwrite, args.points or DEFAULT_POINTS, eye, gamma))
+    terminal.show(*written, f"Written: {out}", f"→ {target.opened_by}")
 
 
 def _place(text: str) -> tuple[float, float, float]:

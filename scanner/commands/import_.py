@@ -83,8 +83,10 @@ def _only_one(
     Raises InputError if none fits, or several that differ, or not as many.
     """
     if not found:
-        told = [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
-        reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in told)
+        explained = (
+            [each for each in rejected if each.certain] or [each for each in rejected if each.lacking] or rejected
+        )
+        reasons = "".join(f"\n  {each.layout.name}: {each.why}" for each in explained)
         raise InputError(f"{files.folder}: {files}; they fit no known order of frames:{reasons}")
     likely = [each for each in found if each.likely == max(other.likely for other in found)]
     differ = [*{(each.patterns, each.projector_size): each for each in likely[::-1]}.values()][::-1]

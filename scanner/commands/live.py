@@ -44,7 +44,7 @@ def run(args: Namespace) -> None:
             depths=_depths(args.depths, unit),
             overwrite=args.overwrite,
             terminal=terminal,
-            watcher=Watchers(_Told(terminal, unit), *page),
+            watcher=Watchers(_TerminalOutput(terminal, unit), *page),
         )
     _show(found, out, args, terminal)
     if found.ended_by is not None:
@@ -68,7 +68,7 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
         yield (view,)
 
 
-class _Told(Watcher):
+class _TerminalOutput(Watcher):
     """What goes by, a line every other second."""
 
     def __init__(self, terminal: Terminal, unit: str) -> None:

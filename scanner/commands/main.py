@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             run(args)
         except (Exception, KeyboardInterrupt) as error:
             with finishing(ending=True):
-                return _told(error)
+                return _reported(error)
     return 0
 
 
@@ -50,7 +50,7 @@ def _announce_compiling(*, quiet: bool) -> None:
         jit.when_compiling(lambda: print("Compiling for this machine, once: up to a minute …", file=sys.stderr))
 
 
-def _told(error: BaseException) -> int:
+def _reported(error: BaseException) -> int:
     """Say what it was; the exit code that goes with it."""
     from scanner.ui import failure_of, for_screen  # with what it takes to show progress, which help does without
 

@@ -23,7 +23,7 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[st
 
     `remarks` are the command's own, beside the scan's.
     """
-    calibration, truth = scan.newest.calibration, scan.newest.decoded.facts.truth
+    calibration, truth = scan.newest.calibration, scan.newest.decoded.metadata.truth
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
@@ -33,7 +33,7 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[st
         terminal.show(f"Note: {remark}")
     titles = titles_of([capture.decoded for capture in scan.captures])
     for title, capture in zip(titles, scan.captures, strict=True):
-        pixels = capture.decoded.facts.pixels
+        pixels = capture.decoded.metadata.pixels
         residual = f", residual {capture.solution.residual_px:.3f} {pixels}" if capture.solution else ""
         name = f"{title}: " if len(scan.captures) > 1 else ""
         matches, points = len(capture.decoded.matches), capture.cloud.statistics.kept

@@ -28,7 +28,7 @@ def run(args: Namespace) -> None:
 
 def show_room(solved: SolvedRoom, out: Path, terminal: Terminal) -> None:
     """Print the summary of a room that was published at `out`, what matters most last."""
-    truth = solved.stations[0].decoded.facts.truth
+    truth = solved.stations[0].decoded.metadata.truth
     terminal.show(calibration_table(solved.calibration, truth))
     unit = shown_unit(solved.unit)
     for station in solved.stations[1:]:

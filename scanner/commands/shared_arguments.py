@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def add_result(parser: ArgumentParser) -> None:
-    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that a scan left")
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder of a scan's result")
 
 
 def add_config(parser: ArgumentParser, *, required: bool) -> None:
@@ -17,7 +17,7 @@ def add_config(parser: ArgumentParser, *, required: bool) -> None:
 
 def add_calibration(parser: ArgumentParser, kind: type[Path] | type[str] = Path) -> None:
     parser.add_argument(
-        "--calibration", type=kind, metavar="FILE", help="known calibration of the rig: nothing is calibrated"
+        "--calibration", type=kind, metavar="FILE", help="known calibration of the rig, used instead of calibrating"
     )
 
 

@@ -14,7 +14,7 @@ class PageOperator:
 
     def __init__(self, cancelled: Event, on_asked: Callable[[tuple[str, ...], str], None]) -> None:
         self._cancelled, self._on_asked = cancelled, on_asked
-        self._told: tuple[str, ...] = ()
+        self._sentences: tuple[str, ...] = ()
         self._answers: SimpleQueue[bool] = SimpleQueue()
 
     @property
@@ -24,18 +24,18 @@ class PageOperator:
 
     def tell(self, *sentences: str) -> None:
         """Show a message until the next one."""
-        self._told = sentences
+        self._sentences = sentences
         self._on_asked(sentences, "")
 
     def note(self, text: str) -> None:
         """Show it as well."""
-        self.tell(*self._told, text)
+        self.tell(*self._sentences, text)
 
     def ready(self, what: str) -> bool:
         """Wait for one of two buttons. Raises CancelledError."""
         while not self._answers.empty():
             self._answers.get()  # of buttons that were pressed twice
-        self._on_asked(self._told, what)
+        self._on_asked(self._sentences, what)
         while not self._cancelled.is_set():
             try:
                 more = self._answers.get(timeout=_LOOKED_EVERY_S)

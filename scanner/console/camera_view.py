@@ -32,7 +32,7 @@ class CameraView:
         self._highest_level = 255
         self._shown_s = 0.0
         self._image = gui.add_html("")
-        self._told = gui.add_markdown("No frame yet.")
+        self._message = gui.add_markdown("No frame yet.")
         self._mark = gui.add_checkbox("Mark clipped", initial_value=True, hint="Clipped pixels in orange-red")
         self._picture = gui.add_dropdown("Projector", [picture.value for picture in Picture])
         self._exposure = gui.add_number("Exposure, ms", 0.0, min=0.0, max=_LONGEST_MS, step=0.1)
@@ -65,7 +65,7 @@ class CameraView:
         self._image.content = _html(shown(frame.image, self._highest_level, mark_clipped=self._mark.value))
         found = exposed(frame.image, self._highest_level)
         exposure = "" if frame.exposure_us is None else f"Exposed for {frame.exposure_us / 1000:.4g} ms. "
-        self._told.content = (
+        self._message.content = (
             f"{exposure}Clipped: {percent(found.clipped)}, dark: {percent(found.dark)} of the pixels; median "
             f"{100 * found.median:.0f} % of the range."
         )

@@ -20,7 +20,7 @@ class ConfigurationView:
         self._path, self._as_read = path, ""
         gui.add_markdown(f"`{path}` is read anew for each check and scan.")
         self._text = gui.add_text("", "", multiline=True)
-        self._told = gui.add_markdown("")
+        self._message = gui.add_markdown("")
         self._save = gui.add_button("Save", color=PLAIN)
         gui.add_button("As it is in the file", color=PLAIN).on_click(lambda _: self.read())
         self._text.on_update(lambda _: self._check())
@@ -64,8 +64,8 @@ class ConfigurationView:
     def _telling(self, action: Callable[[], str]) -> bool:
         """Do it, and say what came of it; False if it failed."""
         try:
-            self._told.content = action()
+            self._message.content = action()
         except Exception as error:
-            self._told.content = bold(str(error) if isinstance(error, InputError) else failure_of(error).message)
+            self._message.content = bold(str(error) if isinstance(error, InputError) else failure_of(error).message)
             return False
         return True

@@ -29,7 +29,7 @@ class History:
         gui.add_button("Open", color=PLAIN).on_click(lambda _: self._open_chosen())
         self._other = gui.add_dropdown("Beside", [_NONE_YET], hint="Another calibration of the same rig")
         gui.add_button("Compare", color=PLAIN).on_click(lambda _: self._compare())
-        self._told = gui.add_markdown("")
+        self._message = gui.add_markdown("")
         self._beside = gui.add_html("")
         self._differences = gui.add_markdown("")
         self._page = gui.add_html("")
@@ -62,16 +62,16 @@ class History:
 
     def _open_chosen(self) -> None:
         if (chosen := self._offered(self._result.value)) is not None:
-            self._told.content = ""
+            self._message.content = ""
             try:
                 self._open(chosen)
             except Exception as error:
-                self._told.content = bold(failure_of(error).message)
+                self._message.content = bold(failure_of(error).message)
 
     def _compare(self) -> None:
         first, second = self._offered(self._result.value), self._offered(self._other.value)
         if first is None or second is None or first == second:
-            self._told.content = "Choose two different results."
+            self._message.content = "Choose two different results."
             return
         try:
             found = compare_files(first, second)
@@ -79,10 +79,10 @@ class History:
             page.parent.mkdir(exist_ok=True)
             write_compare_page(page, found)
         except Exception as error:
-            self._told.content = bold(failure_of(error).message)
+            self._message.content = bold(failure_of(error).message)
             return
         verdict, *sentences = summary(found)
-        self._told.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
+        self._message.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
         made_s = dict(self._listed or ())
         self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
         self._differences.content = _table(headings(found), rows(found))

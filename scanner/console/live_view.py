@@ -43,7 +43,7 @@ class LiveView(Watcher):
         self._sentences: list[str] = []
         self._folder = gui.add_folder("Live clouds", visible=False)
         with self._folder:
-            self._told = gui.add_markdown("No cloud yet.")
+            self._message = gui.add_markdown("No cloud yet.")
             self._keep = gui.add_button("Keep this cloud", hint="As a station of a thing. Key: Shift+K")
             self._colours = gui.add_dropdown("Colour", tuple(_COLOURINGS))
             self._bar = gui.add_html("")
@@ -72,7 +72,7 @@ class LiveView(Watcher):
         while (newest := self._newest.take()) is not None:
             began_s = time.monotonic()
             cloud, sentences = newest
-            self._told.content = "\n\n".join(map(escaped, sentences))
+            self._message.content = "\n\n".join(map(escaped, sentences))
             if cloud is not None and len(cloud.points):
                 try:
                     self._on_frame(cloud.taken.frames[-1])

@@ -6,7 +6,7 @@ import viser
 
 from scanner.console.settings import plain_name
 from scanner.console.sound import playing
-from scanner.console.texts import status_text, told_text
+from scanner.console.texts import guidance_text, status_text
 from scanner.console.worker import Activity, Status, Worker
 from scanner.viewing.view_controls import PLAIN
 
@@ -23,7 +23,7 @@ class Operating:
     def __init__(self, gui: viser.GuiApi, worker: Worker, begin_check: Callable[[], None]) -> None:
         self._worker = worker
         self._sounded = 0
-        self._told = gui.add_markdown("Starting …")
+        self._message = gui.add_markdown("Starting …")
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._guidance = gui.add_markdown("", visible=False)
         self._go_on = gui.add_button("Next capture", visible=False, hint="The rig stands where it is to capture from")
@@ -46,7 +46,7 @@ class Operating:
         """Say it, and offer what can be done now."""
         self.tick(status)
         asked, busy = bool(status.question), status.busy
-        self._guidance.content, self._guidance.visible = told_text(status.told), bool(status.told)
+        self._guidance.content, self._guidance.visible = guidance_text(status.guidance), bool(status.guidance)
         self._go_on.visible = self._enough.visible = asked
         self._scan.visible, self._cancel.visible = not busy, busy
         self._cancel.disabled = status.cancelling
@@ -59,7 +59,7 @@ class Operating:
 
     def tick(self, status: Status) -> None:
         """Say how long it will take, as time goes by."""
-        self._told.content = status_text(status)
+        self._message.content = status_text(status)
 
     def sound(self) -> None:
         """Play a sound, if that is wanted."""

@@ -47,9 +47,9 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
-def told_text(told: tuple[str, ...]) -> str:
+def guidance_text(guidance: tuple[str, ...]) -> str:
     """Return the message to the operator between captures."""
-    return "\n".join(f"- {escaped(sentence)}" for sentence in told)
+    return "\n".join(f"- {escaped(sentence)}" for sentence in guidance)
 
 
 def rows_text(rows: list[CheckRow]) -> str:

@@ -45,14 +45,14 @@ class Activity(StrEnum):
 class Status:
     """The worker's status. `message`: why the last activity failed, as the terminal would show it; '' if it succeeded.
 
-    `told` and `question` are addressed to the operator; `question` is '' if nothing is asked.
+    `guidance` and `question` are addressed to the operator; `question` is '' if nothing is asked.
     """
 
     activity: Activity = Activity.NOTHING
     stage: Stage | None = None
     message: str = ""
     cancelling: bool = False
-    told: tuple[str, ...] = ()
+    guidance: tuple[str, ...] = ()
     question: str = ""
 
     @property
@@ -260,9 +260,9 @@ class Worker:
         with self._lock:
             self._tell(replace(self._status, stage=stage))
 
-    def _on_asked(self, told: tuple[str, ...], question: str) -> None:
+    def _on_asked(self, guidance: tuple[str, ...], question: str) -> None:
         with self._lock:
-            self._tell(replace(self._status, told=told, question=question))
+            self._tell(replace(self._status, guidance=guidance, question=question))
 
     def _tell(self, status: Status) -> None:
         self._status = status

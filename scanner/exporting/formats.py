@@ -45,8 +45,8 @@ class Format:
 
     def write(self, request: Request) -> list[str]:
         """Write it; returns what to tell about the export, in sentences. Raises InputError and OSError."""
-        told: list[str] = import_module(f"scanner.exporting.{self.module}").export(request)
-        return told
+        sentences: list[str] = import_module(f"scanner.exporting.{self.module}").export(request)
+        return sentences
 
 
 FORMATS: dict[str, Format] = {

@@ -95,7 +95,7 @@ def parse_yaml(text: str, where: str) -> Any:
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
         raise InputError(f"{place}: not valid YAML: {_words(error.problem or error.context)}") from error
     except (LookupError, AttributeError, TypeError, ArithmeticError) as error:  # as of '!!bool perhaps'
-        raise InputError(f"{where}: not valid YAML: a value is not of the type that its tag says") from error
+        raise InputError(f"{where}: not valid YAML: a value does not match its type tag") from error
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{where}: not valid YAML: {_words(str(error))}") from error
     except RecursionError as error:

@@ -43,7 +43,7 @@ def look(rig: Rig, config: Config) -> FirstLook:
     if np.count_nonzero(lit) < _LEAST_LIT:
         raise RefusalError(
             "The camera sees next to nothing of the projector's light.",
-            "Point both at the same thing, and let scan check tell about exposure and focus.",
+            "Point both at the same thing, and check exposure and focus with scan check.",
         )
     response = config.projector.known_response
     if response is None and (ramp := measure_ramp(rig, light)) is not None:

@@ -216,7 +216,7 @@ class Keeper:
                 raise RefusalError(
                     f"No cloud came of the last {_PATIENCE} rounds: "
                     + ("nothing of the fringes is seen." if cloud else "their frames contradict each other."),
-                    "Let scan check tell about exposure, light and synchronisation, and hold still.",
+                    "Check exposure, light and synchronisation with scan check, and hold the rig still.",
                 )
         else:
             self.wishes.now.clear()

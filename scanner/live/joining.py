@@ -43,7 +43,7 @@ def joining(
     def join() -> None:
         while (captures := slot.take()) is not None:
             try:
-                for sentence in comparison.told(captures, calibration):
+                for sentence in comparison.guidance(captures, calibration):
                     tell(sentence)
             except Exception as error:
                 tell(f"The stations could not be joined yet: {error}")

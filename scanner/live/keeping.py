@@ -49,5 +49,5 @@ def keep(
     write_calibration(folder / CALIBRATION_FILE, calibration)
     made = build_cloud(matches, cloud.picture, calibration)
     write_ply(folder / CLOUD_FILE, made, match=made.match)
-    facts = CaptureMetadata(sizes[1], sizes[0], sequence.patterns)
-    return Decoded(facts, matches, GivenMatches(cloud.picture, only_axis=sequence.axis), name)
+    metadata = CaptureMetadata(sizes[1], sizes[0], sequence.patterns)
+    return Decoded(metadata, matches, GivenMatches(cloud.picture, only_axis=sequence.axis), name)

@@ -73,7 +73,7 @@ def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None
     axis = int(np.argmax(told))
     if not told[axis] > _LEAST_SHIFT:
         raise RefusalError(
-            "With this calibration, depth moves next to nothing in the projector's picture.",
+            "With this calibration, depth hardly changes the projector's coordinates.",
             "Camera and projector have to stand apart.",
         )
     long_px = max(_MARGIN * longest[axis] + 2, 4 * _LEAST_PERIOD_PX)

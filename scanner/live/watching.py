@@ -151,4 +151,4 @@ def watch(
     if failures:
         raise failures[0]
     if thread.is_alive():
-        raise DeviceError(f"a cloud was decoded, shown or kept for more than {_LEAVING_S:.0f} s: does the disk answer?")
+        raise DeviceError(f"a cloud was not finished within {_LEAVING_S:.0f} s: check whether the disk responds")

@@ -40,7 +40,7 @@ def save_object(
             write_ply(place / CLOUD_FILE, station.cloud, match=station.cloud.match)
             write_calibration(place / CALIBRATION_FILE, solved.calibration)
     verdict, made = verdict_on(solved), provenance(folder, config)
-    entries = made.entries(solved.stations[0].decoded.facts.identity) | confidence_entries(verdict, None)
+    entries = made.entries(solved.stations[0].decoded.metadata.identity) | confidence_entries(verdict, None)
     write_calibration(folder / CALIBRATION_FILE, solved.calibration, entries)
     with progress.step("Blending the clouds"):
         cloud = cloud_of(solved)

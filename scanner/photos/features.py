@@ -76,7 +76,7 @@ def refuse_unrelated(matches: Matches, first: Features, second: Features) -> Non
     """Raise RefusalError where too few match: photos of different scenes, or with nothing to match on them."""
     if len(matches) < _FEWEST:
         raise RefusalError(
-            f"Only {len(matches)} features of the photos belong together, of {len(first.pixels):,} and "
+            f"Only {len(matches)} features of the photos match, of {len(first.pixels):,} and "
             f"{len(second.pixels):,} that were found; at least {_FEWEST} are needed.",
             "Give photos of the same corner, sharp, from places not too far apart, with texture on all three faces; or "
             "matches of another program (--matches).",

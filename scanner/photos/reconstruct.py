@@ -144,7 +144,7 @@ def _label(pairs: Sequence[Decoded], masks: Bools | None, reached: list[Stage]) 
 
 
 def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Decoded:
-    matches, size = pair.matches, pair.facts.camera_size
+    matches, size = pair.matches, pair.metadata.camera_size
     if masks is not None:
         return pair.with_matches(label_by_masks(matches, masks), pair.plane)
     if newest is not None:
@@ -158,7 +158,7 @@ def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Dec
 
 def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, float] | None) -> list[SelfCalibrated]:
     """Solutions for all pairs; lengths in metres, or in the baseline of the first two photos."""
-    size = pairs[-1].facts.camera_size
+    size = pairs[-1].metadata.camera_size
     solutions = calibrate_photos(
         [pair.matches for pair in reversed(pairs)],
         size,

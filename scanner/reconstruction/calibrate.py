@@ -67,12 +67,12 @@ def _label(capture: Decoded, config: Config, masks: Bools | None) -> Decoded:
         return capture.with_matches(label_by_masks(capture.matches, masks), capture.plane)
     if capture.matches.face is not None:
         return capture
-    point = config.principal_point(capture.facts.camera_size)
+    point = config.principal_point(capture.metadata.camera_size)
     known_px = None if point.sigma_px else point.px
-    faces = find_faces(capture.matches, capture.facts.camera_size, capture.facts.projector_size, known_px)
+    faces = find_faces(capture.matches, capture.metadata.camera_size, capture.metadata.projector_size, known_px)
     found = faces.matches
     if capture.decoding is not None:
-        found = without_margins(found, capture.facts.camera_size, capture.decoding.footprint_px2)
+        found = without_margins(found, capture.metadata.camera_size, capture.decoding.footprint_px2)
     return capture.with_matches(found, faces.plane)
 
 
@@ -115,11 +115,11 @@ def _scaled(
 
 def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration, ...]:
     """A solution for each capture, in baselines. Raises RefusalError, InputError."""
-    facts = labelled[-1].facts
-    sizes, point = (facts.camera_size, facts.projector_size), config.principal_point(facts.camera_size)
+    metadata = labelled[-1].metadata
+    sizes, point = (metadata.camera_size, metadata.projector_size), config.principal_point(metadata.camera_size)
     refuse_impossible(config, len(labelled), *sizes)
     squareness_deg, lenses = config.corner.squareness_deg, lenses_of(config, *sizes)
-    known = read_known(config.earlier, facts.camera_size, facts.projector_size)
+    known = read_known(config.earlier, metadata.camera_size, metadata.projector_size)
     if len(labelled) == 1 and known is None:
         (alone,) = labelled
         found = self_calibrate(

@@ -65,9 +65,9 @@ def _read(place: Path, camera_size: Size, projector_size: Size, *, one_axis: boo
     _check_inside(place, "camera", matches.camera_px, camera_size)
     _check_inside(place, "projector", matches.projector_px, projector_size)
     matches = replace(matches, face=_three_faces(place, matches.face))
-    facts = CaptureMetadata(camera_size, projector_size, identity={"matches": str(place)})
+    metadata = CaptureMetadata(camera_size, projector_size, identity={"matches": str(place)})
     origin = replace(origin, only_axis=read_only_axis(place))
-    return Decoded(facts, matches, origin, str(place), read_planes(place))
+    return Decoded(metadata, matches, origin, str(place), read_planes(place))
 
 
 def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> GivenMatches:

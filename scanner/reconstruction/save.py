@@ -141,7 +141,7 @@ def _save(
     remarks: tuple[str, ...] = (),
 ) -> None:
     """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
-    count, truth = len(captures), captures[-1].decoded.facts.truth
+    count, truth = len(captures), captures[-1].decoded.metadata.truth
     write = _write_matches if matches is None else matches.write
     places = [folder_of(folder, index, count) for index in range(count)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -175,7 +175,7 @@ def _write_report(
         files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
     report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company, made)
     write_report(folder / REPORT_FILE, report)
-    entries = made.entries(capture.decoded.facts.identity)
+    entries = made.entries(capture.decoded.metadata.identity)
     if isinstance(capture, Reconstructed):
         more = entries | confidence_entries(verdict(report), capture.uncertainty)
         write_calibration(folder / CALIBRATION_FILE, capture.calibration, more)

@@ -72,7 +72,7 @@ def _size(capture: Decoded, sheet: _Sheet, calibration: Calibration, uncertainty
     if capture.texture is None:
         raise NotFoundError(f"there is no picture of the lit scene to find {sheet.target} in")
     detected = detect(capture.texture, sheet.target)
-    size = capture.facts.camera_size
+    size = capture.metadata.camera_size
     column, row = np.rint(capture.matches.camera_px).astype(np.int64).clip(0, np.array(size) - 1).T
     lit = np.flatnonzero(on_board(detected, sheet.target, size)[row, column])
     if len(lit) < _FEWEST_MATCHES:

@@ -38,7 +38,7 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
                 refuse_moved(decoded)
                 if decoded.decoding:
                     _refuse_uncrossed(decoded.decoding)
-                _refuse_foreign(cloud.statistics, decoded.facts.projector_size)
+                _refuse_foreign(cloud.statistics, decoded.metadata.projector_size)
             elif capture.solution.method == "refined":  # the paper's leaves out lenses: a misfit is to be expected
                 refuse_misfit(cloud.statistics)
         reconstructed.append(found)

@@ -85,7 +85,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             yield container, container.streams.video[0]
     except (library.FFmpegError, UnicodeDecodeError) as error:
         raise InputError(
-            f"{path}: expected a recording (mp4, mov, mkv), found what cannot be read as one "
+            f"{path}: expected a recording (mp4, mov, mkv), found a file that cannot be read as one "
             f"({getattr(error, 'strerror', None) or error}): copy the file again, whole"
         ) from error
 

@@ -45,9 +45,9 @@ def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks)
     lost = max(float(np.mean(~each.weights.any(axis=0))) for each in found)
     if lost > _MOST_ROWS_LOST:
         raise InputError(
-            f"{samples.video.path}: in {lost:.0%} of the rows a picture of {programme.hold_s:.3f} s is in no frame by "
-            f"itself, nor to be told from its neighbours, at {1 / samples.frame_interval_s:.1f} frames a second and an "
-            f"exposure of 1/{1 / clocks.exposure_s:.0f} s: expose shorter, or write the video with a longer --hold"
+            f"{samples.video.path}: in {lost:.0%} of the rows a picture cannot be told from the next. Each "
+            f"is shown for {programme.hold_s:.3f} s, at {1 / samples.frame_interval_s:.1f} frames a second and "
+            f"exposures of 1/{1 / clocks.exposure_s:.0f} s. Expose shorter, or write the video with a longer --hold"
         )
     return found
 

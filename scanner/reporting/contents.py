@@ -61,9 +61,9 @@ class ReportInput:
     provenance: Provenance | None = None
 
     @property
-    def facts(self) -> CaptureMetadata:
+    def metadata(self) -> CaptureMetadata:
         """The metadata of the capture."""
-        return self.outcome.decoded.facts
+        return self.outcome.decoded.metadata
 
     @property
     def matches(self) -> Matches:
@@ -99,7 +99,7 @@ class ReportInput:
             return np.zeros(0, np.int64)
         if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
             return np.flatnonzero(face >= 0)
-        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.facts.camera_size, _MOST_ON_FACES))
+        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.metadata.camera_size, _MOST_ON_FACES))
         return np.asarray(drawn[drawn != NONE])
 
     @cached_property
@@ -116,7 +116,7 @@ class ReportInput:
     @property
     def cell_px(self) -> int:
         """The side of the square cells in which a page samples matches."""
-        return cells_over(self.facts.camera_size, _MOST_ON_FACES)[0]
+        return cells_over(self.metadata.camera_size, _MOST_ON_FACES)[0]
 
     @cached_property
     def in_cloud(self) -> tuple[int, Ints]:
@@ -130,5 +130,5 @@ class ReportInput:
     @property
     def decoded_share(self) -> float:
         """Matches per camera pixel."""
-        width, height = self.facts.camera_size
+        width, height = self.metadata.camera_size
         return len(self.matches) / (width * height)

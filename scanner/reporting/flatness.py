@@ -47,7 +47,7 @@ def flatness(report: ReportInput) -> Flatness | None:
         FlatnessRow(face.name, (unit.measured(face.deviation, face.budget.sigma), unit.number(face.errors.form)))
         for face in scene.faces
     )
-    painted = _map(scene.faces, report.facts.camera_size, report.cell_px, unit.factor, unit.name)
+    painted = _map(scene.faces, report.metadata.camera_size, report.cell_px, unit.factor, unit.name)
     return Flatness(painted, unit.name, rows, tuple(map(_shown, scene.angles)))
 
 

@@ -52,7 +52,7 @@ def _objective(report: ReportInput) -> Markup | None:
     if not len(report.on_faces) or (report.reconstructed and solution is None):
         return None
     sample = report.sample[:: max(1, len(report.sample) // _SAMPLE)]
-    size = report.facts.camera_size
+    size = report.metadata.camera_size
     try:
         objective = _by_calibration(sample, solution.calibration) if solution else _by_straightness(sample, report)
     except TooFewMatchesError:
@@ -78,9 +78,9 @@ def _without_bend(pixels: Floats, device: Intrinsics) -> Floats:
 
 def _by_straightness(matches: Matches, report: ReportInput) -> Objective:
     """The objective of lenses whose bend makes the faces' homographies straight, for want of a calibration."""
-    width, height = report.facts.camera_size
+    width, height = report.metadata.camera_size
     centre = (width - 1) / 2, (height - 1) / 2
-    knowledge = Knowledge((width, height), report.facts.projector_size, centre, 0.0, _SQUARE)
+    knowledge = Knowledge((width, height), report.metadata.projector_size, centre, 0.0, _SQUARE)
     return family_of(into_cells(matches), knowledge).objective
 
 

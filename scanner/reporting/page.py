@@ -63,7 +63,7 @@ def write_report(path: Path, report: ReportInput) -> None:
     template = environment().get_template("report.html")
     page = template.render(
         **parts,
-        subtitle=sections.subtitle(report.facts),
+        subtitle=sections.subtitle(report.metadata),
         provenance=report.provenance,
         configuration=sections.configuration(report.provenance),
         verdict=decision,
@@ -75,7 +75,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         plain=plain,
         on_paper=on_paper,
         has_truth=report.truth is not None,
-        photos=report.facts.photos,
+        photos=report.metadata.photos,
         captures=joint_rows(report),
         capture=sections.capture_rows(report),
         script=script(_VIEWER),

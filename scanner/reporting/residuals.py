@@ -54,16 +54,16 @@ def face_residuals(report: ReportInput) -> Residuals | None:
     pixel, residual_px = sample.camera_px[known], residual_px[known]
     if not len(pixel):
         return None
-    size = report.facts.camera_size
+    size = report.metadata.camera_size
     limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
     drawn = tuple(
         (_map(_on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
-        for axis, (name, caption) in enumerate((name, f"Along the {report.facts.second}'s {name}.") for name in "xy")
+        for axis, (name, caption) in enumerate((name, f"Along the {report.metadata.second}'s {name}.") for name in "xy")
     )
     found = spatial_correlation(pixel, residual_px, _cell_px(size))
     return Residuals(
         drawn,
-        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.facts.pixels})"),
+        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.metadata.pixels})"),
         float(np.sqrt(np.mean(np.sum(residual_px**2, axis=1)))),
         statement(found),
         found is not None and found.structured,
@@ -96,11 +96,11 @@ def misses(report: ReportInput) -> Misses | None:
     pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
     residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
     every = max(1, ceil(len(pixel) / _TESTED))
-    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.facts.camera_size))
+    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.metadata.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
-        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.facts.pixels})"),
+        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.metadata.pixels})"),
         float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
         statement(found),
         found is not None and found.structured,

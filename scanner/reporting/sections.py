@@ -146,7 +146,7 @@ def faces(report: ReportInput) -> Faces | None:
     face, found = report.matches.face, report.reconstructed
     if face is None or not len(report.on_faces):
         return None
-    size, texture = report.facts.camera_size, report.outcome.decoded.texture
+    size, texture = report.metadata.camera_size, report.outcome.decoded.texture
     labels = maps.face_labels(report.matches.camera_px, face, size)
     background = np.full((size.height, size.width), 128, dtype=np.uint8) if texture is None else texture
     painted = maps.faces_over(photograph(background), labels)
@@ -187,7 +187,7 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
         return picture(
             render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
             f"the point cloud, {name} view",
-            caption=_caption(name, report.facts) + (_CORNER_CAPTIONS[name] if report.solution else ""),
+            caption=_caption(name, report.metadata) + (_CORNER_CAPTIONS[name] if report.solution else ""),
         )
 
     return tuple(map(show, views))
@@ -257,26 +257,26 @@ def subtitle(capture: CaptureMetadata) -> str:
 
 def capture_rows(report: ReportInput) -> tuple[tuple[str, str], ...]:
     """Facts of the capture, as name and value."""
-    facts = report.facts
-    if facts.photos:
-        rows = [("photos", f"{facts.camera_size} px"), ("matches", f"{len(report.matches):,}")]
-        return (*rows, *facts.identity.items())
+    metadata = report.metadata
+    if metadata.photos:
+        rows = [("photos", f"{metadata.camera_size} px"), ("matches", f"{len(report.matches):,}")]
+        return (*rows, *metadata.identity.items())
     rows = [
-        ("camera", f"{facts.camera_size} px"),
-        ("projector", f"{facts.projector_size} px"),
+        ("camera", f"{metadata.camera_size} px"),
+        ("projector", f"{metadata.projector_size} px"),
         ("matches", f"{len(report.matches):,} ({percent(report.decoded_share)} of the camera's pixels)"),
     ]
-    if facts.patterns:
-        rows.append(("frames", f"{len(facts.patterns)}: {describe_patterns(facts.patterns)}"))
-    if facts.exposure_us:
-        rows.append(("exposure", _exposures(facts)))
+    if metadata.patterns:
+        rows.append(("frames", f"{len(metadata.patterns)}: {describe_patterns(metadata.patterns)}"))
+    if metadata.exposure_us:
+        rows.append(("exposure", _exposures(metadata)))
     decoding = report.outcome.decoded.decoding
     if decoding is not None:
         rows += _about_frames(decoding)
     if decoding is not None and decoding.modulation is not None:
         share = 100 * decoding.modulation
         rows.append(("focus", f"the finest fringe keeps {share:.0f} % of the light's contrast"))
-    return (*rows, *facts.identity.items())
+    return (*rows, *metadata.identity.items())
 
 
 def _about_frames(decoding: Decoding) -> list[tuple[str, str]]:
@@ -295,8 +295,8 @@ def _about_frames(decoding: Decoding) -> list[tuple[str, str]]:
     return rows
 
 
-def _exposures(facts: CaptureMetadata) -> str:
-    low, high = min(facts.exposure_us) / 1000, max(facts.exposure_us) / 1000
+def _exposures(metadata: CaptureMetadata) -> str:
+    low, high = min(metadata.exposure_us) / 1000, max(metadata.exposure_us) / 1000
     return f"{low:.4g} ms" if low == high else f"{low:.4g} to {high:.4g} ms"
 
 

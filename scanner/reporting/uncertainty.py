@@ -31,7 +31,7 @@ def point_sigmas(report: ReportInput) -> PointSigmas | None:
     solution = report.solution
     if solution is None or solution.uncertainty is None:
         return None
-    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.facts.camera_size)
+    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.metadata.camera_size)
     known = percent[np.isfinite(percent)]
     if not len(known):
         return None

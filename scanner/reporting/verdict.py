@@ -82,7 +82,7 @@ def _of_outcome(report: ReportInput) -> Verdict:
         case Reconstructed(calibrated, cloud) if axis := calibrated.decoded.only_axis:
             return _of_one_axis(report, cloud.statistics, axis)
         case Reconstructed(cloud=cloud):
-            return _of_given(cloud.statistics, report.facts.pixels)
+            return _of_given(cloud.statistics, report.metadata.pixels)
 
 
 def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
@@ -99,7 +99,7 @@ def _of_given(statistics: CloudStatistics, pixels: str) -> Verdict:
 def _about_matches(report: ReportInput) -> Iterator[str]:
     sigma_px = report.matches.sigma_px
     if sigma_px is not None and len(sigma_px):
-        yield f"The matches state a sigma of {np.median(sigma_px):.2g} {report.facts.pixels} in the median."
+        yield f"The matches state a sigma of {np.median(sigma_px):.2g} {report.metadata.pixels} in the median."
 
 
 def _of_one_axis(report: ReportInput, statistics: CloudStatistics, axis: Axis) -> Verdict:
@@ -123,19 +123,19 @@ def _misses_systematically(statistics: CloudStatistics) -> bool:
 
 
 def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statistics: CloudStatistics) -> Verdict:
-    calibration, facts = calibrated.calibration, report.facts
+    calibration, metadata = calibrated.calibration, report.metadata
     worst = _worst_focal_sigma(calibration)
     reasons = [
         _NO_SIGMA
         if worst is None
         else f"The focal lengths are known to ± {100 * worst:.2g} % (one standard deviation).",
         f"On the three faces the calibration explains the matches to {calibrated.solution.residual_px:.2g} "
-        f"{facts.pixels}. That is necessary but no proof: wrong focal lengths can explain matches nearly as well.",
+        f"{metadata.pixels}. That is necessary but no proof: wrong focal lengths can explain matches nearly as well.",
     ]
     if report.truth is not None:
         error = float(np.abs(intrinsic_errors_percent(calibration, report.truth)).mean())
         reasons.append(f"This rig is simulated, so the truth is known: the intrinsics err by {error:.2g} % on average.")
-    reasons += _about_cloud(statistics, facts.pixels)
+    reasons += _about_cloud(statistics, metadata.pixels)
     if doubt := _doubtful_centre(calibration):
         return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
     if _misses_systematically(statistics):
@@ -154,7 +154,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
     if worst is not None and worst <= MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES
-    if facts.photos:
+    if metadata.photos:
         advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
 

@@ -28,18 +28,18 @@ def settle(out: Path) -> list[str]:
     """
     if out.name in ("", ".."):
         raise InputError(f"{out}: expected the name of a folder to make, as in --out scans/room")
-    told = []
+    messages = []
     for partial in sorted({partial_of(out), *out.parent.glob(".*.partial")}):
         target = target_of(partial)
         try:
-            told += _settle(partial, target, in_the_way=target == out)
+            messages += _settle(partial, target, in_the_way=target == out)
         except HeldError as error:
             if target == out:
                 raise InputError(f"{out}: {error}") from error
         except OSError as error:
             if target == out:
                 raise cannot_write(partial, error, "tidied up") from error
-    return told
+    return messages
 
 
 def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
@@ -51,7 +51,7 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
         return []
     if not (partial / STATE).is_file():
         if in_the_way:
-            raise InputError(f"{partial}: is in the way and was not left by a scan: look into it, and remove it")
+            raise InputError(f"{partial}: exists but was not left by a scan: check its content, and remove it")
         return []
     claim = Claim(partial / STATE)
     try:

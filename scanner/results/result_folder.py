@@ -121,10 +121,10 @@ class OutputFolder:
             late.add_note(f"The result is in {self._shown}.")
             raise
         if error is not None and is_of_the_disk(error):
-            told = self._by_its_name(error)
+            named = self._by_its_name(error)
             for note in getattr(error, "__notes__", []):
-                told.add_note(note)
-            raise told from error
+                named.add_note(note)
+            raise named from error
 
     def _by_its_name(self, error: BaseException) -> Exception:
         """The same error of the disk, as one of what would have been made: nobody knows the hidden folder."""

@@ -55,7 +55,7 @@ class Decoded:
     in messages which of several captures it is. `panel`: what the projector's pixels are of; None until that is known.
     """
 
-    facts: CaptureMetadata
+    metadata: CaptureMetadata
     matches: Matches
     origin: Decoding | GivenMatches
     name: str = ""
@@ -208,7 +208,7 @@ def remarks_on(stage: Stage) -> tuple[str, ...]:
 
 def titles_of(captures: Sequence[Decoded]) -> tuple[str, ...]:
     """The captures' numbers, as notes have them, and where they come from if they were not taken just now."""
-    if captures[-1].facts.photos:
+    if captures[-1].metadata.photos:
         return tuple(capture.name for capture in captures)
     numbers = [f"Capture {number}" for number in range(1, len(captures) + 1)]
     return tuple(

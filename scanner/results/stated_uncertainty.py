@@ -80,14 +80,14 @@ def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
 
 def verdict_entries(verdict: Verdict) -> dict[str, Any]:
     """A key for a calibration file, or for what stands in its place after a refusal."""
-    told = {
+    stated = {
         "grade": verdict.grade,
         "headline": verdict.headline,
         "reasons": [*verdict.reasons],
         "advice": verdict.advice,
         **({"notes": [*verdict.notes]} if verdict.notes else {}),
     }
-    return {"verdict": told}
+    return {"verdict": stated}
 
 
 def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
@@ -146,8 +146,8 @@ def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
     def filled(numbers: list[float]) -> list[float]:
         if len(numbers) != len(entry.columns):
             return numbers
-        told = dict(zip(entry.columns, numbers, strict=True))
-        return [told.get(column, 0.0) for column in COLUMNS]
+        stated = dict(zip(entry.columns, numbers, strict=True))
+        return [stated.get(column, 0.0) for column in COLUMNS]
 
     if len(entry.values) != len(entry.columns):
         return entry
@@ -163,13 +163,13 @@ def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
     )
 
 
-def _with_log_baseline(path: Path, told: list[float], variance: Floats, calibration: Calibration) -> Floats:
+def _with_log_baseline(path: Path, stated: list[float], variance: Floats, calibration: Calibration) -> Floats:
     """Return the covariance in the file's columns, (22,). Raises InputError if it is malformed."""
-    if not told:
+    if not stated:
         return np.zeros(len(COLUMNS))
-    if len(told) != len(COLUMNS):
-        raise InputError(f"{path}: 'covariance.with_log_baseline' must be {len(COLUMNS)} numbers, found {len(told)}")
-    found = np.array(told)
+    if len(stated) != len(COLUMNS):
+        raise InputError(f"{path}: 'covariance.with_log_baseline' must be {len(COLUMNS)} numbers, found {len(stated)}")
+    found = np.array(stated)
     sigma = (calibration.sigma.known_baseline or 0.0) / calibration.baseline
     if np.any(np.abs(found) > (1 + _ROUNDED) * sigma * np.sqrt(variance.clip(0)) + _NOTHING):
         raise InputError(

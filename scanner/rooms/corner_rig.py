@@ -90,8 +90,8 @@ def _of_most_stations(corners: dict[int, Uncertainty], stations: Sequence[Decode
 
 
 def _calibration(rig: State, stations: Sequence[Decoded]) -> Calibration:
-    facts = stations[0].facts
-    return calibration_of(rig, facts.camera_size, facts.projector_size, Sigmas())
+    metadata = stations[0].metadata
+    return calibration_of(rig, metadata.camera_size, metadata.projector_size, Sigmas())
 
 
 def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:

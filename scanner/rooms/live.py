@@ -72,8 +72,8 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
             refusal = error
         if corners:
             with terminal.step("Comparing with earlier stations"):
-                told = comparison.told(captures, rig_of(corners, captures).calibration)
-            for sentence in told:
+                guidance = comparison.guidance(captures, rig_of(corners, captures).calibration)
+            for sentence in guidance:
                 terminal.show(sentence)
         else:
             terminal.show(f"{name} shows no corner to calibrate from; one of the stations should.")
@@ -114,9 +114,9 @@ class Comparison:
 
     patience_s: float = _PATIENCE_S
     pair_s: float = 0.0
-    compare: Callable[[Sequence[Decoded], Calibration], list[str]] = field(default_factory=lambda: _told)
+    compare: Callable[[Sequence[Decoded], Calibration], list[str]] = field(default_factory=lambda: _guidance)
 
-    def told(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+    def guidance(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
         """What the newest stations say of each other: of a room, what the last overlaps, and where to stand next."""
         began = time.monotonic()
         chosen = captures[len(captures) - self.within_patience(len(captures)) :]
@@ -133,7 +133,7 @@ def _pairs(stations: int) -> int:
     return stations * (stations - 1) // 2
 
 
-def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
+def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
     newest = len(captures) - 1
     if newest == 0:
         return [f"Next: {_turn(calibration, 'to either side')}"]
@@ -152,8 +152,8 @@ def _told(captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
             f"connects them: go back to where {captures[-2].name} stood, and {_turn(calibration, 'to one side')}"
         ]
     shared = [pair for pair in found.pairs if newest in (pair.first, pair.second)]
-    told = [_overlaps(captures, shared, newest)]
-    return [*told, _next(seen, group, newest, calibration)]
+    overlap = [_overlaps(captures, shared, newest)]
+    return [*overlap, _next(seen, group, newest, calibration)]
 
 
 def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) -> str:

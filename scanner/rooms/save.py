@@ -58,7 +58,7 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
             write_ply(place / CLOUD_FILE, station.cloud, match=station.cloud.match)
             write_calibration(place / CALIBRATION_FILE, room.calibration)
     verdict, made = verdict_on(room), provenance(folder, config)
-    entries = made.entries(room.stations[0].decoded.facts.identity) | confidence_entries(verdict, room.uncertainty)
+    entries = made.entries(room.stations[0].decoded.metadata.identity) | confidence_entries(verdict, room.uncertainty)
     write_calibration(folder / CALIBRATION_FILE, room.calibration, entries)
     write_room(folder / ROOM_FILE, entries_of(room))
     with progress.step("Floor plan"):

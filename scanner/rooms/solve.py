@@ -89,8 +89,8 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
 
 
 def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibration:
-    facts = captures[0].facts
-    return calibration_of(estimate.rig, facts.camera_size, facts.projector_size, Sigmas())
+    metadata = captures[0].metadata
+    return calibration_of(estimate.rig, metadata.camera_size, metadata.projector_size, Sigmas())
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ def _registered(
     if not registration.groups:
         raise RefusalError(
             "No two stations show the same part of a room: " + _reasons(captures, registration),
-            "Let each station see about a third of what the one before saw, with more than a bare wall in it.",
+            "Each station should see about a third of what the previous one saw, with more than a bare wall in it.",
         )
     return _Registered(seen, changed, registration)
 
@@ -181,11 +181,11 @@ def _apart(worst: Disagreement) -> str:
 
 def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
     state = state_of(start.calibration if is_estimated(start) else ideal_rig(start.calibration))
-    facts = members[0].decoded.facts
+    metadata = members[0].decoded.metadata
     if start.corners:
-        point = config.principal_point(facts.camera_size)
+        point = config.principal_point(metadata.camera_size)
         squareness_deg = config.corner.squareness_deg
-        sizes = facts.camera_size, facts.projector_size
+        sizes = metadata.camera_size, metadata.projector_size
         lenses = lenses_of(config, *sizes)
         knowledge = Knowledge(*sizes, point.px, point.sigma_px, squareness_deg, lenses=lenses)
         prior = RigPrior.from_knowledge(knowledge, state)
@@ -259,9 +259,9 @@ def _finished(
     group = registration.groups[0]
     if by_surfaces:
         group = replace(group, planes=(), plane_of=tuple((-1,) * len(each) for each in group.plane_of))
-    facts = members[0].decoded.facts
+    metadata = members[0].decoded.metadata
     sigma = sigmas_of(estimate.rig, estimate.rig_covariance)
-    own = calibration_of(estimate.rig, facts.camera_size, facts.projector_size, sigma)
+    own = calibration_of(estimate.rig, metadata.camera_size, metadata.projector_size, sigma)
     known = start.given if start.given and not is_estimated(start) else _in_unit_of(start.given, own)
     calibration = scaled(known, _corner(members, group, estimate, start), config.scale)
     factor = calibration.baseline

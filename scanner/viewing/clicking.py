@@ -37,7 +37,7 @@ class Clicking:
         with self._known:
             self._length = gui.add_number("Known distance, mm", 0.0, min=0.0, max=1e6, step=0.01)
             self._sigma = gui.add_number("± of it, mm", 0.0, min=0.0, max=1e5, step=0.01)
-            self._told = gui.add_markdown("")
+            self._message = gui.add_markdown("")
             self._write = gui.add_button("Write it into the configuration", visible=False, color=PLAIN)
         self._length.on_update(lambda _: self._show_scale())
         self._sigma.on_update(lambda _: self._show_scale())
@@ -60,7 +60,7 @@ class Clicking:
 
     def _show(self, picked: Picked) -> None:
         self._picked = picked
-        self._measured.content = unbroken(picked.told())
+        self._measured.content = unbroken(picked.text())
         self._scene.draw_picked(picked.places)
         self._known.visible = picked.distance is not None
         self._show_scale()
@@ -74,18 +74,18 @@ class Clicking:
         scale = self._scale()
         self._write.visible = scale is not None and self._set_scale is not None
         if scale is not None:
-            self._told.content = (
+            self._message.content = (
                 f"`{scale.line}` in the configuration makes this distance {self._length.value:g} mm, in every scan of "
                 "this rig, and in this one when it is calibrated again (`scan calibrate`)."
             )
         elif self._length.value > 0:
-            self._told.content = bold("These two points are too uncertain to set the scale.")
+            self._message.content = bold("These two points are too uncertain to set the scale.")
         else:
-            self._told.content = "Use two points that are far apart."
+            self._message.content = "Use two points that are far apart."
 
     def _write_scale(self) -> None:
         if (scale := self._scale()) is not None and self._set_scale is not None:
             try:
-                self._told.content = escaped(self._set_scale(scale))
+                self._message.content = escaped(self._set_scale(scale))
             except Exception as error:
-                self._told.content = bold(failure_of(error).message)
+                self._message.content = bold(failure_of(error).message)

@@ -34,10 +34,10 @@ def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> N
     if REPORT_FILE in names:
         gui.add_html(link_html(link(folder / REPORT_FILE), "Open the report"))
     with gui.add_folder("Files", expand_by_default=False):
-        told = gui.add_markdown("")
+        message = gui.add_markdown("")
         for name in names:
             button = gui.add_button(f"Download {name}", color=PLAIN)
-            button.on_click(_sending(f"{folder.name}-{name}", folder / name, told))
+            button.on_click(_sending(f"{folder.name}-{name}", folder / name, message))
         if (folder / CALIBRATION_FILE).is_file():
             _add_exports(gui, folder)
 
@@ -47,11 +47,11 @@ def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
     formats = {name: each for name, each in FORMATS.items() if each.suffixes}
     chosen = gui.add_dropdown("Export as", [f"{name}: {each.about}" for name, each in formats.items()])
     button = gui.add_button("Export", color=PLAIN)
-    told = gui.add_markdown("")
+    message = gui.add_markdown("")
 
     def export(event: viser.GuiEvent[Any]) -> None:
         form = formats[chosen.value.partition(":")[0]]
-        told.content = "Exporting …"
+        message.content = "Exporting …"
         try:
             with tempfile.TemporaryDirectory() as scratch:
                 out = Path(scratch, f"{folder.name}{form.ending}")
@@ -59,21 +59,21 @@ def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
                 if event.client is not None:
                     event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
         except Exception as error:
-            told.content = bold(failure_of(error).message)
+            message.content = bold(failure_of(error).message)
             return
-        told.content = f"{out.name}: {'; '.join(sentences)}"
+        message.content = f"{out.name}: {'; '.join(sentences)}"
 
     button.on_click(export)
 
 
-def _sending(name: str, path: Path, told: viser.GuiMarkdownHandle) -> Callable[[viser.GuiEvent[Any]], None]:
+def _sending(name: str, path: Path, message: viser.GuiMarkdownHandle) -> Callable[[viser.GuiEvent[Any]], None]:
     def send(event: viser.GuiEvent[Any]) -> None:
         if event.client is None:
             return
-        told.content = ""
+        message.content = ""
         try:
             event.client.send_file_download(name, read_whole(path), save_immediately=True)
         except Exception as error:
-            told.content = bold(failure_of(error).message)
+            message.content = bold(failure_of(error).message)
 
     return send

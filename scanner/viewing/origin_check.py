@@ -113,5 +113,5 @@ def _serve(
 
 def _response(status: http.HTTPStatus, body: str, headers: Mapping[str, str] | None = None) -> Response:
     data = body.encode()
-    told = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(data)), **(headers or {})}
-    return Response(status, status.phrase, Headers(**told), data)
+    all_headers = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(data)), **(headers or {})}
+    return Response(status, status.phrase, Headers(**all_headers), data)

@@ -81,8 +81,8 @@ class ResultPanel:
         with self._lock, self._place:
             self._remove()
             with self._folder("Result: not saved yet"):
-                told = f"Faces are being measured, files and report written; {statement(len(some.points), count)}."
-                self._gui.add_markdown(told)
+                message = f"Faces are being measured, files and report written; {statement(len(some.points), count)}."
+                self._gui.add_markdown(message)
             self._scene.show(some)
             self._scene.draw_points(1.0, Colouring.CAMERA, whole(some))
 
@@ -116,15 +116,15 @@ class ResultPanel:
         if len(result.names) < 2:
             return
         choice = self._gui.add_dropdown("Cloud", result.names, initial_value=name)
-        told = self._gui.add_markdown("", visible=False)
-        choice.on_update(lambda _: self._open_another(partial(self.open, result, choice.value), told))
+        message = self._gui.add_markdown("", visible=False)
+        choice.on_update(lambda _: self._open_another(partial(self.open, result, choice.value), message))
 
-    def _open_another(self, opening: Callable[[], None], told: viser.GuiMarkdownHandle) -> None:
-        told.content, told.visible = "Reading …", True
+    def _open_another(self, opening: Callable[[], None], message: viser.GuiMarkdownHandle) -> None:
+        message.content, message.visible = "Reading …", True
         try:
             opening()
         except Exception as error:
-            told.content = bold(failure_of(error).message)
+            message.content = bold(failure_of(error).message)
 
     def _pick(self, origin: Floats, direction: Floats) -> None:
         clicking = self._clicking

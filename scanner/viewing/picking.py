@@ -57,7 +57,7 @@ class Picked:
         distance = self.distance
         return None if distance is None else scale_from(distance, self.cloud.calibration, known_m, sigma_m)
 
-    def told(self) -> str:
+    def text(self) -> str:
         """Describe the measurement (Markdown)."""
         scan, scene, shown = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
         match self.points:
@@ -74,4 +74,4 @@ class Picked:
             case (first, second, third):
                 angle, sigma_cell = angle_cells(angle_at(scan, scene, (first, second, third)))
                 return f"Angle: **{angle} {sigma_cell}**"
-        raise ValueError(f"{len(self.points)} points measure nothing")
+        raise ValueError(f"{len(self.points)} points selected: expected one, two or three")

@@ -118,27 +118,27 @@ class Scene:
         cloud = self._required
         inside = cloud.order[box.holds(cloud.points)[cloud.order]] if box.bounded else cloud.order
         chosen = np.sort(inside[: max(1, round(share * len(inside)))])
-        told = coloured(cloud, chosen, colouring)
+        paint = coloured(cloud, chosen, colouring)
         self._scene.remove_by_name(_MESH)
         self._scene.add_point_cloud(
             f"{CLOUD}/points",
             points=self._drawn(cloud.points[chosen]),
-            colors=told.colours,
+            colors=paint.colours,
             # Points as large as their distance on surfaces that fill the view: no gaps, no blobs.
             point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(share * len(cloud.points), 1)),
             point_shape="circle",
             point_shading="flat",
             precision="float32",
         )
-        return Shown(len(chosen), len(inside), 0, told)
+        return Shown(len(chosen), len(inside), 0, paint)
 
     def draw_surface(self, surface: Surface, colouring: Colouring, box: Box) -> Shown:
         """Draw the triangles in place of the points."""
         cloud = surface.cloud
         used = np.unique(surface.triangles).astype(np.int64)
-        told = coloured(cloud, used, colouring)
+        paint = coloured(cloud, used, colouring)
         colours = np.zeros((len(cloud.points), 3), np.uint8)
-        colours[used] = told.colours
+        colours[used] = paint.colours
         inside = box.holds(cloud.points) if box.bounded else None
         data, triangles = surface.glb(colours, inside)
         self._scene.remove_by_name(f"{CLOUD}/points")
@@ -146,7 +146,7 @@ class Scene:
         if triangles:
             # Turned from glTF's y up to the camera's y down.
             self._scene.add_glb(_MESH, data, scale=self._factor, wxyz=(0.0, 1.0, 0.0, 0.0))
-        return Shown(0, 0, triangles, told)
+        return Shown(0, 0, triangles, paint)
 
     def draw_box(self, box: Box) -> None:
         """Draw its edges, if it has a wall."""

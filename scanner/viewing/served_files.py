@@ -75,5 +75,5 @@ def _headers(path: Path) -> dict[str, str]:
 
 
 def _response(status: http.HTTPStatus, body: bytes, headers: dict[str, str]) -> Response:
-    told = {"Content-Length": str(len(body)), "X-Content-Type-Options": "nosniff", **headers}
-    return Response(status, status.phrase, Headers(**told), body)
+    all_headers = {"Content-Length": str(len(body)), "X-Content-Type-Options": "nosniff", **headers}
+    return Response(status, status.phrase, Headers(**all_headers), body)

@@ -56,7 +56,7 @@ class ViewControls:
             ]
             gui.add_button("The whole again", color=PLAIN).on_click(lambda _: self._uncut())
             gui.add_button("Download this part", color=PLAIN).on_click(self._download)
-            self._told = gui.add_markdown("")
+            self._message = gui.add_markdown("")
         for control in (self._shown_as, self._colouring, self._percent, *self._ranges):
             control.on_update(lambda _: self.draw())
 
@@ -127,7 +127,7 @@ class ViewControls:
             try:
                 count = write_cropped(path, self._cloud, self.box)
             except Exception as error:
-                self._told.content = bold(failure_of(error).message)
+                self._message.content = bold(failure_of(error).message)
                 return
             event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
-        self._told.content = f"{many(count)} points, as {path.name}."
+        self._message.content = f"{many(count)} points, as {path.name}."

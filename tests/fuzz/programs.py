@@ -113,8 +113,8 @@ def calibrating(folder: Path) -> Run:
                 case _:
                     projector_px[part] = camera_px[part]
         labelled = None if rng.random() < 0.2 else face
-        facts = CaptureMetadata(CAMERA.size, PROJECTOR.size)
-        given = Decoded(facts, Matches(camera_px, projector_px, labelled, sigma), GivenMatches(None), "fuzzed")
+        metadata = CaptureMetadata(CAMERA.size, PROJECTOR.size)
+        given = Decoded(metadata, Matches(camera_px, projector_px, labelled, sigma), GivenMatches(None), "fuzzed")
         config = Config(method="paper") if rng.random() < 0.2 else Config()
         for found in calibrate(label([given], [given], config), config):
             build_cloud(found.decoded.matches, None, found.calibration)

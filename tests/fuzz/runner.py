@@ -27,7 +27,7 @@ _GUARD_BYTES = 4_000_000_000  # more address space is not given at all
 
 @dataclass(frozen=True)
 class Finding:
-    """What must not be: an exception that is none of ours, a hang, memory."""
+    """A failure: a foreign exception, a hang, too much memory."""
 
     target: str
     seed: int
@@ -48,7 +48,7 @@ class Outcome:
 
 
 def fuzz(target: str, *, seed: int, inputs: int, seconds: float, hang_s: float = HANG_S) -> Outcome:
-    """Run inputs of a target until there were so many, or the time is over; a process that died is begun again."""
+    """Run inputs of a target up to a number or a time; a process that died is restarted."""
     findings: dict[str, Finding] = {}
     kinds: Counter[str] = Counter()
     end = time.monotonic() + seconds

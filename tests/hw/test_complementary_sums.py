@@ -1,4 +1,4 @@
-"""Pictures that prove each other, in frames with noise, blur and an uneven scene."""
+"""Verification by complementary sums, in frames with noise, blur and an uneven scene."""
 
 import numpy as np
 import pytest
@@ -38,10 +38,10 @@ class Scene:
 
 
 def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
-    """What is found in a group of `series` where the projector shows other pictures, and what is tolerated."""
+    """The foreign share found in a group of `series` where the projector shows other pictures, and the tolerance."""
     scene = Scene(noise)
     sums = scene.sums()
-    seen = {number: sums.seen(scene.frame(each)) for number, each in enumerate(shown)}
+    seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}
     beside = {number: (number - 1, number + 1) for number in group}
     return sums.foreign_share(group, [series()[number] for number in group], seen, beside), sums.tolerance
 
@@ -70,7 +70,7 @@ def test_a_share_of_a_neighbour_is_found(number: int, towards: int, share: float
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
 def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None:
-    """The picture before stays for too long, and all that follow are late by so many."""
+    """The previous picture stays too long, and all that follow are late by as many frames."""
     for start in range(1, 8):
         right = series()
         shown = right[:start] + [right[start - 1]] * behind + right[start:]
@@ -86,10 +86,10 @@ def steps(count: int, period: float = 10.0, response: float = 1.0) -> list[np.nd
 
 
 def found_in_steps(shown: list[np.ndarray]) -> tuple[float, float]:
-    """What is found, and what is tolerated, in steps that follow each other."""
+    """The foreign share found in successive steps, and the tolerance."""
     scene = Scene(1.5)
     sums, group = scene.sums(), range(len(shown))
-    seen = {number: sums.seen(scene.frame(each)) for number, each in enumerate(shown)}
+    seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}
     beside = {number: (number - 1, number + 1) for number in group}
     return sums.foreign_share(group, [each.astype(np.uint8) for each in shown], seen, beside), sums.tolerance
 
@@ -118,8 +118,8 @@ def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
     scene = Scene(1.5)
     sums = scene.sums()
     white, black = series()[:2]
-    right = {0: sums.seen(scene.frame(white)), 1: sums.seen(scene.frame(black))}
-    late = {**right, 1: sums.seen(scene.frame(0.36 * white + 0.64 * black))}
+    right = {0: sums.brightness(scene.frame(white)), 1: sums.brightness(scene.frame(black))}
+    late = {**right, 1: sums.brightness(scene.frame(0.36 * white + 0.64 * black))}
     beside = {0: (1,), 1: (0,)}
     assert sums.changed_share((0, 1), [white, black], right, late, beside) == pytest.approx(0.36, abs=0.02)
     assert sums.changed_share((0, 1), [white, black], late, late, beside) == 0.0
@@ -128,4 +128,4 @@ def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
 def test_colour_cameras_see_grey() -> None:
     image = np.arange(60 * 80 * 3, dtype=np.uint16).reshape(60, 80, 3)
     sums = complementary_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)
-    np.testing.assert_allclose(sums.seen(image), image.mean(axis=2)[sums.pixels] / 100)
+    np.testing.assert_allclose(sums.brightness(image), image.mean(axis=2)[sums.pixels] / 100)

@@ -138,7 +138,7 @@ def test_the_shutter_speed_is_the_nearest_to_whole_refresh_periods(device: Devic
     [
         ({"autoexposuremode": ("AV", [])}, "its mode is AV. Turn its dial to M"),
         ({"batterylevel": ("5%", [])}, "its battery is at 5%"),
-        ({"iso": ("100", ["100"])}, "iso '200' is none of its own: 100"),
+        ({"iso": ("100", ["100"])}, "iso '200' is not available; it offers 100"),
         ({"shutterspeed": ("auto", ["auto"])}, "its shutter speed cannot be set"),
         ({"imageformat": ("RAW", ["RAW"])}, "it sends RAW and offers nothing else"),
     ],
@@ -157,7 +157,7 @@ def test_what_the_camera_cannot_do_is_named(
     [
         ("init", fake_gphoto2.GP_ERROR_IO_USB_CLAIM, "cannot be opened .*Another program has it"),
         ("set_config", fake_gphoto2.GP_ERROR_CAMERA_BUSY, "does not take 'Internal RAM' as capturetarget"),
-        ("autodetect", fake_gphoto2.GP_ERROR_CAMERA_ERROR, "cannot be looked for"),
+        ("autodetect", fake_gphoto2.GP_ERROR_CAMERA_ERROR, "searching for photo cameras failed"),
         ("file_get", fake_gphoto2.GP_ERROR_CAMERA_ERROR, "does not send its picture.*card, battery"),
     ],
 )
@@ -181,7 +181,7 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
 def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "list_screens", lambda: [SimulatedWindow(PROJECTOR, list).screen])
     found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
-    assert found.told["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
+    assert found.described["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
     pasted = tmp_path / "pasted.yaml"
     pasted.write_text("\n".join(found.lines))
     rig = load_config(pasted).rig

@@ -22,7 +22,7 @@ SIZE = (32, 24)
 
 
 class Capture:
-    """OpenCV's interface; `frames` in turns, every 5 ms, then nothing more."""
+    """OpenCV's interface: delivers `frames` in order, every 5 ms, then nothing."""
 
     def __init__(
         self, *frames: np.ndarray, obeys: bool = True, opens: bool = True, fixed: Collection[int] = ()
@@ -153,7 +153,7 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
         with connected(monkeypatch, capture) as camera:
             assert camera.capabilities.exposure == "unknown"
             assert camera.identity["automatic exposure"] == "not in the driver's hand"
-        with pytest.raises(DeviceError, match=r"wanted 33333.3 as exposure in µs.*made it 50.*tool or app"):
+        with pytest.raises(DeviceError, match=r"exposure in µs was set to 33333.3, but reads back as 50.*tool or app"):
             connected(monkeypatch, Capture(picture(), obeys=False), exposure_us=33_000)
         return
     with connected(monkeypatch, capture, exposure_us=33_000) as camera:
@@ -166,12 +166,12 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
 def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
     value = "MJPG" if key == "codec" else 10.0
     assert OpenCVRigSettings(backend="opencv", camera=0, **{key: value}).has_gain
-    with pytest.raises(ValidationError, match=f"{key}: of a stream it cannot be set"):
+    with pytest.raises(ValidationError, match=f"{key}: cannot be set for a stream"):
         OpenCVRigSettings(backend="opencv", camera="http://phone/video", **{key: value})
 
 
 def test_a_gain_that_a_driver_ignores_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DeviceError, match=r"wanted 3 as gain, but the camera made it 0.5"):
+    with pytest.raises(DeviceError, match=r"gain was set to 3, but reads back as 0.5"):
         connected(monkeypatch, Capture(picture(), fixed={cv2.CAP_PROP_GAIN}), gain=3.0)
 
 

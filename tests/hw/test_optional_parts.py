@@ -1,4 +1,4 @@
-"""What to type to get what is missing: right for how the program was installed."""
+"""Commands that install missing parts, for each kind of installation."""
 
 import sys
 import tomllib

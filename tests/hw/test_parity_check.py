@@ -1,4 +1,4 @@
-"""One more picture proves bits without inverses; edges tell shares of others, in a scene with noise and bounces."""
+"""The parity check of bits without inverses, in a scene with noise and interreflection."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ class Scene:
         black, white = (np.full(SIZE[::-1], level, np.uint8) for level in (0, 255))
         dark, bright = ([self._frame(each) for _ in range(3)] for each in (black, white))
         sums = complementary_sums(dark, bright, _LIT, 0.005)
-        return {number: sums.seen(self._frame(picture)) for number, picture in enumerate(shown)}
+        return {number: sums.brightness(self._frame(picture)) for number, picture in enumerate(shown)}
 
     def _frame(self, shown: np.ndarray) -> np.ndarray:
         light = (1 - self._bounces) * shown / 255 + self._bounces * shown.mean() / 255

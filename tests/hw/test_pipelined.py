@@ -37,7 +37,7 @@ _UNTOLD = 0.02  # of a frame: what sums of so few pixels do not tell from noise
 def scanned(
     monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0, foreign: float = 0.0023
 ) -> SynchronisedRig:
-    """A rig that has taken pictures, each frame of which shows its own and at most so much `foreign` light."""
+    """A rig that has taken pictures; each frame shows its own picture, and at most this share of `foreign` light."""
     bench.install(monkeypatch)
     rig = synchronised(bench, bench, {})
     if late_every:
@@ -106,7 +106,7 @@ def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
 
 @pytest.mark.parametrize("latency_ms", [20, 50, 120])
 def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    """Its picture flies again behind those that are on their way, and the others do not wait for it."""
+    """Its picture is shown again behind those on their way, and the others do not wait for it."""
     lost: dict[bool, float] = {}
     for loses in (False, True):
         bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
@@ -122,7 +122,7 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
 
 @pytest.mark.parametrize("latency_ms", [20, 120])
 def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    """Its group flies again: two more frames, at any latency."""
+    """Its group is repeated pipelined: two more frames, at any latency."""
     elapsed = []
     for late in (False, True):
         bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
@@ -139,7 +139,7 @@ def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture that is a little later than any flash was leaves no more of the last one than cannot be told."""
+    """A picture slightly later than any flash leaves no detectable share of the previous one."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.005, jitter_s=0.015), foreign=_UNTOLD)
     assert 1.3 < rig.sequential.tally.seconds_per_frame * 30 < 3
 
@@ -218,7 +218,7 @@ def scanned_without_inverses(
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
 def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    """One more picture for each axis, that nobody sees, is what this costs."""
+    """This costs one parity picture for each axis."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, noise=30.0, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, noise=30.0)
     assert rig.pipelined is not None
@@ -244,7 +244,7 @@ def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
 def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    """Beside black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
+    """Next to black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
     bench = Bench(0.05, transfer_s=0.005, jitter_s=0.001, lag_s=0.001, noise=30.0, seed=seed, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_share=0.08, noise=30.0)
     assert rig.sequential.tally.retriggered > 0
@@ -265,7 +265,7 @@ def test_a_free_running_camera_has_one_frame_between_two_pictures(
 
 def test_a_camera_of_which_nobody_knows_when_it_exposes_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
     class Untold(Bench):
-        """It exposes when it is told, and does not say that it will."""
+        """Exposes on a trigger, without stating its capability."""
 
         @property
         def wait_s(self) -> float:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""Whether frames of a stream are alike, under noise that depends on brightness and is alike within blocks."""
+"""Whether frames of a stream are alike, under noise that depends on brightness and correlates within blocks."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,7 +15,7 @@ RNG = np.random.default_rng(3)
 
 
 def frame(light: np.ndarray | float, noise: float) -> Image:
-    """A frame of light 0 … 1; half of the noise is alike within blocks."""
+    """A frame of light 0 … 1; half of the noise correlates within blocks."""
     height, width = SIZE[1], SIZE[0]
     blocks = RNG.standard_normal((height // BLOCK, width // BLOCK)).repeat(BLOCK, 0).repeat(BLOCK, 1)
     levels = 20 + 180 * np.broadcast_to(light, (height, width)) + noise * (blocks + RNG.standard_normal(blocks.shape))
@@ -33,7 +33,7 @@ def compared() -> Standing:
 def stand(compared: Standing, before: np.ndarray | float, now: np.ndarray | float, share: np.ndarray | float) -> bool:
     """Whether frames stand of which the first has a share of the picture before."""
     last = (1 - share) * np.asarray(now) + share * np.asarray(before)
-    seen = [compared.sums.seen(frame(light, 0.4)) for light in (before, last, now)]
+    seen = [compared.sums.brightness(frame(light, 0.4)) for light in (before, last, now)]
     return compared.stands(*seen)
 
 

@@ -1,4 +1,4 @@
-"""Frames of a camera that streams, on a bench whose clock stands still while nothing happens."""
+"""Frames of a streaming camera, on a bench whose clock stands still while nothing happens."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, cast

@@ -70,7 +70,7 @@ def scan(config: Path, *more: str) -> tuple[int, Path]:
 
 
 def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
-    """Do something as soon as a running scan has recorded so many frames."""
+    """Do something as soon as a running scan has recorded this many frames."""
 
     def recorded() -> int:
         listings = config.parent.glob(".result*/capture/capture.yaml")

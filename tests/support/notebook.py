@@ -12,7 +12,7 @@ from scanner.results import Scan
 
 
 class Notebook:
-    """A page that writes down what it is told."""
+    """A page that records its updates."""
 
     def __init__(self) -> None:
         self.statuses: list[Status] = []

@@ -46,8 +46,8 @@ def calibrated_report(scene: Scene) -> ReportInput:
         "refined",
         ("The faces seem to be off by +0.10 degrees.",),
     )
-    facts = CaptureMetadata(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
-    calibrated = SelfCalibrated(Decoded(facts, scene.matches, decoding), solution, calibration)
+    metadata = CaptureMetadata(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
+    calibrated = SelfCalibrated(Decoded(metadata, scene.matches, decoding), solution, calibration)
     cloud = build_cloud(scene.matches, scene.texture, calibration)
     # The focal length above was made up to be off; a real calibration's rays meet better than that.
     cloud = replace(cloud, statistics=replace(cloud.statistics, calibration_px=0.06))

@@ -98,7 +98,7 @@ class Bench:
         return swap
 
     def delay_every(self, count: int) -> None:
-        """From now on, of so many pictures one comes a refresh later than others, and nobody tells."""
+        """From now on, one of this many pictures arrives a refresh late, which is not reported."""
         self._late = range(len(self._wall) + 4, 10**9, count)
 
     def delay_some(self, share: float, busy_share: float) -> None:

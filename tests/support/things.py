@@ -77,9 +77,9 @@ def config_for(camera: tuple[int, int]) -> Config:
 
 def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: bool = False) -> list[Decoded]:
     """As captures that were decoded."""
-    facts = CaptureMetadata(Size(*camera), Size(*PROJECTOR))
+    metadata = CaptureMetadata(Size(*camera), Size(*PROJECTOR))
     return [
-        Decoded(facts, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
+        Decoded(metadata, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
         for number, each in enumerate(stations, start=1)
     ]
 

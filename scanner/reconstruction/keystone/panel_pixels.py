@@ -21,7 +21,7 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
     decoding, plane = capture.decoding, capture.matches.face if capture.plane is None else capture.plane
     if capture.panel is not None or decoding is None or decoding.stripes is None or plane is None:
         return capture
-    size = capture.facts.projector_size
+    size = capture.metadata.projector_size
     keystone = measure_keystone(decoding.stripes, capture.matches, plane, size)
     if keystone is None:
         return replace(capture, panel=AS_SHOWN)

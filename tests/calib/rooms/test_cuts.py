@@ -1,4 +1,4 @@
-"""What holds parts of a group together, and who does not fit."""
+"""Weak connections within a group of stations, and outlier stations."""
 
 import numpy as np
 import pytest

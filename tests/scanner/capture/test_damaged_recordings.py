@@ -1,4 +1,4 @@
-"""Recordings that were broken off anywhere: what is whole is read, what is torn is left out with a word."""
+"""Recordings interrupted at any point: complete frames are read, damaged ones are left out with a note."""
 
 import shutil
 from pathlib import Path

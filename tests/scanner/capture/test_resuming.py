@@ -61,7 +61,7 @@ class Wall:
 
 
 def broken_off(folder: Path, count: int, exposures_us: tuple[float, ...] = ()) -> Recording:
-    """A recording of the first so many frames."""
+    """A recording that ends after a number of frames."""
     live = record(capture(Wall().rig(), PATTERNS, exposures_us), folder)
     assert len(list(islice(live.frames, count))) == count
     return open_capture(folder)

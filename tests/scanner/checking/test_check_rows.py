@@ -1,4 +1,4 @@
-"""What a check says of a simulated rig, against what is true of it."""
+"""The rows of a check of a simulated rig, against the truth."""
 
 import re
 import time

@@ -216,7 +216,7 @@ def test_between_captures_the_operator_is_told_and_asked(
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.question)
     assert "Capture 1 of 3 is done. Move the rig as a whole" in worker.status.question
-    assert worker.status.told[0].startswith("Not enough to calibrate yet: ")
+    assert worker.status.guidance[0].startswith("Not enough to calibrate yet: ")
     assert page.captured == 1
     worker.answer(more=True)
     until(lambda: "Capture 2 of 3" in worker.status.question)

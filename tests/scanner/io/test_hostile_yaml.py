@@ -31,7 +31,7 @@ YAML: dict[str, tuple[str, str]] = {
     "a value in itself": ("a: &a [*a]", "contains itself"),
     "brackets": ("[" * 100_000, "nested too deeply"),
     "many keys": ("\n".join(f"k{i}: 1" for i in range(40_000)), "more than 30,000 values"),
-    "a type that is none": ("a: !!bool perhaps", "not of the type that its tag says"),
+    "a type that is none": ("a: !!bool perhaps", "does not match its type tag"),
     "no number": ("a: !!int ''", "a number is expected"),
     "base sixty": ("a: !!int " + "1:" * 50_000 + "1", "a number is expected"),
     "a date that is none": ("a: 2024-13-45", "month must be in"),

@@ -1,4 +1,4 @@
-"""`scan measure` on a made-up scene: what it tells against what is true, and what it answers to wrong arguments."""
+"""`scan measure` on a synthetic scene: results against the truth, and answers to wrong arguments."""
 
 import json
 from pathlib import Path

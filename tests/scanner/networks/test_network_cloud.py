@@ -31,8 +31,8 @@ def test_a_cloud_has_the_colours_of_its_cameras(
     for (camera, projector), matches in made.captures.items():
         width, height = sizes[camera]
         picture: Image = np.broadcast_to(np.array(level, kind), (height, width, *np.shape(level))).copy()
-        facts = CaptureMetadata(sizes[camera], sizes[projector])
-        decoded[camera, projector] = Decoded(facts, matches, GivenMatches(picture))
+        metadata = CaptureMetadata(sizes[camera], sizes[projector])
+        decoded[camera, projector] = Decoded(metadata, matches, GivenMatches(picture))
     light = {camera: matches for (camera, _), matches in made.captures.items()}
     surfaces = {"projector1": joined(estimate, "projector1", light)}
 

@@ -1,4 +1,4 @@
-"""Stations of a simulated thing, put together: in their places, the thing alone, and what cannot be told refused."""
+"""Stations of a simulated thing, joined: poses, the thing without background, and refusals of ambiguous ones."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Patterns that light every place alike together."""
+"""Groups of patterns that sum to uniform light."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Bits that nothing else in a sequence proves."""
+"""Bits that need a parity picture."""
 
 from itertools import combinations
 

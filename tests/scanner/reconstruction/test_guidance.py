@@ -23,8 +23,10 @@ CONFIG = Config.model_validate(
 
 
 def told(captures: Sequence[Matches], calibration: Calibration) -> Guidance:
-    facts = CaptureMetadata(calibration.camera.size, calibration.projector.size)
-    decoded = [Decoded(facts, matches, GivenMatches(), f"Capture {n}") for n, matches in enumerate(captures, start=1)]
+    metadata = CaptureMetadata(calibration.camera.size, calibration.projector.size)
+    decoded = [
+        Decoded(metadata, matches, GivenMatches(), f"Capture {n}") for n, matches in enumerate(captures, start=1)
+    ]
     return guide(decoded, CONFIG)[0]
 
 

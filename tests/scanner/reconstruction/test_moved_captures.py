@@ -1,4 +1,4 @@
-"""A motion that was taken back: what may be left of it is refused, or told, by what it costs."""
+"""A corrected motion: its residual effect is refused or reported, depending on its cost."""
 
 from dataclasses import replace
 

@@ -48,8 +48,8 @@ def capture(room: SimulatedRoom) -> Decoded:
     row, column = np.nonzero(np.isfinite(projected).all(axis=2))
     noise = np.random.default_rng(0).normal(0, NOISE_PX, (len(row), 2))
     matches = Matches(np.stack([column, row], axis=1).astype(np.float64), projected[row, column] + noise)
-    facts = CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR))
-    return Decoded(facts, matches, GivenMatches(picture), "the room")
+    metadata = CaptureMetadata(Size(*CAMERA), Size(*PROJECTOR))
+    return Decoded(metadata, matches, GivenMatches(picture), "the room")
 
 
 def test_the_baseline_is_found(room: SimulatedRoom, rig: Calibration, capture: Decoded) -> None:

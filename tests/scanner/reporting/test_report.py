@@ -204,7 +204,7 @@ def test_hostile_strings_stay_text(calibrated: ReportInput, scene: Scene, tmp_pa
         SelfCalibrated(
             replace(
                 decoded,
-                facts=replace(decoded.facts, identity={hostile: hostile}),
+                metadata=replace(decoded.metadata, identity={hostile: hostile}),
                 origin=replace(decoding_of(scene), warnings=(hostile,)),
             ),
             replace(found.solution, notes=(hostile,)),

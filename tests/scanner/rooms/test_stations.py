@@ -87,7 +87,7 @@ def test_a_changed_rig_is_left_out_though_its_surfaces_would_fit(example: Solved
         (str(tmp_path / "changed.npz"), "changed rig")
     ]
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 2)}
-    (told,) = live._told(captures[:2], truth)
+    (told,) = live._guidance(captures[:2], truth)
     assert "was taken with another rig" in told
     assert "epipolar" in told
 

@@ -45,7 +45,7 @@ def test_angles_err_by_their_sigma(written: Written, cloud: CaptureCloud) -> Non
     for first, second, third in _some(cloud, 3):
         picked = Picked(cloud).with_point(first).with_point(second).with_point(third)
         angle, sigma = (
-            float(word.strip("°*").replace("−", "-")) for word in picked.told().split() if word[0] in "*0123456789"
+            float(word.strip("°*").replace("−", "-")) for word in picked.text().split() if word[0] in "*0123456789"
         )
         a, b = true[first] - true[second], true[third] - true[second]
         truth = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
@@ -57,7 +57,7 @@ def test_two_points_are_a_distance_with_its_sigma(written: Written, cloud: Captu
     true = _true_points(written, cloud)
     errors = []
     for first, second in _some(cloud, 2):
-        words = Picked(cloud, (first, second)).told().strip("*").split()
+        words = Picked(cloud, (first, second)).text().strip("*").split()
         assert (words[0], words[2], words[4]) == ("Distance:", "±", "mm")
         truth = 1000 * np.linalg.norm(true[first] - true[second])
         errors.append((float(words[1].strip("*")) - truth) / float(words[3]))
@@ -88,10 +88,10 @@ def test_a_known_distance_tells_the_baseline_with_its_sigma(written: Written, cl
 
 def test_after_three_points_it_begins_anew(cloud: CaptureCloud) -> None:
     picked = Picked(cloud)
-    assert picked.told().startswith("Click on a point")
+    assert picked.text().startswith("Click on a point")
     assert picked.places.shape == (0, 3)
     for number, expected in ((5, (5,)), (9, (5, 9)), (70, (5, 9, 70)), (11, (11,)), (12, (11, 12)), (11, (11,))):
         picked = picked.with_point(number)
         assert picked.points == expected
-    assert picked.told().startswith("Camera pixel (")
+    assert picked.text().startswith("Camera pixel (")
     assert picked.places.shape == (1, 3)
