@@ -13,7 +13,7 @@ from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
-from scanner.decoding.fringes.code_voting import let_fringes_decide
+from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.fringes.systematic_error import correct_systematic
@@ -27,9 +27,9 @@ from scanner.decoding.mask_reasons import (
     note_codes,
     note_contrast,
     note_indirect,
+    note_inverted_bits,
     note_light,
     note_orders,
-    note_turned_over,
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
@@ -138,7 +138,7 @@ class AxisDecoder:
         wrapped = Wrapped(positions, variances)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances, in_place=not self.plan.corrects_bits)
         if self.plan.corrects_bits:
-            let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
+            resolve_contradictory_codes(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
         del wrapped, positions
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
@@ -152,7 +152,7 @@ class AxisDecoder:
             against[self._faintly_seen(variances[0], signals)] &= np.uint8(~Against.DARK & 255)
         # No second period would contradict a bit that global light has turned over.
         for least in () if self.plan.corrects_bits else signals.least:
-            note_turned_over(least, direct, signals.brightest, signals.middle, against)
+            note_inverted_bits(least, direct, signals.brightest, signals.middle, against)
         return measured
 
     def _unit_px2(self, level: Floats32, number: int) -> Floats32:

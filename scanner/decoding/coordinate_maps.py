@@ -14,7 +14,7 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
 from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
-from scanner.decoding.fringes.footprint_shift import REACH_PX, take_out_bend, take_out_shading
+from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
@@ -73,7 +73,7 @@ def coordinate_maps(
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         shaded = [
-            (c, take_out_shading(c.value, c.variance, c.log_amplitude, kept, footprint))
+            (c, correct_shading_shift(c.value, c.variance, c.log_amplitude, kept, footprint))
             for c in found
             if c.log_amplitude is not None
         ]
@@ -83,7 +83,7 @@ def coordinate_maps(
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
             surface = reason == np.uint8(MaskReason.KEPT)
             for c, shift in shaded:
-                take_out_bend(c.value, c.variance, shift, surface, footprint, own)
+                correct_curvature_shift(c.value, c.variance, shift, surface, footprint, own)
         x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
         _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])

@@ -28,7 +28,7 @@ from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.kept_matches import match_kept
-from scanner.decoding.learning import learn, look
+from scanner.decoding.learning import check_and_calibrate, observe
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
@@ -162,15 +162,15 @@ class Decoder:
             self._read(frames, reading)
         found = self._decode(as_taken=self._as_taken or reading.ghost is not None)
         if isinstance(found, AmbientLightChange):
-            reading, found = self._in_one_light(frames, replace(reading, switch=found))
-        for sentence in reading.said(self._plan):
+            reading, found = self._without_ambient_change(frames, replace(reading, switch=found))
+        for sentence in reading.remarks(self._plan):
             found = found.warning(sentence)
         return replace(found, noise=noise) if noise else found
 
     def _read(self, frames: Image, reading: Reading) -> None:
         self._folded = folded(self._plan, reading.undone(frames, self._plan))
 
-    def _in_one_light(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
+    def _without_ambient_change(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
         """The frames (N, H, W) without light that was switched on or off; if they then make no sense, with it: what
         looked like light was something else.
         """
@@ -199,18 +199,18 @@ class Decoder:
         accumulators, sample, lit = whole.accumulators, whole.sample, whole.lit
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = look(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
+        observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
         del whole
         oddities: list[Oddity] = []
-        with blaming_motion(lambda: seen.motion, seen.broken):
+        with blaming_motion(lambda: observed.motion, observed.broken):
             with suspecting(oddities):
-                learnt = learn(accumulators, sample, seen, oddities, as_taken=as_taken)
-                if isinstance(learnt, AmbientLightChange):
-                    return learnt
-                maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
+                calibrated = check_and_calibrate(accumulators, sample, observed, oddities, as_taken=as_taken)
+                if isinstance(calibrated, AmbientLightChange):
+                    return calibrated
+                maps, by_pixel = checked_maps(accumulators, calibrated, observed, odd=bool(oddities))
                 stripes = finest_stripes(accumulators, sample, maps)
                 del sample
-                motion = seen.motion
+                motion = observed.motion
                 if lit is not None:
                     motion = motion_between(lit, accumulators.plan, maps.projector_px, self._projector_size, motion)
                     del lit
@@ -219,25 +219,25 @@ class Decoder:
                 # The running images are as large as the matches, and have served.
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
-            with blaming_shifts(plan, seen.code_shifts):
+            with blaming_shifts(plan, observed.code_shifts):
                 with suspecting(oddities):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
-                refuse_whole_periods(plan, seen.code_shifts)
-                if seen.unrest is None:
-                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, seen.motion)
-        darkness = too_dark(seen.levels, seen.noise)
-        told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
-        unchecked = [decoder.unchecked for decoder in learnt.decoders if decoder.unchecked]
-        told_alone = (remark_on(unchecked),) if unchecked else ()
+                refuse_whole_periods(plan, observed.code_shifts)
+                if observed.unrest is None:
+                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, observed.motion)
+        darkness = too_dark(observed.levels, observed.noise)
+        warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
+        unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
+        phase_remark = (remark_on(unchecked),) if unchecked else ()
         return Decoding(
             matches,
             self._texture if self._merger is None else self._merger.alike(self._texture),
             reasons,
-            seen.noise,
-            learnt.modulation,
-            (*odd, *seen.notes, *told_alone, *told, *remarks_on(motion)),
-            flicker=seen.flicker,
+            observed.noise,
+            calibrated.modulation,
+            (*odd, *observed.notes, *phase_remark, *warnings, *remarks_on(motion)),
+            flicker=observed.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,

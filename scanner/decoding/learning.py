@@ -16,9 +16,9 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
-from scanner.decoding.fringes.blur import leave_out_lost_fringes
+from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
-from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
@@ -43,7 +43,7 @@ from scanner.errors import InputError
 
 
 @dataclass(frozen=True)
-class Seen:
+class Observations:
     """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
 
     `unrest`: where something moved, if the frames agree elsewhere. Motion of the devices is measured while other things
@@ -76,13 +76,13 @@ class Seen:
         return self.measuring_motion.result()
 
 
-def look(
+def observe(
     accumulators: Accumulators,
     sample: Sample,
     tiles: TileSample,
     coarse: CoarseFrames,
     projector_size: tuple[int, int],
-) -> Seen:
+) -> Observations:
     """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
     notes = list(_finish(accumulators, sample))
     mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
@@ -100,7 +100,7 @@ def look(
     flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
     if coarse.are_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
-    notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
+    notes += drop_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:
         unrest = _unrest(accumulators.plan, sample, coarse, noise)
@@ -114,7 +114,7 @@ def look(
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
     aside.shutdown(wait=False)
-    return Seen(
+    return Observations(
         levels,
         noise,
         saturation,
@@ -165,11 +165,11 @@ def _equalise(
     if unrest is not None:
         resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
-    few = sample.pixels[lit]
+    lit_pixels = sample.pixels[lit]
     middle, brightest = (
-        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+        image.reshape(-1)[lit_pixels].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    places = Places(few // width, height)
+    places = Places(lit_pixels // width, height)
     swings = swings_of(plan, levels[:, lit], places)
     for fold in accumulators.fringes:
         if fold.fringe in swings:
@@ -185,7 +185,7 @@ def _equalise(
                 sample.divide(frame, of_frame)
                 coarse.divide(frame, of_coarse)
                 tiles.divide(plan.shown.index(frame), of_tiles)
-    for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
+    for group, by in outlier_groups([(frames, gains.matter) for frames, gains in found], sample):
         for frame in group:
             sample.divide(frame, np.array([by]))
             coarse.divide(frame, np.array([by]))
@@ -193,42 +193,44 @@ def _equalise(
 
 
 @dataclass(frozen=True)
-class Learnt:
+class CalibratedDecoders:
     """What a sample of the frames tells: how to decode every pixel, and `modulation` as of `Decoding`."""
 
     decoders: tuple[AxisDecoder, AxisDecoder]
     modulation: float | None
 
 
-def learn(
-    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, as_taken: bool
-) -> Learnt | AmbientLightChange:
+def check_and_calibrate(
+    accumulators: Accumulators, sample: Sample, observed: Observations, oddities: list[Oddity], *, as_taken: bool
+) -> CalibratedDecoders | AmbientLightChange:
     """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError.
 
     If light was switched that had better be taken out, unless frames are decoded `as_taken`, that is the answer.
     """
-    plan, levels, moved = accumulators.plan, sample.levels, seen.moved
+    plan, levels, moved = accumulators.plan, sample.levels, observed.moved
     if moved is not None:
         sample.leave_out(moved.reshape(-1)[sample.pixels])
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
-        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin, sample.levels)
-        odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
+        calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, sample.levels)
+        odd, switch = check_frames(
+            plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
+        )
         if not as_taken and switch is not None and switch.is_harmful:
             return switch
         oddities += odd
         odd_codes = check_codes(
-            plan, accumulators.codes, seen.noise, accumulators.middle, accumulators.brightest, moved
+            plan, accumulators.codes, observed.noise, accumulators.middle, accumulators.brightest, moved
         )
-        oddities += _passed_over(plan, odd_codes, oddities, seen.unrest)
+        oddities += _passed_over(plan, odd_codes, oddities, observed.unrest)
         decoders = calibrating.result()
-        with blaming_shifts(plan, seen.code_shifts):
+        with blaming_shifts(plan, observed.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
                 oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return Learnt(decoders, modulation(decoders, thin))
+        return CalibratedDecoders(decoders, modulation(decoders, thin))
 
 
 def _passed_over(

@@ -127,7 +127,9 @@ def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, agains
 
 
 @compiled
-def note_turned_over(least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
+def note_inverted_bits(
+    least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons
+) -> None:
     """Global light exceeds direct light by at least the contrast of a bit, and can have turned it over.
 
     `least` (P,): smallest contrast of a code's bits (Xu and Aliaga, 2007).

@@ -9,7 +9,7 @@ _BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 152
 _MEMINFO = Path("/proc/meminfo")
 
 
-def refuse_more_than_there_is(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
+def require_memory(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
     """Raise InputError if frames (H, W), of which so many bytes are kept, take more memory than is free, where the
     system tells.
     """

@@ -32,10 +32,10 @@ class Reading:
         read = self._steady(frames)
         return read if light is None or self.switch is None else without_light(read, light, plan, self.switch)
 
-    def said(self, plan: SequencePlan) -> Iterator[str]:
+    def remarks(self, plan: SequencePlan) -> Iterator[str]:
         """For the operator."""
         if self.ghost:
-            yield f"{self.ghost.said(plan)}, which was taken out. Let the camera wait longer for the projector."
+            yield f"{self.ghost.description(plan)}, which was taken out. Let the camera wait longer for the projector."
         if self.switch:
             yield f"{self.switch.said(plan)}, and was taken out. Better: leave the room's light as it is."
 

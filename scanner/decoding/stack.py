@@ -6,7 +6,7 @@ from tempfile import TemporaryFile
 import numpy as np
 
 from calib.numerics import Image
-from scanner.decoding.memory import refuse_more_than_there_is, total_bytes
+from scanner.decoding.memory import require_memory, total_bytes
 from scanner.errors import InputError
 
 # Frames that take more than this part of the machine's memory are mapped from a file.
@@ -24,7 +24,7 @@ class Stack:
         shape = first.shape[0], first.shape[1]
         needed, memory = count * first.nbytes, total_bytes()
         is_mapped = memory is not None and needed > _MOST_OF_MEMORY * memory
-        refuse_more_than_there_is(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
+        require_memory(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
         frames = _mapped((count, *shape), first) if is_mapped else np.empty((count, *shape), first.dtype)
         self._frames: Image = frames
         self._count = 0

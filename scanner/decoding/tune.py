@@ -15,7 +15,7 @@ from scanner.decoding.axis_signals import Signals
 from scanner.decoding.fringes.blur import weakened
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
-from scanner.decoding.fringes.unchecked import SeenFringe, Unchecked, is_unchecked, response_of
+from scanner.decoding.fringes.unchecked import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 
@@ -94,7 +94,7 @@ def _with_response(
         cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
         mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
         amplitude, level = (np.log(np.maximum(each, _DARKEST)) for each in (np.hypot(cosine, sine), mean[lit]))
-        seen.append(SeenFringe(fringe, np.arctan2(sine, cosine), amplitude, level))
+        seen.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
     response = response_of(seen)
 
     def knowing(decoder: AxisDecoder) -> AxisDecoder:

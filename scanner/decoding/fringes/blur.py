@@ -48,7 +48,7 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     return weaker if weaker > _IN_FOCUS else 1.0
 
 
-def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
     """Go on without fringes where an axis has hardly any left but a code, judged by a sample (P,); says so."""
     pixels = pixels[::_THIN]
 

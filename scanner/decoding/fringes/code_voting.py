@@ -20,7 +20,7 @@ from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrappe
 from scanner.decoding.sequence_plan import AxisPlan, GrayCode
 
 
-def let_fringes_decide(
+def resolve_contradictory_codes(
     plan: AxisPlan,
     words: Sequence[Words],
     wrapped: Wrapped,

@@ -31,7 +31,7 @@ _OF_NEIGHBOURS_SHARE2 = np.float32(1)
 _ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
 
 
-def take_out_shading(
+def correct_shading_shift(
     value: Floats32, variance: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint
 ) -> Floats32:
     """Take out the shift to the brighter side, and be less sure of what was shifted; (H, W), in place.
@@ -44,7 +44,7 @@ def take_out_shading(
     return shift
 
 
-def take_out_bend(
+def correct_curvature_shift(
     value: Floats32,
     variance: Floats32,
     of_shading: Floats32,

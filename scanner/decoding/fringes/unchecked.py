@@ -39,7 +39,7 @@ _INDIRECT_CYCLES = 0.0105
 
 
 @dataclass(frozen=True)
-class SeenFringe:
+class FringeSample:
     """A fringe at P pixels: `phases` as measured, in radians, and the logarithms of its amplitude and of its mean."""
 
     fringe: Fringe
@@ -76,7 +76,7 @@ class Response:
         return left
 
 
-def response_of(seen: Sequence[SeenFringe]) -> Response:
+def response_of(seen: Sequence[FringeSample]) -> Response:
     """The response that the ripples of amplitudes speak for, of fringes of one or of both axes at the same pixels.
 
     Of both axes the amplitudes are compared with each other, whatever paint and light; of one, with the mean of frames.
@@ -197,7 +197,7 @@ def _bent(fringe: Fringe) -> _Bent:
     return _Bent(*np.moveaxis(np.array(parts), 1, 0))
 
 
-def _relative(seen: Sequence[SeenFringe]) -> Floats:
+def _relative(seen: Sequence[FringeSample]) -> Floats:
     """The logarithm (P,) of an amplitude relative to that of the other axis, or else to the mean."""
     return seen[0].log_amplitude - (seen[1].log_amplitude if len(seen) > 1 else seen[0].log_mean)
 

@@ -220,7 +220,7 @@ def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> boo
     )
 
 
-def out_of_line(
+def outlier_groups(
     groups: Sequence[tuple[tuple[int, ...], bool]], sample: Sample
 ) -> Iterator[tuple[tuple[int, ...], float]]:
     """Yields groups of frames, made alike, that differ from the other pairs or fringes, and how many times brighter.

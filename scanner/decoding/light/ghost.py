@@ -46,7 +46,7 @@ class Ghost:
     place: int | None = None
     of_odd_rows: float | None = None
 
-    def said(self, plan: SequencePlan) -> str:
+    def description(self, plan: SequencePlan) -> str:
         """For the operator."""
         if self.of_odd_rows is not None:
             both = f"{self.share:.0%} and {self.of_odd_rows:.0%}"
