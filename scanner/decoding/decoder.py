@@ -144,7 +144,7 @@ class Decoder:
         self._count += 1
 
     def finish(self) -> Decoding:
-        """Decode the capture; may be called once. Raises InputError if frames are missing or contradict the sequence."""
+        """Decode the capture, once. Raises InputError if frames are missing or contradict the sequence."""
         if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "

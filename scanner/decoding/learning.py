@@ -132,7 +132,7 @@ def observe(
 
 
 def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
-    """Find moving objects; None if too few static pixels remain to judge, or if exchanged frames explain the finding."""
+    """Find moving objects; None if too few static pixels remain, or if exchanged frames explain the finding."""
     found = find_unrest(plan, coarse, noise)
     if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
         return None
