@@ -1,4 +1,4 @@
-"""The frames of a capture, kept as they were taken: in memory, or mapped from a file where they are large."""
+"""Store the frames of a capture as taken: in memory, or in a memory-mapped file if they are large."""
 
 import os
 from tempfile import TemporaryFile
@@ -9,15 +9,15 @@ from calib.numerics import Image
 from scanner.decoding.memory import require_memory, total_bytes
 from scanner.errors import InputError
 
-# Frames that take more than this part of the machine's memory are mapped from a file.
+# Share of the machine's memory above which frames are mapped from a file.
 _MOST_OF_MEMORY = 0.25
 
 
 class Stack:
     """The grey frames (N, H, W) of a capture, in the order in which they were taken.
 
-    A frame is a view, which keeps all of them in memory as long as it lives. Raises InputError if there is not memory
-    enough to decode them, or not room enough for the file.
+    A frame is a view that keeps all of them in memory. Raises InputError if there is not enough memory to decode them,
+    or not enough room for the file.
     """
 
     def __init__(self, count: int, first: Image, *, codes_alone: bool) -> None:
@@ -31,11 +31,11 @@ class Stack:
 
     @property
     def frames(self) -> Image:
-        """(N, H, W): those that have been kept so far."""
+        """(N, H, W): the frames kept so far."""
         return self._frames[: self._count]
 
     def keep(self, grey: Image) -> Image:
-        """Keep the next frame (H, W); returns it as kept."""
+        """Store the next frame (H, W); return the stored copy."""
         kept: Image = self._frames[self._count]
         np.copyto(kept, grey)
         self._count += 1
@@ -43,11 +43,11 @@ class Stack:
 
 
 def _mapped(shape: tuple[int, int, int], like: Image) -> Image:
-    """Memory of this shape in a file that is gone when nothing needs it any more."""
+    """Return an array of this shape, mapped from a file that is deleted when the array is released."""
     count = shape[0] * like.nbytes
     try:
         with TemporaryFile(prefix="roomscan-") as file:
-            # Without room for all of it, writing to the memory would end the program.
+            # Allocate it now: running out of room while writing to the mapping would kill the program.
             os.posix_fallocate(file.fileno(), 0, count)
             frames: Image = np.memmap(file, like.dtype, "r+", shape=shape)
             return frames
