@@ -42,7 +42,7 @@ class Accumulators:
             for axis in plan.axes
             for code in axis.codes
         ]
-        self._waiting: dict[int, Image] = {}  # kept elsewhere: nothing is copied
+        self._waiting: dict[int, Image] = {}  # references to the stored frames, no copies
         self.fringes = [FringeFold(fringe, shape, first.dtype, self._waiting) for fringe in plan.fringes]
         self.brightest: Image = np.zeros(shape, first.dtype)
         self._white: Image | None = None

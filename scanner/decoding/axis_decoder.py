@@ -184,7 +184,7 @@ class AxisDecoder:
         return seen
 
     def _saturated(self, signals: Signals) -> Bools:
-        # In the image's own type, for comparing bytes with a float converts them all.
+        # Compare in the image's own type: comparing bytes with a float would convert all of them.
         peak = signals.peak
         if self.saturation > np.iinfo(peak.dtype).max:
             return np.zeros(peak.shape, np.bool_)
@@ -195,7 +195,7 @@ class AxisDecoder:
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
         reason, power, usable = reasons_of(measured.against), measured.power(self.finest), measured.certain
-        del measured  # a quarter of what decoding a tile takes in memory
+        del measured  # frees a quarter of the memory for decoding a tile
         brightness = log_amplitude(power)
         del power
         if len(coordinates) > 1:

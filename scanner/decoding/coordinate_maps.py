@@ -20,7 +20,7 @@ from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reas
 from scanner.decoding.tiles import in_tiles, widened
 
 # Margin around a tile that its pixels depend on: whole blocks, so that these are the same in every tile.
-_HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # and one for what breaks the surface
+_HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # plus one for discontinuities
 # Reasons that motion causes: an object close to the rig is brighter than the static scene.
 _OF_MOTION = (*CONTRADICTIONS, MaskReason.SATURATED)
 _TILE_PX = 48

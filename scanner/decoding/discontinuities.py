@@ -47,7 +47,7 @@ def breaks(
         for down, across in ((1, 0), (0, 1)):
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:
-            # In radians the noise of a phase is the relative noise of its amplitude.
+            # The noise of a phase in radians is the relative noise of its amplitude.
             relative = np.float32(_FAINT_SIGMAS * 2 * pi / axis.fringes[-1].period)
             largest = cast(Floats32, cv2.dilate(amplitude, np.ones((3, 3), np.uint8)))
             faint = np.empty(kept.size, np.bool_)

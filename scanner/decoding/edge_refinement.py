@@ -41,7 +41,7 @@ def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, u
     """
     measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
     folds = [fold for number in measured if (fold := _finest(accumulators, number)) is not None]
-    if len(folds) < len(measured):  # before anything is made of the size of the image: with fringes there are none
+    if len(folds) < len(measured):  # before full-size images are allocated; with fringes there are no edges
         return False
     kept = maps.reason == _KEPT
     # Undecided pixels form lines along edges; where there are more of them, it is too dark for edges as well.

@@ -19,21 +19,21 @@ class MaskReason(IntEnum):
 
     KEPT = 0
     DARK = 1
-    """The patterns change its brightness by no more than noise would."""
+    """The patterns change its brightness by no more than the noise."""
     SATURATED = 2
     """A fringe reached the camera's largest value."""
     UNDECIDED = 3
     """A bit of the Gray code is within the noise of its threshold, and no fringe helps."""
     INCONSISTENT = 4
-    """Gray codes and fringes contradict each other, or allow two answers."""
+    """Gray codes and fringes contradict each other, or are ambiguous."""
     OUTSIDE = 5
-    """The code is that of no projector pixel, or of none that a given calibration lets it see."""
+    """The code belongs to no projector pixel, or to none that the calibration allows for this pixel."""
     ISOLATED = 6
-    """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+    """It does not continue the surface of its neighbours: an edge of surface or light, or an isolated outlier."""
     INDIRECT = 7
     """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
     ALONG_EPIPOLAR_LINE = 8
-    """Only stripes along its epipolar line were shown, which do not tell how far away it is."""
+    """Only stripes along its epipolar line were shown, which do not determine its depth."""
     MOVED = 9
     """Something moved there during the capture, so that its frames contradict each other."""
 

@@ -43,7 +43,7 @@ class Sample:
         if self._margin:
             places += [(self._left, self.pixels - _STEP), (self._right, self.pixels + _STEP)]
         for levels, pixels in places:
-            levels.append(flat.take(pixels, mode="clip"))  # all are inside, which need not be checked
+            levels.append(flat.take(pixels, mode="clip"))  # all are inside; clip mode skips the bounds check
 
     def has(self, *frames: int) -> bool:
         """Whether these frames have been added."""

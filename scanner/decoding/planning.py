@@ -18,7 +18,7 @@ _MAX_BITS = 32
 # Two fringe orders are distinct if, for some period, they differ by at least this fraction of it.
 _DISTINCT_CYCLES = 0.05
 
-# Bits, cell and offset of a Gray code; and its frames, by whether they are inverted, and by bit.
+# Bits, cell and offset of a Gray code; and its frames by (inverted, bit).
 _Numbering = tuple[int, int, int]
 _Shown = dict[bool, dict[int, int]]
 

@@ -86,12 +86,14 @@ class Fringe:
 
     @property
     def noise_gain(self) -> float:
-        """Standard deviation of the two components of the fringe per grey level of noise; √(2/N) for equal shifts."""
+        """Standard deviation of the fringe's two components per grey level of noise; √(2/N) for equal shifts."""
         return float(np.sqrt(np.mean(np.sum(self.weights[1:] ** 2, axis=1))))
 
     @property
     def equal_steps(self) -> bool:
-        """Whether the shifts divide the cycle evenly, so that only harmonics next to multiples of N bend the phase."""
+        """Whether the shifts divide the cycle evenly, so that only harmonics next to multiples of N
+        distort the phase.
+        """
         steps = np.diff(np.sort(np.mod(np.array(self.shifts) + 1e-9, 1)))
         return bool(np.allclose(steps, 1 / len(self.shifts), atol=1e-6))
 

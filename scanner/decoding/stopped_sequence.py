@@ -79,7 +79,9 @@ def _trimmed(
 def _first_plan(
     choices: Sequence[dict[Pattern, Pattern]], once: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
 ) -> tuple[dict[Pattern, Pattern], SequencePlan | None, str]:
-    """The first of the choices that determines the coordinates, and its plan; or what the first one lacks."""
+    """Return the first of the choices that determines the coordinates, with its plan; otherwise what the first one
+    lacks.
+    """
     troubles = []
     for choice in choices:
         try:
@@ -90,13 +92,13 @@ def _first_plan(
 
 
 def _exposures(patterns: Sequence[Pattern]) -> int:
-    """How many frames in a row show each pattern, though the last ones may be missing."""
+    """Return the number of successive frames of each pattern; the last ones may be missing."""
     count = next((n for n, pattern in enumerate(patterns) if pattern != patterns[0]), 1)
     return count if exposures_of(patterns[: len(patterns) // count * count])[1] == count else 1
 
 
 def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> dict[Pattern, Pattern]:
-    """What the patterns along an axis are decoded as; those that are no use are not in it."""
+    """Return the patterns along an axis that can be decoded, and what each is decoded as."""
     found: dict[Pattern, Pattern] = {}
     codes: dict[tuple[int, int, int], list[Gray]] = defaultdict(list)
     relative: dict[tuple[int, int, int, int], list[Xor]] = defaultdict(list)

@@ -211,7 +211,7 @@ def _weights(
     # Noise in the regressors biases the weights towards each other, by its share of their variance.
     told = np.concatenate([design, *tied[:, chosen]])
     spread = float(np.linalg.eigvalsh(told.T @ told / len(left))[1])
-    if spread <= 0:  # frames without light, all alike
+    if spread <= 0:  # identical frames without light
         return np.ones((count, 1)), inf
     error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread
     bands = None if is_guess else _bands(design, left, noise)

@@ -35,11 +35,11 @@ _FINE_BITS, _GROUPS = 4, 16
 # right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
 # mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
-_MOST_UNEVEN = 1e12  # squared swings: of a pixel that does not swing
-_SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
+_MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
+_SWITCHED = 0.5  # most that is left if an ambient light change explains the sums
 # Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
 _FAINT = 0.025
-_RARE = 0.001  # levels that are hardly there say nothing of their slope
+_RARE = 0.001  # share of pixels below which a level does not determine its slope
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
 _FULL_SCALE = 1023
@@ -184,6 +184,6 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
     """Return the squared deviation of the sums (sums, P) from the median sum, in swings (P,): median pixel, summed."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # where nothing swings nothing is known
+    with np.errstate(invalid="ignore", divide="ignore"):  # pixels without swing
         off = (sums - np.median(sums, axis=0)) / swing
     return float(np.sum(np.median(np.nan_to_num(off**2, posinf=_MOST_UNEVEN), axis=1)))

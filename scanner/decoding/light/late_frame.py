@@ -27,7 +27,7 @@ _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
 # Largest share of what equal brightness would leave. A preceding inverse of the same bit looks like a brightness
 # change.
 _OF_BRIGHTNESS = 0.3
-_LEAST_VARIETY = 0.2  # of the picture before, in swings: black in a frame makes it darker, and nothing else
+_LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only darkens the frame
 _MOST_PIXELS = 1000
 _FEWEST_GROUPS = 3
 

@@ -8,7 +8,7 @@ from scanner.decoding.significance import BRIGHTEST
 
 # Pixels whose swing is less than this share of the brightest pixels' are not lit.
 _LIT = 0.25
-_MOST_PIXELS = 4096  # enough for a few numbers
+_MOST_PIXELS = 4096  # enough to estimate a few parameters
 
 
 def lit_by(swing: Floats32) -> NDArray[np.intp]:

@@ -61,7 +61,7 @@ def test_shading_at_the_rim_is_taken_from_beside_it() -> None:
 
 
 def test_a_ball_keeps_its_shape() -> None:
-    """Fringes on a ball, lit from where the camera is, averaged over each pixel's footprint."""
+    """Fringes on a ball, lit from the camera's position, averaged over each pixel's footprint."""
     fine, radius, period = 8, 20.0, 12.0
     side = np.arange(-24 * fine, 24 * fine) / fine
     r2 = side[:, None] ** 2 + side**2
@@ -92,7 +92,7 @@ def test_a_ball_keeps_its_shape() -> None:
 
 
 def test_what_is_wanted_comes_out_as_in_the_whole() -> None:
-    """As a tile with pixels around it, at a corner of the image and in its middle."""
+    """A tile with a margin, at a corner of the image and in its middle, gives the same result as the whole image."""
     rng = np.random.default_rng(1)
     value, variance = rng.normal(0, 0.02, SHAPE).astype(np.float32), np.full(SHAPE, 1e-4, np.float32)
     surface, shading = rng.random(SHAPE) > 0.1, rng.normal(0, 0.01, SHAPE).astype(np.float32)

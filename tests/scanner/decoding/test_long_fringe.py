@@ -1,4 +1,4 @@
-"""A single fringe over the whole picture: nothing disagrees with it, and its sigma says so, whatever the response."""
+"""A single fringe over the whole picture: nothing checks it, and its sigma covers the error for any response."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""More light has bounced than comes straight from the projector: certain or masked, never wrong."""
+"""Interreflection exceeds the direct light: pixels are certain or masked, never wrong."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from scanner.patterns.pattern import Code, Xor, gray_sequence, phase_sequence, x
 from scanner.patterns.presets import PRESETS
 from tests.support.synthetic_capture import Scene
 
-# Six times as much bounced light as direct light at most.
+# At most six times as much indirect as direct light.
 SCENE = Scene(camera=(420, 315), projector=(600, 400), indirect=6.0, exposure=50.0)
 CONCAVE = PRESETS["concave"]
 GROSS_PX = 2.0
@@ -35,7 +35,7 @@ TOLERANCES = Tolerances(0.3, (0.05,))
 
 
 def wrong_and_kept(code: Code) -> tuple[float, float]:
-    """Share of the matches that are wrong by a stripe or more, and of the well lit pixels that are matched."""
+    """Return the share of matches wrong by a stripe or more, and the share of well lit pixels that are matched."""
     decoding = SCENE.decode(replace(CONCAVE, code=code).patterns(SCENE.projector))
     errors = np.abs(SCENE.errors(decoding)).max(axis=1)
     return float(np.mean(errors > GROSS_PX)), float(np.mean(decoding.reasons[SCENE.well_lit()] == MaskReason.KEPT))
