@@ -53,7 +53,7 @@ SWITCHED_OFF: dict[str, Off] = {
         ("light.equalise", "PairEqualiser.gains", _nothing),
     ),
     "without taking motion back": (("motion.found", "Disturbance.take_back", _nothing),),
-    "with wrong bits left": (("axis_decoder", "let_fringes_decide", _nothing),),
+    "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 
 

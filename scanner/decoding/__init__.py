@@ -1,4 +1,4 @@
-"""The parts of the decoder: what a sequence measures, folding frames in, fringe orders, masks, checks."""
+"""Decode structured-light sequences: sequence plan, folding of frames, fringe orders, masks, checks."""
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.map_checks import MirroredError

@@ -1,7 +1,7 @@
-"""Frames folded into full-size images as they arrive, beside the camera.
+"""Fold frames into full-size running images as they arrive.
 
-A Gray bit is one compare of two frames. A fringe is two differences, or two weighted sums. Frames wait for the one that
-they are compared with, or that gives their threshold.
+A Gray code bit is one comparison of two frames. A fringe is two differences, or two weighted sums. A frame waits until
+the frame that it is compared with, or its threshold, is available.
 """
 
 from collections import defaultdict
@@ -25,10 +25,10 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 class Accumulators:
-    """All that is kept at full size of the frames seen so far.
+    """The full-size running images of the frames added so far.
 
     `brightest` (H, W): the white frame or, without one, the maximum over all frames. `log_exposure` (H, W): logarithm
-    of the pixels' exposures, relative to each other; None if they are all alike.
+    of each pixel's relative exposure; None if all were exposed alike.
     """
 
     def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser, pixels: NDArray[np.int64]) -> None:
@@ -42,7 +42,7 @@ class Accumulators:
             for axis in plan.axes
             for code in axis.codes
         ]
-        self._waiting: dict[int, Image] = {}  # kept elsewhere: nothing is copied
+        self._waiting: dict[int, Image] = {}  # references to the stored frames, no copies
         self.fringes = [FringeFold(fringe, shape, first.dtype, self._waiting) for fringe in plan.fringes]
         self.brightest: Image = np.zeros(shape, first.dtype)
         self._white: Image | None = None
@@ -62,10 +62,10 @@ class Accumulators:
         self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
 
     def add(self, index: int, grey: Image) -> dict[int, Image]:
-        """Fold in frame `index`, (H, W), which nobody changes any more.
+        """Fold in frame `index`, (H, W), which must not be modified afterwards.
 
-        Returns the frames that have been folded in, by index, a pattern and its inverse made alike: with the second of
-        them both, with the first none.
+        Returns the frames that were folded in, by index. A pattern and its inverse are returned together, equalised,
+        when the second of them arrives.
         """
         folded = {index: grey}
         if index in self._steps:
@@ -87,10 +87,10 @@ class Accumulators:
         return folded
 
     def finish(self) -> float:
-        """Fold in what waited for the whole sequence to give its threshold.
+        """Fold in the frames whose threshold needs the whole sequence.
 
-        Returns how bright white is in the patterns, in parts of the white frame; if that is another white, it is from
-        then on the one of the patterns.
+        Returns the brightness of white in the patterns relative to the white frame. If it differs from 1, `brightest`
+        and `middle` are replaced by those of the patterns.
         """
         if self._darkest is not None:
             self._threshold = _mean(self.brightest, self._darkest)
@@ -104,7 +104,7 @@ class Accumulators:
         return white
 
     def decode_as(self, codes: Sequence[GrayFold]) -> None:
-        """Go on with these in place of the codes that were shown, one for one."""
+        """Replace the codes by these, one for one."""
         x, y = (
             replace(axis, codes=tuple(n.code for o, n in zip(self.codes, codes, strict=True) if o.code in axis.codes))
             for axis in self.plan.axes
@@ -112,7 +112,7 @@ class Accumulators:
         self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
 
     def forget_fringes(self) -> None:
-        """Go on with the codes alone; white and black tell what is lit."""
+        """Drop the fringes and decode the codes alone; white and black show what is lit."""
         x, y = (replace(axis, fringes=()) for axis in self.plan.axes)
         self.plan, self.fringes = replace(self.plan, x=x, y=y), []
         half = cv2.subtract(self.brightest, self.middle)
@@ -120,30 +120,30 @@ class Accumulators:
             fold.contrast = cast(Image, cv2.add(half, half))
 
     def forget_contrasts(self) -> None:
-        """Free the bits' distances from their thresholds where the fringes contradict wrong bits anyway."""
+        """Free the bits' contrasts on axes whose fringes correct wrong bits."""
         for axis in self.plan.axes:
             for fold in self.codes:
                 if axis.corrects_bits and fold.code in axis.codes:
                     fold.least = fold.least[:0].copy()
 
     def forget_peaks(self, saturation: float) -> None:
-        """Free the peaks of the fringes where none is clipped: the largest stands for all of them."""
+        """Replace the peaks of the fringes by their maximum if none is clipped."""
         if self._fringe_peak is not None and (largest := self._fringe_peak.max()) < saturation:
             self._fringe_peak = np.broadcast_to(largest, self._fringe_peak.shape)
 
     @property
     def gains_of_pairs(self) -> dict[tuple[int, int], Gains]:
-        """Of the patterns that have an inverse."""
+        """The gains of the patterns that have an inverse."""
         return self._equaliser.found
 
     @property
     def peak(self) -> Image:
-        """(H, W): the largest grey levels among the fringes, or among all frames where there are no fringes."""
+        """(H, W): maximum over the fringe frames, or over all frames if there are no fringes."""
         return self.brightest if self._fringe_peak is None else self._fringe_peak
 
     @cached_property
     def middle(self) -> Image:
-        """(H, W): grey level half-way between lit and unlit, once all frames are in: that of a pair, without black."""
+        """(H, W): grey level half-way between lit and unlit, once all frames are in; without black, that of a pair."""
         black, self._black = self._black, None
         if black is None and self._threshold is not None:
             return self._threshold
@@ -167,7 +167,7 @@ class Accumulators:
         return {normal: bright, inverse: dark}
 
     def _fold_alone(self) -> None:
-        """Fold in the bits without an inverse as soon as there is a threshold for them."""
+        """Fold in the bits without an inverse as soon as their threshold is known."""
         if not self._alone:
             return
         if self._threshold is None and self._white is not None and self._black is not None:
@@ -186,7 +186,7 @@ class Accumulators:
 
 
 def _needs_midrange(plan: SequencePlan) -> bool:
-    """Whether nothing but the extremes over all frames tells what is half-way between lit and unlit."""
+    """Whether the half-way level can only be taken from the extremes over all frames."""
     return not plan.complements
 
 

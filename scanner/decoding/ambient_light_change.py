@@ -1,9 +1,8 @@
-"""Light that is switched on or off during the capture: from some frame on, every pixel has more of it, or less.
+"""Ambient light that is switched on or off during the capture: from some frame on, it adds to every pixel.
 
-Unlike a lamp that flickers it adds to the frames, by an amount of its own at each pixel. It shows in the sums of pairs
-and of fringes: from one on they are all off, by light of one sign. Where only the sums of fringes tell, they are
-compared with black and white: their steps add up to the same grey everywhere, a part of white that is known from the
-frames before.
+Unlike flicker it is additive, with a different amount at each pixel. It shows in the sums of pairs and of fringes: from
+one frame on they all deviate with the same sign. If only fringes tell, their sums are compared with black and white:
+their mean is the same share of white everywhere, known from the frames before the change.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,24 +16,26 @@ from calib.numerics import Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import SequencePlan
 
-# Of the squares of the added light, those of the other sign; noise is of both.
+# Largest share of the squared added light with the opposite sign; noise has both signs.
 _MOST_OF_OTHER_SIGN = 0.1
-# Switched at the right frame, it explains most contradictions; within one group of frames, any moment looks alike.
+# Largest share of the contradictions left with the right frame; within one group of frames all moments look alike.
 _MOST_LEFT, _AS_GOOD = 0.5, 0.8
-# What two moments may leave, one of the other, if the frames do not tell them apart; of a clear one it is a fifteenth.
+# Ratio of what two moments leave if they are indistinguishable; for a clear moment it is a fifteenth.
 _ALIKE = 2.0
 _NOTHING = 1e-9
-# What harms no bit need not be taken out.
+# Smaller changes invert no bit and are not removed.
 _LEAST_SHARE = 0.03
-# By so much of white stripes that are not fine may light more than half of what is seen.
+# Stripes that are not fine may light more than half of the visible pixels by this share of white.
 _UNEVEN = 0.1
 
 
 @dataclass(frozen=True)
 class AmbientLightChange:
-    """From `frame` on there is more light, as much as all frames make with these `weights` (frames,); the median pixel
-    has this `share` of the patterns' more, or less. `beside`: the frame next to it that explains the frames as well, as
-    where the light came up while one was exposed; None if there is none.
+    """An ambient light change from `frame` on.
+
+    `weights` (frames,): the linear combination of all frames that gives the added light. `share`: at the median pixel,
+    relative to the pattern's light; negative if switched off. `beside`: an adjacent frame that explains the frames as
+    well, as when the light came up during an exposure; None if there is none.
     """
 
     frame: int
@@ -44,15 +45,15 @@ class AmbientLightChange:
 
     @property
     def is_harmful(self) -> bool:
-        """Whether it may turn bits over that have no inverse, and bend fringes."""
+        """Whether it may invert bits without an inverse, and distort fringes."""
         return abs(self.share) > _LEAST_SHARE
 
     def light(self, levels: Floats32) -> Floats32:
-        """Of pixels (P,), from their levels in all frames (frames, P); in grey levels."""
+        """Return the added light of pixels (P,) in grey levels, from their levels in all frames (frames, P)."""
         return self.weights @ levels
 
     def image(self, frames: Iterable[Image], shape: tuple[int, ...], plan: SequencePlan) -> Floats32:
-        """The light of all pixels, from the frames of a capture in the order in which they were shown, of (H, W)."""
+        """Return the added light (H, W), from the frames of a capture in the order in which they were shown."""
         light = np.zeros(shape, np.float32)
         for place, frame in enumerate(frames):
             number = plan.shown[place]
@@ -61,13 +62,13 @@ class AmbientLightChange:
         return light
 
     def undone(self, levels: Floats32) -> Floats32:
-        """The frames (frames, P) as they would be in the first light."""
+        """Return the frames (frames, P) without the change."""
         result = levels.copy()
         result[self.frame :] -= self.light(levels)
         return result
 
     def said(self, plan: SequencePlan) -> str:
-        """For the operator."""
+        """Return a clause for the operator."""
         went = "on" if self.share > 0 else "off"
         when = plan.name(self.frame) if self.beside is None else f"{plan.name(self.frame)} or {plan.name(self.beside)}"
         return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
@@ -76,7 +77,7 @@ class AmbientLightChange:
 def without_light(
     frames: Iterable[Image], light: Floats32, plan: SequencePlan, switch: AmbientLightChange
 ) -> Iterator[Image]:
-    """The frames (N, H, W) of a capture, one by one, as they would be in the first light; `light` (H, W): the other."""
+    """Yield the frames (N, H, W) of a capture without the change; `light` (H, W): the added light."""
     begin = plan.shown.index(switch.frame)
     for place, frame in enumerate(frames):
         depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
@@ -84,8 +85,10 @@ def without_light(
 
 
 def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
-    """Whether the means over all pixels (frames, P) of a fringe's steps differ, of which pixels see all phases; or that
-    of fine stripes is not the half of white that they light.
+    """Whether mean levels (frames, P) hint at an ambient light change.
+
+    Either the means of a fringe's steps differ, over pixels that see all phases; or those of fine stripes are not half
+    of white.
     """
     if _spread_of_steps(plan, levels) > _LEAST_SHARE:
         return True
@@ -99,9 +102,10 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
 def light_switch(
     plan: SequencePlan, levels: Floats32, swing: Floats32, contradiction: Callable[[Floats32], float]
 ) -> AmbientLightChange | None:
-    """The one that explains most of what is contradictory about the `levels` (frames, P); None if none does.
+    """Return the ambient light change that explains most of the contradictions of `levels` (frames, P); None if none
+    does.
 
-    `swing` (P,): how far the levels of a pixel are apart. `contradiction` measures frames (frames, P).
+    `swing` (P,): range of each pixel's levels. `contradiction` measures the inconsistency of frames (frames, P).
     """
     weighted = [
         (frame, *found) for frame in range(1, len(levels)) if (found := _light_weights(plan, levels, frame)) is not None
@@ -119,7 +123,7 @@ def light_switch(
         return None
     left = [contradiction(candidate.undone(levels)) for candidate in candidates]
     least, best, before = min(left), candidates[int(np.argmin(left))], contradiction(levels)
-    # Steps half of which are in either light contradict each other little, but differ from their mean.
+    # A change in the middle of a fringe's steps causes little contradiction, but changes the means of the steps.
     is_even = _spread_of_steps(plan, best.undone(levels)) <= _MOST_LEFT * _spread_of_steps(plan, levels)
     near = [c.frame for c, rest in zip(candidates, left, strict=True) if rest <= _ALIKE * least]
     best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
@@ -133,8 +137,9 @@ def _spread_of_steps(plan: SequencePlan, levels: Floats32) -> float:
 
 
 def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Floats32, float] | None:
-    """With what weights (frames,) all frames make the light that was switched before one of them, by least squares in
-    the means of pairs and fringes, and its precision; None if these do not tell.
+    """Return the weights (frames,) of all frames that give the light switched before `frame`, and their precision.
+
+    By least squares in the means of pairs and fringes; None if these do not determine it.
     """
     of_means, after = [], []
     for frames_of, base in _bases(plan, levels, frame):
@@ -152,8 +157,9 @@ def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Fl
 def _bases(
     plan: SequencePlan, levels: Floats32, frame: int
 ) -> Iterator[tuple[Sequence[Sequence[int]], Floats32 | None]]:
-    """Groups of frames that have the same mean in one light, and the weights (frames,) of all frames in that; None if
-    only the other groups tell it.
+    """Yield groups of frames of equal mean in constant light, and that mean as weights (frames,) of all frames.
+
+    The weights are None if only the other groups determine the mean.
     """
     fringes = [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
     if len(plan.complements) > 1:
@@ -170,8 +176,9 @@ def _bases(
 
 
 def _grey_of(plan: SequencePlan, fringes: Sequence[Sequence[int]], levels: Floats32, frame: int) -> float | None:
-    """The mean of fringes as a part of white: by those before a frame, of which pixels see all phases; or else by what
-    fine stripes after it, of which half are lit, have more than half of white. None if there are no such frames.
+    """Return the mean of fringes as a share of white; None if it cannot be determined.
+
+    From the fringe frames before `frame`, or else from the excess of the fine stripes after it over half of white.
     """
     white, black = levels[plan.white].mean(), levels[plan.black].mean()
     parts = (levels.mean(axis=1) - black) / max(white - black, _NOTHING)
@@ -183,7 +190,7 @@ def _grey_of(plan: SequencePlan, fringes: Sequence[Sequence[int]], levels: Float
 
 
 def _fine(plan: SequencePlan, frame: int) -> list[int]:
-    """Of each code the finest bit without an inverse from a frame on."""
+    """Return, for each code, the finest bit without an inverse from a frame on."""
     later = [{bit: number for bit, number in code.unpaired.items() if number >= frame} for code in plan.codes]
     return [numbers[max(numbers)] for numbers in later if numbers]
 

@@ -1,4 +1,4 @@
-"""Names for the array types of the decoder, which works in single precision; shapes are given in docstrings."""
+"""Array types of the decoder, which works in single precision; shapes are given in docstrings."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""One projector coordinate from what was accumulated: code words, fringe components → coordinate, variance, reason."""
+"""Decode one projector coordinate from code words and fringe components: coordinate, variance, mask reason."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
-from scanner.decoding.fringes.code_voting import let_fringes_decide
+from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.fringes.systematic_error import correct_systematic
@@ -27,19 +27,19 @@ from scanner.decoding.mask_reasons import (
     note_codes,
     note_contrast,
     note_indirect,
+    note_inverted_bits,
     note_light,
     note_orders,
-    note_turned_over,
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# So many are enough for a fringe that lenses weaken, where its stripes are seen: they say that the pixel is lit.
+# Standard deviations that suffice for a fringe weakened by blur where its stripes are seen: they show the pixel is lit.
 _FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
-# How far beyond the projector's pixels noise may carry a coordinate.
+# Noise may carry a coordinate this far beyond the projector's pixels.
 EDGE_PX = 0.5
 _FAINTEST_POWER = np.float32(1e-6)
 _CYCLE = np.float32(2 * pi)
@@ -47,9 +47,9 @@ _CYCLE = np.float32(2 * pi)
 
 @dataclass(frozen=True)
 class Coordinate:
-    """`value` in projector pixels with its `variance`, and the `reason` not to use it; arrays (H, W).
+    """`value` in projector pixels with its `variance`, and the `reason` for masking it; arrays (H, W).
 
-    `log_amplitude`: of the finest fringes that are seen; None without fringes.
+    `log_amplitude`: of the finest resolved fringes; None without fringes.
     """
 
     value: Floats32
@@ -60,8 +60,10 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Measured:
-    """What codes and fringes of an axis say at each pixel, with `variances` (fringes, P) of the coordinates by noise,
-    and what speaks `against` them (P,), as flags. `units_px2` (P,) for each fringe: the variance at an amplitude of 1.
+    """Code interval and unwrapped fringes of one axis at P pixels.
+
+    `variances` (fringes, P): of the coordinates, from noise. `against` (P,): flags of `Against`. `units_px2`: maps a
+    fringe's number to the variance (P,) of its coordinate at an amplitude of 1.
     """
 
     interval: Interval
@@ -71,31 +73,31 @@ class Measured:
     against: Reasons
 
     def power(self, number: int) -> Floats32:
-        """The square of a fringe's amplitude, (P,): what its variance was computed from."""
+        """Return the squared amplitude of a fringe, (P,), recovered from its variance."""
         power = self.units_px2(number)
         power /= self.variances[number]
         return power
 
     @property
     def well_lit(self) -> Bools:
-        """(P,): the longest fringe is seen, and none is saturated."""
+        """(P,): the longest fringe is seen, and no fringe is saturated."""
         lit: Bools = self.against & np.uint8(NOT_LIT) == 0
         return lit
 
     @property
     def certain(self) -> Bools:
-        """(P,): well lit, and with one order of the fringes that agrees, and no other."""
+        """(P,): well lit, with a fringe order that is consistent and unique."""
         certain: Bools = self.against & np.uint8(NOT_LIT | UNCERTAIN) == 0
         return certain
 
 
 @dataclass(frozen=True)
 class AxisDecoder:
-    """Turns signals into one coordinate.
+    """Decodes the signals of one axis into a coordinate.
 
-    `ripple`: per fringe, what to add to its phase (a table over a cycle), or None. `finest`: the number of the shortest
-    fringe that is seen where there is light. `blurred`: how many times weaker lenses make the longest fringe.
-    `unchecked`: what an only fringe errs by that is no noise, and that nothing shows.
+    `ripple`: per fringe, a correction table of its phase over one cycle, or None. `finest`: index of the shortest
+    fringe that is resolved. `blurred`: factor by which lens blur weakens the longest fringe. `unchecked`: systematic
+    error of an axis with a single fringe, which nothing in the capture checks; None otherwise.
     """
 
     plan: AxisPlan
@@ -117,15 +119,15 @@ class AxisDecoder:
 
     @cached_property
     def _darkest_px2(self) -> np.float32:
-        """The variance of the longest fringe where it is just seen; lenses blur the others more."""
+        """The variance of the longest fringe at the limit of detection; blur affects the others more."""
         return np.float32(largest_variance(self.plan.fringes[0], with_gray=bool(self.plan.codes)))
 
     def decode(self, signals: Signals) -> Coordinate:
-        """The coordinate at every pixel of the signals."""
+        """Return the coordinate at every pixel."""
         return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
 
     def measure(self, signals: Signals) -> Measured:
-        """What the fringes say at every pixel, of an axis that has fringes."""
+        """Unwrap the fringes at every pixel; for an axis with fringes."""
         interval = interval_of(self.plan, signals.words, len(signals.middle))
         shape = len(self.plan.fringes), len(signals.middle)
         variances, positions = (np.empty(shape, np.float32) for _ in range(2))
@@ -138,7 +140,7 @@ class AxisDecoder:
         wrapped = Wrapped(positions, variances)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances, in_place=not self.plan.corrects_bits)
         if self.plan.corrects_bits:
-            let_fringes_decide(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
+            resolve_contradictory_codes(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
         del wrapped, positions
         against = np.empty(len(signals.middle), np.uint8)
         note_codes(interval.outside, interval.contradictory, against)
@@ -150,18 +152,18 @@ class AxisDecoder:
         note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
         if self.blurred > 1:
             against[self._faintly_seen(variances[0], signals)] &= np.uint8(~Against.DARK & 255)
-        # No second period would contradict a bit that global light has turned over.
+        # Without a second period, nothing contradicts a bit that interreflection has inverted.
         for least in () if self.plan.corrects_bits else signals.least:
-            note_turned_over(least, direct, signals.brightest, signals.middle, against)
+            note_inverted_bits(least, direct, signals.brightest, signals.middle, against)
         return measured
 
     def _unit_px2(self, level: Floats32, number: int) -> Floats32:
-        """Of a fringe with an amplitude of 1 at each level (P,), the variance of its coordinate by noise."""
+        """Return the variance of a fringe's coordinate at amplitude 1, from the noise at each grey level (P,)."""
         unit = self._units_px2[number]
         return np.float32(unit * self.noise.at_black) + np.float32(unit * self.noise.gain) * level
 
     def positions(self, signals: Signals) -> Floats32:
-        """(fringes, P): the position within the period in projector pixels."""
+        """Return each fringe's position within its period, in projector pixels, (fringes, P)."""
         found = np.empty((len(self.plan.fringes), len(signals.middle)), np.float32)
         for k, position in enumerate(found):
             self._position(k, *signals.fringe(k), position)
@@ -175,14 +177,14 @@ class AxisDecoder:
         position *= np.float32(self.plan.fringes[number].period / (2 * pi))
 
     def _faintly_seen(self, variance: Floats32, signals: Signals) -> Bools:
-        """(P,): where stripes are seen, and the longest fringe is a little beyond noise."""
+        """(P,): stripes are resolved, and the longest fringe is a little above the noise."""
         _, least_seen = least_contrasts(self.noise, signals.middle)
         lit = 2 * (signals.brightest - signals.middle) > least_seen
         seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
         return seen
 
     def _saturated(self, signals: Signals) -> Bools:
-        # In the image's own type, for comparing bytes with a float converts them all.
+        # Compare in the image's own type: comparing bytes with a float would convert all of them.
         peak = signals.peak
         if self.saturation > np.iinfo(peak.dtype).max:
             return np.zeros(peak.shape, np.bool_)
@@ -193,7 +195,7 @@ class AxisDecoder:
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
         reason, power, usable = reasons_of(measured.against), measured.power(self.finest), measured.certain
-        del measured  # a quarter of what decoding a tile takes in memory
+        del measured  # frees a quarter of the memory for decoding a tile
         brightness = log_amplitude(power)
         del power
         if len(coordinates) > 1:
@@ -227,14 +229,14 @@ class AxisDecoder:
         note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
             note_contrast(least, least_certain, contrast, least_seen, against)
-        # Evenly spread over the interval.
+        # Uniform distribution over the interval.
         variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
         shape = signals.shape
         return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
 
 
 def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats32) -> Words:
-    """The bits (P,) of a code's words whose contrast (P,) is too small to decide by."""
+    """Return the bits (P,) of a code's words whose contrast (P,) is too small to decide them."""
     words = np.zeros(len(least_certain), np.uint32)
     for bit, contrast in fine.items():
         words |= (contrast <= least_certain).astype(np.uint32) << np.uint32(code.bits - 1 - bit)
@@ -242,17 +244,19 @@ def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats3
 
 
 def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Floats32, Floats32]:
-    """From which contrast on a bit is certain, and a code is seen, at each level half-way between lit and unlit."""
+    """Return the least contrast of a certain bit, and of a visible code, at each grey level half-way between lit and
+    unlit.
+    """
     difference_sigma = np.float32(sqrt(2)) * noise.sigma(middle)
     certain = np.maximum(np.float32(noise.stray), np.float32(_CERTAIN_BIT) * difference_sigma)
     return certain, np.maximum(np.float32(2 * noise.stray), np.float32(SIGNIFICANT_SIGMAS) * difference_sigma)
 
 
 def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
-    """The variance of a fringe that is just seen.
+    """Return the variance of a fringe at the limit of detection.
 
-    Where a Gray code goes with it, its single bits must be seen too: they have √2 of a frame's noise, and a contrast of
-    twice the fringe's amplitude.
+    With a Gray code the single bits must be seen too: they have √2 of a frame's noise, and a contrast of twice the
+    fringe's amplitude.
     """
     needed = (
         max(SIGNIFICANT_SIGMAS, SIGNIFICANT_SIGMAS / sqrt(2) / fringe.noise_gain) if with_gray else SIGNIFICANT_SIGMAS
@@ -269,7 +273,7 @@ def _variance(
     per_level: np.float32,
     variance: Floats32,
 ) -> None:
-    """Of a fringe's coordinate by noise, which grows with the level."""
+    """Compute the variance (P,) of a fringe's coordinate from noise that grows with the grey level."""
     for i in range(len(cosine)):
         power = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
         variance[i] = (at_black + per_level * level[i]) / power
@@ -277,7 +281,7 @@ def _variance(
 
 @compiled
 def _straighten(phase: Floats32, ripple: Floats32) -> None:
-    """Add a table over a cycle, whose length is a power of two."""
+    """Add a correction table over one cycle, whose length is a power of two, to the phase (P,)."""
     last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
     for i in range(len(phase)):
         phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
@@ -285,7 +289,7 @@ def _straighten(phase: Floats32, ripple: Floats32) -> None:
 
 @compiled
 def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, variance: Floats32) -> None:
-    """The mean, each by the inverse of its variance, and the variance of the mean: in place of `value`, `variance`."""
+    """Update `value` and `variance` to the inverse-variance weighted mean with another coordinate, in place."""
     for i in range(len(value)):
         share = variance[i] / (variance[i] + own_variance[i])
         value[i] += share * (coordinate[i] - value[i])
@@ -294,6 +298,6 @@ def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, v
 
 @compiled
 def _note_beyond(value: Floats32, centre: np.float32, reach: np.float32, outside: np.uint8, reason: Reasons) -> None:
-    """Give a reason to pixels that have none and are too far from the centre."""
+    """Set the reason `outside` at unmasked pixels that are farther than `reach` from the centre."""
     for i in range(len(value)):
         reason[i] = outside if (abs(value[i] - centre) > reach) & (reason[i] == 0) else reason[i]

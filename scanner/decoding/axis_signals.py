@@ -1,4 +1,4 @@
-"""What was accumulated, for one axis at some pixels, in the form in which it is decoded."""
+"""Select the accumulated signals of one axis at given pixels, in the form that the decoder takes."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from scanner.decoding.sequence_plan import AxisPlan
 
 @dataclass(frozen=True)
 class Signals:
-    """One axis at P pixels, which make up an image of `shape` (H, W), row after row.
+    """The signals of one axis at P pixels, which form an image of `shape` (H, W), row by row.
 
-    `words`: per code, (P,). `least` (codes, P) unless fringes contradict wrong bits, and `contrast` (codes, P)
-    without fringes, as in `GrayFold`; else with no codes. `fine`: of each code, the contrast (P,) of bits that a pixel
-    may do without, by bit; `least` is then that of the others. `components` of each fringe, longest period first:
-    (H, W) each, which times its `scales` are in grey levels and then need its `corrections`. `brightest`, `middle`
-    (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): largest among the fringes.
-    `log_exposure` (P,): None if all are alike. `rows` (P,): of the image; empty if nothing depends on them.
+    `words`: per code, (P,). `least` (codes, P): as in `GrayFold`, empty if the fringes correct wrong bits. `contrast`
+    (codes, P): as in `GrayFold`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
+    `least` then covers the other bits. `components`: per fringe, longest period first, (H, W) each; multiplied by its
+    entry in `scales` they are in grey levels, to which `corrections` apply. `brightest`, `middle` (P,): grey level when
+    lit, and half-way between lit and unlit. `peak` (P,): maximum over the fringes. `log_exposure` (P,): None if all
+    pixels were exposed alike. `rows` (P,): image row; empty if no correction depends on it.
     """
 
     shape: tuple[int, int]
@@ -41,7 +41,7 @@ class Signals:
     log_exposure: Floats32 | None = None
 
     def fringe(self, number: int) -> tuple[Floats32, Floats32]:
-        """The components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
+        """Return the components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
         levels = np.empty((2, *self.shape), np.float32)
         for of_component, component in zip(levels, self.components[number], strict=True):
             _in_levels(component, np.float32(self.scales[number]), of_component)
@@ -53,7 +53,7 @@ class Signals:
 
 
 def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
-    """The accumulated signals of x, then of y, at pixels that `select` takes from an (H, W) image, as a 2-D array."""
+    """Return the signals of x, then of y, at the pixels that `select` picks from an (H, W) image, as a 2-D array."""
     middle, peak, log_exposure = select(accumulators.middle), select(accumulators.peak), accumulators.log_exposure
     shape = middle.shape[0], middle.shape[1]
     brightest, half_lit = _stack([select(accumulators.brightest), middle], shape)
@@ -86,7 +86,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
-    """Images of one shape, (images, P)."""
+    """Stack images of one shape to (images, P)."""
     stack = np.empty((len(images), *shape), np.float32)
     for row, image in zip(stack, images, strict=True):
         row[:] = image
@@ -95,7 +95,7 @@ def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
 
 @compiled
 def _in_levels(component: Component, scale: np.float32, levels: Floats32) -> None:
-    """A component (H, W) of whole numbers, or others, times its scale."""
+    """Multiply a component (H, W) by its scale."""
     height, width = component.shape
     for row in range(height):
         of_row, into = component[row], levels[row]

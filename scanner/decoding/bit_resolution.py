@@ -1,9 +1,9 @@
-"""Bits of a Gray code whose stripes the lenses do not resolve, left out: longer cells are decoded instead.
+"""Drop bits of a Gray code whose stripes the lenses do not resolve, and decode longer cells instead.
 
-A bit is weak where its contrast is a small part of what the coarse bits have at the same pixel. It then follows
-sharpening, crosstalk and stray light rather than the pattern. Weak bits are left out if that decides more pixels than
-their finer cells are worth, or if without them neighbouring cells are neighbours. Where camera
-pixels are larger than cells, so that most lack some bit of those that are left, each does with the bits that it has.
+A bit is weak where its contrast is a small share of the coarse bits' contrast at the same pixel. It then follows
+sharpening, crosstalk and stray light rather than the pattern. Weak bits are dropped if that decides more pixels than
+their finer cells are worth, or if it makes neighbouring cells adjacent. Where camera pixels are larger than cells, so
+that most of them lack some bit, each pixel uses the bits that it has.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,19 +21,19 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
 
-# The 90 % quantile of a bit's contrast relative to the coarse bits': a half of it is lost in the middle between two
-# stripes anyway. An exchanged frame does not make a bit weak.
+# Least 90 % quantile of a bit's contrast relative to the coarse bits': half of it is lost midway between two stripes
+# anyway. An exchanged frame does not make a bit weak.
 _WEAK = 0.25
 _USUAL = 0.9
-# If fewer of the lit pixels have all bits, and pixels are larger than cells, each does with what it has: at the edge of
-# its stripe a bit is undecided, and then nearly all are near an edge.
+# If fewer of the lit pixels have all bits, and pixels are larger than cells, each uses the bits it has: a bit is
+# undecided at the edge of its stripe, and then nearly all pixels are near an edge.
 _MOSTLY = 0.85
-# Cells are counted along so many rows and columns, between pixels so far apart.
+# Number of rows and columns along which cells are counted, and the distance between the compared pixels.
 _ROWS, _APART_PX = 128, 16
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
-    """Leave out what the frames do not resolve, judged by a sample of pixels (P,); yields a sentence for each code."""
+    """Drop the bits that are not resolved at sample pixels (P,); yield a warning for each code."""
     chosen = []
     for fold in accumulators.codes:
         resolved, count = _resolved(accumulators, fold, noise, pixels) if fold.fine else (fold, 0)
@@ -51,7 +51,7 @@ def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[
 def _resolved(
     accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]
 ) -> tuple[GrayFold, int]:
-    """The code to go on with, and how many bits it is without."""
+    """Return the code to decode, and the number of bits dropped."""
 
     def at(image: Image) -> Image:
         return image.reshape(-1)[pixels]
@@ -75,7 +75,7 @@ def _resolved(
 
 
 def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel) -> float:
-    """How many of the finest cells there are between camera pixels next to each other, in the median."""
+    """Return the median number of finest cells between adjacent camera pixels."""
     rows = np.s_[:: max(1, fold.least.shape[0] // _ROWS)]
     squares = 0.0
     for image, least, middle in (
@@ -91,7 +91,9 @@ def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseMod
 
 
 def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:
-    """Without how many of its bits, `fewest` at least, cells of a code that differ in one bit are neighbours."""
+    """Return the least number of bits to drop, from `fewest` on, such that cells that differ in one
+    bit are adjacent.
+    """
     for count in range(fewest, len(folds) - 1):
         try:
             if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle, accumulators.brightest):

@@ -1,4 +1,4 @@
-"""The coordinates of all pixels, without those that the capture itself proves wrong."""
+"""Compute the coordinates of all pixels, and mask those that the capture itself proves wrong."""
 
 import numpy as np
 
@@ -8,31 +8,34 @@ from scanner.decoding.checks.roughness import check_roughness, widen_by_roughnes
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.edge_refinement import refine_by_edges
-from scanner.decoding.learning import Learnt, Seen
+from scanner.decoding.learning import CalibratedDecoders, Observations
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
 
 
-def checked_maps(accumulators: Accumulators, learnt: Learnt, seen: Seen, *, odd: bool) -> tuple[Maps, bool]:
-    """The maps, and whether each pixel has a coordinate of its own, of fringes or between edges, or that of its cell.
+def checked_maps(
+    accumulators: Accumulators, calibrated: CalibratedDecoders, observed: Observations, *, odd: bool
+) -> tuple[Maps, bool]:
+    """Return the maps, and whether each pixel has its own coordinate (from fringes or stripe edges) or that of its
+    cell.
 
-    `odd`: something about the frames was. Raises InputError if neighbours contradict each other all over the picture,
-    RefusalError if something moved between codes and fringes.
+    `odd`: whether the frame checks found anything wrong. Raises InputError if neighbours contradict each other all over
+    the image, RefusalError if something moved between codes and fringes.
     """
     plan = accumulators.plan
-    maps = coordinate_maps(accumulators, learnt.decoders, seen.moved, seen.spoilt)
-    if seen.moved is not None and not seen.code_shifts:
-        mask_wrong_bits(plan, maps, seen.moved)
+    maps = coordinate_maps(accumulators, calibrated.decoders, observed.moved, observed.spoilt)
+    if observed.moved is not None and not observed.code_shifts:
+        mask_wrong_bits(plan, maps, observed.moved)
     elif odd and not plan.fringes:
-        # Before stripes tell coordinates between their edges, of which those of wrong bits are as smooth as others.
+        # Before interpolation between stripe edges, which makes coordinates smooth even where a bit is wrong.
         mask_wrong_bits(plan, maps, None)
     undecided = maps.reason == np.uint8(MaskReason.UNDECIDED)
     leave_out_stray_light(accumulators, maps)
     check_roughness(plan, maps)
     widen_by_roughness(plan, maps)
-    refined = refine_by_edges(accumulators, maps, seen.noise, undecided)
-    with blaming_shifts(plan, seen.code_shifts):
+    refined = refine_by_edges(accumulators, maps, observed.noise, undecided)
+    with blaming_shifts(plan, observed.code_shifts):
         check_cycles(plan, maps.projector_px)
-    if odd and seen.moved is None and plan.fringes:
+    if odd and observed.moved is None and plan.fringes:
         mask_wrong_bits(plan, maps, None)
     return maps, refined or bool(plan.fringes)

@@ -1,4 +1,4 @@
-"""Patches of connected pixels, found run by run: in a picture of large surfaces there are few runs to a row."""
+"""Find connected components by runs, of which images of large surfaces have few per row."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ _ROWS = 512
 
 
 def small_patches(image: Bools) -> Bools:
-    """Pixels of an image (H, W) that are connected, along rows and columns, to fewer than `SMALLEST_PATCH` of it."""
+    """Return the pixels of an image (H, W) in 4-connected components of fewer than `SMALLEST_PATCH` pixels."""
     result = np.empty_like(image)
 
     def find(rows: slice) -> None:
-        # A patch that reaches from these rows to beyond the wider ones is not small.
+        # A component that reaches beyond the widened rows is not small.
         wider, inner = widened(rows, SMALLEST_PATCH, len(image))
         large = image[wider].copy()
         _remove_small(large)
@@ -25,7 +25,7 @@ def small_patches(image: Bools) -> Bools:
 
 
 def _remove_small(image: Bools) -> None:
-    """Clear small patches of an image (H, W)."""
+    """Clear the small components of an image (H, W), in place."""
     starts = image[:, 0].sum() + np.count_nonzero(image[:, 1:] > image[:, :-1])
     runs = np.empty((3, starts), np.int32)
     _remove(image, *runs)
@@ -33,7 +33,7 @@ def _remove_small(image: Bools) -> None:
 
 @compiled
 def _remove(image: Bools, begin: Ints, end: Ints, parent: Ints) -> None:
-    """`begin`, `end`, `parent` (runs,): to work in; what follows a run's end is no part of it."""
+    """Clear the small components; `begin`, `end`, `parent` (runs,) are work arrays, `end` exclusive."""
     height, width = image.shape
     size = np.zeros(len(begin), np.int32)
     row_ends = np.zeros(height, np.int64)

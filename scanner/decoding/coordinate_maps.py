@@ -1,4 +1,4 @@
-"""What was accumulated → the coordinates of all pixels, tile by tile, with all that needs a pixel's neighbours."""
+"""Decode the coordinates of all pixels, tile by tile, including the steps that need a pixel's neighbours."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,14 +14,14 @@ from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
 from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
-from scanner.decoding.fringes.footprint_shift import REACH_PX, take_out_bend, take_out_shading
+from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
 from scanner.decoding.tiles import in_tiles, widened
 
-# Pixels beyond a tile that its own depend on: whole blocks, so that these are the same ones in every tile.
-_HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # and one for what breaks the surface
-# Why pixels are masked where something moved: close to the rig it is brighter than all that rests.
+# Margin around a tile that its pixels depend on: whole blocks, so that these are the same in every tile.
+_HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # plus one for discontinuities
+# Reasons that motion causes: an object close to the rig is brighter than the static scene.
 _OF_MOTION = (*CONTRADICTIONS, MaskReason.SATURATED)
 _TILE_PX = 48
 _MOST_TILES = 48
@@ -30,10 +30,11 @@ _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 @dataclass(frozen=True)
 class Maps:
-    """Of all camera pixels (H, W): both coordinates, `projector_px` (H, W, 2), NaN where one of them is not known; the
-    mean `variance` of those that are measured; the `reason` not to use them. `counts` (2, reasons): how many pixels of
-    x and of y by itself have each of the `CONTRADICTIONS`. `footprint_px2`: variance of a camera pixel's footprint
-    in the direction in which it is largest.
+    """Coordinates of all camera pixels (H, W).
+
+    `projector_px` (H, W, 2): NaN where one coordinate is unknown. `variance`: mean over the measured axes. `reason`:
+    for masking the pixel. `counts` (2, reasons): number of pixels of x and of y with each of the `CONTRADICTIONS`.
+    `footprint_px2`: variance of a camera pixel's footprint along its principal axis.
     """
 
     projector_px: Floats32
@@ -49,10 +50,10 @@ def coordinate_maps(
     moved: Bools | None = None,
     spoilt: Bools | None = None,
 ) -> Maps:
-    """Both coordinates of all pixels. Without fringes, what is not smooth is left as it is: cells have steps.
+    """Decode both coordinates of all pixels. Without fringes, discontinuities are not masked, as cells have steps.
 
-    `moved` (H, W): where something did, which is why pixels contradict themselves or are too bright there; `spoilt`
-    (H, W): what that is masked of, whatever they say.
+    `moved` (H, W): where something moved, which explains contradictions and saturation. `spoilt` (H, W): pixels to mask
+    for it in any case.
     """
     plan, (height, width) = accumulators.plan, accumulators.middle.shape
     footprint = _footprint(accumulators, decoders)
@@ -64,7 +65,7 @@ def coordinate_maps(
             widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
         )
         tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
-        # By `map`, which lets go of the signals of x before it takes those of y.
+        # Lazily, so that the signals of x are freed before those of y are made.
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
         if moved is not None and spoilt is not None:
             for c in found:
@@ -73,7 +74,7 @@ def coordinate_maps(
         reason = _first_reason(found)
         kept = reason == np.uint8(MaskReason.KEPT)
         shaded = [
-            (c, take_out_shading(c.value, c.variance, c.log_amplitude, kept, footprint))
+            (c, correct_shading_shift(c.value, c.variance, c.log_amplitude, kept, footprint))
             for c in found
             if c.log_amplitude is not None
         ]
@@ -83,7 +84,7 @@ def coordinate_maps(
             np.copyto(reason, np.uint8(MaskReason.ISOLATED), where=kept & breaks(kept, found, plan.axes))
             surface = reason == np.uint8(MaskReason.KEPT)
             for c, shift in shaded:
-                take_out_bend(c.value, c.variance, shift, surface, footprint, own)
+                correct_curvature_shift(c.value, c.variance, shift, surface, footprint, own)
         x, y = (c.value[own] for c in found)
         measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
         _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])
@@ -96,7 +97,7 @@ def coordinate_maps(
 
 @compiled
 def _forget(value: Floats32, kept: Bools) -> None:
-    """NaN in place of the values (P,) that are not kept."""
+    """Set the values (P,) that are not kept to NaN."""
     for i in range(len(value)):
         value[i] = value[i] if kept[i] else _UNKNOWN
 
@@ -105,7 +106,7 @@ def _forget(value: Floats32, kept: Bools) -> None:
 def _note(
     x: Floats32, y: Floats32, first: Floats32, second: Floats32, projector_px: Floats32, variance: Floats32
 ) -> None:
-    """Both coordinates, and the mean of two variances; (H, W), (H, W, 2)."""
+    """Store both coordinates, and the mean of two variances; (H, W), (H, W, 2)."""
     height, width = x.shape
     for row in range(height):
         of_x, of_y, of_first, of_second = x[row], y[row], first[row], second[row]
@@ -117,14 +118,16 @@ def _note(
 
 
 def _first_reason(coordinates: list[Coordinate]) -> Reasons:
-    """The first of two reasons is the smaller number; KEPT, which is 0, becomes the largest in between."""
+    """Return the smaller nonzero of two reasons; the subtraction of 1 turns KEPT, which is 0, into
+    the largest value.
+    """
     x, y = (coordinate.reason for coordinate in coordinates)
     reason: Reasons = np.minimum(x - np.uint8(1), y - np.uint8(1)) + np.uint8(1)
     return reason
 
 
 def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Footprint:
-    """A camera pixel's footprint, from tiles spread over the lit part of the image."""
+    """Estimate a camera pixel's footprint from tiles spread over the lit part of the image."""
     height, width = accumulators.middle.shape
     rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
     corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -150,6 +153,6 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
     if accumulators.log_exposure is not None:
         log_lit -= tiles(accumulators.log_exposure)
-    # Of three steps harmonics ripple the amplitude as they do the phase: what goes with its slope is not shading alone.
+    # With three steps, harmonics ripple amplitude and phase alike: a correlation of the two is not shading alone.
     rippled = any(len(fringe.shifts) == 3 for decoder in decoders for fringe in decoder.plan.fringes)
     return footprint_of(shaded, log_lit, usable, _TILE_PX, 0.0 if rippled else TYPICAL_PX2)

@@ -1,7 +1,7 @@
-"""The stream's frames → matches: which projector pixel lit each camera pixel, and how sure of it we are.
+"""Decode a stream of frames into matches: the projector pixel that lit each camera pixel, with its standard deviation.
 
-Each frame is kept, and folded in as it arrives: into a few running images and a thin sample. No threshold has to be
-chosen: noise, saturation and tolerances are measured from the capture.
+Each frame is kept, and folded into running images and a sparse sample as it arrives. No threshold has to be chosen:
+noise, saturation and tolerances are measured from the capture.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.kept_matches import match_kept
-from scanner.decoding.learning import learn, look
+from scanner.decoding.learning import check_and_calibrate, observe
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
@@ -54,21 +54,19 @@ _DEPTHS = (np.uint8, np.uint16)
 
 @dataclass(frozen=True)
 class Decoding:
-    """What a capture says.
+    """The result of decoding a capture.
 
-    `matches` with `sigma_px`, one per decoded camera pixel; where neither fringes nor edges of stripes refine the
-    cells of the codes one per cell, at the centre of the camera pixels that see it. `texture`: the scene fully lit,
-    (H, W) or (H, W, 3), as the camera gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`: of
-    a camera pixel, in grey levels.
-    `modulation`: median amplitude of the finest fringes relative to the mean brightness, None without fringes.
-    `flicker`: how much the brightness varies between frames, relative; None where no frames must be equally bright.
-    `footprint_px2`: variance of what a camera pixel sees, along an axis, in camera pixels; 0 if unknown.
-    `warnings`: sentences for the operator; `darkness`: the one on frames that are too dark to decode well, if they are.
-    `motion`: of the devices while the fringes were taken; None if unknown. `only_axis`: the only one along which
-    patterns varied, so that the other coordinate follows from a calibration, and `sigma_px` is along the epipolar line;
-    None if both were measured. `smooth_px`: by what the coordinates err smoothly over a surface, as of `Shifts`.
-    `shifts`: what else they err by, as of `Shifts.decoding`. `stripes`: what arrives of the finest ones' contrast; None
-    where that cannot be told.
+    `matches` with `sigma_px`: one per decoded camera pixel. If only Gray codes are decoded, without refinement by
+    stripe edges: one per projector cell, at the centre of the camera pixels that see it. `texture`: the fully lit
+    scene, (H, W) or (H, W, 3), as the camera gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`:
+    of a camera pixel, in grey levels. `modulation`: median amplitude of the finest fringes relative to the mean
+    brightness; None without fringes. `warnings`: sentences for the operator. `flicker`: relative standard deviation of
+    the frames' brightness; None if no frames must be equally bright. `motion`: of the devices while the fringes were
+    taken; None if unknown. `only_axis`: the axis along which patterns varied if it was only one; the other coordinate
+    then comes from a calibration, and `sigma_px` is along the epipolar line. `darkness`: the warning about frames that
+    are too dark. `footprint_px2`: largest variance of a camera pixel's footprint, in square camera pixels; 0 if
+    unknown. `smooth_px`: smooth error of the coordinates over a surface, and `shifts`: their other systematic errors,
+    both as in `calib.refinement.Shifts`. `stripes`: contrast of the finest stripes; None if unknown.
     """
 
     matches: Matches
@@ -87,18 +85,17 @@ class Decoding:
     stripes: FinestStripes | None = None
 
     def warning(self, sentence: str) -> "Decoding":
-        """The same with a sentence for the operator, before the others."""
+        """Return a copy with a sentence for the operator placed before the other warnings."""
         return replace(self, warnings=(sentence[0].upper() + sentence[1:], *self.warnings))
 
 
 class Decoder:
-    """Takes the frames of a sequence that is known in advance, one by one, and decodes them at the end.
+    """Take the frames of a known sequence one by one, and decode them at the end.
 
-    Where each pattern follows itself as often as every other, its frames are those of several exposures, white first.
-
-    Given the rig's calibration, patterns along one axis are enough. `as_taken`: neither a ghost nor light that was
-    switched is taken out of the frames. Raises InputError if the patterns do not determine both coordinates of a
-    projector of (width, height) pixels.
+    If every pattern is repeated equally often in a row, the repeats are exposures to be merged, white first. With the
+    rig's calibration, patterns along one axis are enough. `as_taken`: correct neither ghosting nor ambient light
+    changes. Raises InputError if the patterns do not determine both coordinates of a projector of (width, height)
+    pixels.
     """
 
     def __init__(
@@ -122,9 +119,9 @@ class Decoder:
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
-        """Keep the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; its exposure matters if there are several.
+        """Keep the next frame, (H, W) grey or (H, W, 3) BGR, 8 or 16 bit; the exposure is needed if there are several.
 
-        Raises InputError if it is one frame too many, or not of the size and type of the others, or if exposures do not
+        Raises InputError if there are too many frames, if size or type differ from the others, or if exposures do not
         fit.
         """
         self._check_form(image)
@@ -147,7 +144,7 @@ class Decoder:
         self._count += 1
 
     def finish(self) -> Decoding:
-        """Decode; a decoder does so once. Raises InputError if frames are missing or contradict the sequence."""
+        """Decode the capture, once. Raises InputError if frames are missing or contradict the sequence."""
         if self._count < len(self._plan.shown):
             raise InputError(
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
@@ -162,17 +159,18 @@ class Decoder:
             self._read(frames, reading)
         found = self._decode(as_taken=self._as_taken or reading.ghost is not None)
         if isinstance(found, AmbientLightChange):
-            reading, found = self._in_one_light(frames, replace(reading, switch=found))
-        for sentence in reading.said(self._plan):
+            reading, found = self._without_ambient_change(frames, replace(reading, switch=found))
+        for sentence in reading.remarks(self._plan):
             found = found.warning(sentence)
         return replace(found, noise=noise) if noise else found
 
     def _read(self, frames: Image, reading: Reading) -> None:
         self._folded = folded(self._plan, reading.undone(frames, self._plan))
 
-    def _in_one_light(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
-        """The frames (N, H, W) without light that was switched on or off; if they then make no sense, with it: what
-        looked like light was something else.
+    def _without_ambient_change(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
+        """Decode the frames (N, H, W) with the ambient light change removed.
+
+        If that raises InputError, decode them unchanged: the apparent light change was something else.
         """
         self._read(frames, reading)
         try:
@@ -192,52 +190,54 @@ class Decoder:
     def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange: ...
 
     def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange:
-        """The frames as they were folded, which are let go; light that had better be taken out, unless `as_taken`."""
+        """Decode the folded frames and release them. Unless `as_taken`, return a harmful ambient light change if there
+        is one.
+        """
         if self._folded is None or self._texture is None:
             raise RuntimeError("no frames were folded")
         whole, self._folded = self._folded, None
         accumulators, sample, lit = whole.accumulators, whole.sample, whole.lit
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        seen = look(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
+        observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
         del whole
         oddities: list[Oddity] = []
-        with blaming_motion(lambda: seen.motion, seen.broken):
+        with blaming_motion(lambda: observed.motion, observed.broken):
             with suspecting(oddities):
-                learnt = learn(accumulators, sample, seen, oddities, as_taken=as_taken)
-                if isinstance(learnt, AmbientLightChange):
-                    return learnt
-                maps, by_pixel = checked_maps(accumulators, learnt, seen, odd=bool(oddities))
+                calibrated = check_and_calibrate(accumulators, sample, observed, oddities, as_taken=as_taken)
+                if isinstance(calibrated, AmbientLightChange):
+                    return calibrated
+                maps, by_pixel = checked_maps(accumulators, calibrated, observed, odd=bool(oddities))
                 stripes = finest_stripes(accumulators, sample, maps)
                 del sample
-                motion = seen.motion
+                motion = observed.motion
                 if lit is not None:
                     motion = motion_between(lit, accumulators.plan, maps.projector_px, self._projector_size, motion)
                     del lit
                 if motion is not None and motion.significant and not motion.is_too_large:
                     motion.shift.take_back(maps.projector_px)
-                # The running images are as large as the matches, and have served.
+                # The running images are as large as the matches and no longer needed.
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
-            with blaming_shifts(plan, seen.code_shifts):
+            with blaming_shifts(plan, observed.code_shifts):
                 with suspecting(oddities):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
                 odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
-                refuse_whole_periods(plan, seen.code_shifts)
-                if seen.unrest is None:
-                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, seen.motion)
-        darkness = too_dark(seen.levels, seen.noise)
-        told = warnings_of(reasons, learnt.modulation, seen.flicker, darkness)
-        unchecked = [decoder.unchecked for decoder in learnt.decoders if decoder.unchecked]
-        told_alone = (remark_on(unchecked),) if unchecked else ()
+                refuse_whole_periods(plan, observed.code_shifts)
+                if observed.unrest is None:
+                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, observed.motion)
+        darkness = too_dark(observed.levels, observed.noise)
+        warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
+        unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
+        phase_remark = (remark_on(unchecked),) if unchecked else ()
         return Decoding(
             matches,
             self._texture if self._merger is None else self._merger.alike(self._texture),
             reasons,
-            seen.noise,
-            learnt.modulation,
-            (*odd, *seen.notes, *told_alone, *told, *remarks_on(motion)),
-            flicker=seen.flicker,
+            observed.noise,
+            calibrated.modulation,
+            (*odd, *observed.notes, *phase_remark, *warnings, *remarks_on(motion)),
+            flicker=observed.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
             darkness=darkness,
@@ -261,7 +261,7 @@ class Decoder:
             )
 
     def _note_texture(self, image: Image, number: int) -> None:
-        """Keep the white frame or, if there is none, the brightest that each pixel was."""
+        """Keep the white frame, or without one the maximum of all frames."""
         if number == self._plan.white and image.ndim == 2 and self._folded is not None:
             self._texture = self._folded.accumulators.brightest
         elif self._texture is None or number == self._plan.white:

@@ -1,7 +1,7 @@
-"""Pixels that do not continue the surface that their neighbours see.
+"""Find pixels that do not continue the surface of their neighbours.
 
-At an occlusion edge a pixel sees two surfaces and its phase is that of neither; an error in a code is an island. Both
-break the map from camera to projector, which is smooth on a surface.
+At an occlusion edge a pixel sees two surfaces and its phase belongs to neither; a code error is an isolated outlier.
+Both are discontinuities of the camera-to-projector map, which is smooth on a surface.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from scanner.decoding.axis_decoder import Coordinate
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# A surface may bend by this much of the step from one neighbour to the other, and by this many projector pixels.
+# Largest second difference of a surface: this share of the first difference, plus this many projector pixels.
 _BEND_OF_SLOPE = np.float32(0.25)
 _BEND_PX = 1.0
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -25,29 +25,29 @@ _TWO = np.float32(2)
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = np.float32(log(2))
 _FAINT_SIGMAS = 3.0
-# A pixel's neighbours on opposite sides, along columns and along rows.
+# Opposite neighbours of a pixel, along columns and along rows.
 _LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
 
 
 def breaks(
     kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan], *, between_edges: bool = False
 ) -> Bools:
-    """Which pixels (H, W) break the map of any axis, or cannot be compared with `kept` ones on opposite sides.
+    """Return the pixels (H, W) that break the map of any axis, or that lack `kept` neighbours on opposite sides.
 
-    The coordinates of others are NaN. `between_edges`: those by codes were interpolated, so that they have no steps.
+    Coordinates of other pixels are NaN. `between_edges`: coordinates from codes were interpolated and have no steps.
     """
     broken = np.ones(kept.shape, np.bool_)
     for before, middle, after in _LINES:
         broken[middle] &= ~(kept[before] & kept[after])
     for coordinate, axis in zip(coordinates, axes, strict=True):
         value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
-        # Cells of a Gray code may be two apart, whatever the variance.
+        # Neighbouring pixels may be two Gray code cells apart, whatever the variance.
         smooth = between_edges or axis.fringes
         least, sigmas = (_BEND_PX, SIGNIFICANT_SIGMAS * sqrt(6)) if smooth else (_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:
-            # In radians the noise of a phase is the relative noise of its amplitude.
+            # The noise of a phase in radians is the relative noise of its amplitude.
             relative = np.float32(_FAINT_SIGMAS * 2 * pi / axis.fringes[-1].period)
             largest = cast(Floats32, cv2.dilate(amplitude, np.ones((3, 3), np.uint8)))
             faint = np.empty(kept.size, np.bool_)
@@ -60,9 +60,9 @@ def breaks(
 def _note_bends(
     value: Floats32, variance: Floats32, least: np.float32, sigmas: np.float32, down: int, across: int, broken: Bools
 ) -> None:
-    """Where the second difference along a row or a column is more than curvature and noise explain.
+    """Flag second differences along rows or columns that exceed curvature and noise.
 
-    A neighbour that is NaN explains nothing and breaks nothing.
+    NaN neighbours flag nothing.
     """
     height, width = value.shape
     for row in range(down, height - down):
@@ -78,9 +78,9 @@ def _note_bends(
 def _note_faint(
     log_amplitude: Floats32, largest: Floats32, variance: Floats32, sigmas: np.float32, faint: Bools
 ) -> None:
-    """Where the fringes are much weaker than next door.
+    """Flag pixels whose fringes are much weaker than a neighbour's.
 
-    At the edge of the light, or of a dark patch, the lens mixes in light from beside the pixel.
+    At the edge of the light, or of a dark patch, lens blur mixes in light from beside the pixel.
     """
     for i in range(len(faint)):
         faint[i] = log_amplitude[i] < largest[i] - (_FAINTER + sigmas * np.sqrt(variance[i]))

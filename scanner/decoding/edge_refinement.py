@@ -1,4 +1,4 @@
-"""Where only Gray codes tell the coordinates: those between the edges of stripes in place of the centres of cells."""
+"""With Gray codes only, replace cell centres by coordinates interpolated between sub-pixel stripe edges."""
 
 import cv2
 import numpy as np
@@ -20,13 +20,13 @@ from scanner.decoding.tiles import in_strips, widened
 _UNKNOWN = np.float32(np.nan)
 _STRIP = 32
 _MOST_LINES = 100
-# If fewer of the pixels are between edges, cells are what was measured.
+# With fewer pixels between edges, cell centres are kept everywhere.
 _MOSTLY = 0.5
-# In cells longer than so many camera pixels, one that is not between edges is in a cell that is cut off.
+# In cells longer than this many camera pixels, a pixel that is not between edges lies in a cut-off cell.
 _LONG_PX = 2.0
-# How far, in cells, the centre of a pixel's cell may be from the pixels around it, across the diagonal.
+# Largest distance, in cells, of a cell's centre from the coordinates of diagonal neighbours.
 _APART = 0.5 + 1.5 * CELLS_PER_PIXEL
-# Of eight, how many of the pixels around an undecided one are certain, if it is at an edge.
+# Number of certain pixels, of 8 neighbours, around an undecided pixel at an edge.
 _FEWEST_AROUND = 4
 _KEPT, _UNDECIDED, _ISOLATED = (
     np.uint8(reason) for reason in (MaskReason.KEPT, MaskReason.UNDECIDED, MaskReason.ISOLATED)
@@ -34,17 +34,17 @@ _KEPT, _UNDECIDED, _ISOLATED = (
 
 
 def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
-    """Interpolate coordinates between the edges of stripes, in place; False if too few pixels are between such.
+    """Interpolate coordinates between stripe edges, in place; return False if too few pixels lie between edges.
 
-    Of `undecided` pixels (H, W), those that are between edges are kept then. What is not between edges along one of the
-    axes has the centre of its cell there, if that is short and continues the pixels around it.
+    Pixels that were `undecided` (H, W) are kept if they lie between edges. A pixel that is not between edges along an
+    axis keeps its cell's centre there, if the cell is short and continues the pixels around it.
     """
     measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
     folds = [fold for number in measured if (fold := _finest(accumulators, number)) is not None]
-    if len(folds) < len(measured):  # before anything is made of the size of the image: with fringes there are none
+    if len(folds) < len(measured):  # before full-size images are allocated; with fringes there are no edges
         return False
     kept = maps.reason == _KEPT
-    # An edge is a line of undecided pixels; where they are many, it is too dark for edges, too.
+    # Undecided pixels form lines along edges; where there are more of them, it is too dark for edges as well.
     around = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     usable = kept | (undecided & (maps.reason == _UNDECIDED) & (around >= _FEWEST_AROUND))
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
@@ -62,7 +62,7 @@ def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, u
 
 
 def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
-    """Mask what breaks the surface around it, now that it can be seen; in place."""
+    """Mask discontinuities, which the refined coordinates reveal; in place."""
     kept = maps.reason == _KEPT
     axes = [(number, axis) for number, axis in enumerate(plan.axes) if axis.is_measured]
     broken = np.zeros_like(kept)
@@ -83,7 +83,7 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
 
 
 def _finest(accumulators: Accumulators, axis: int) -> GrayFold | None:
-    """What was folded of the finest plain code of an axis, if its edges were kept."""
+    """Return the finest plain code of an axis with its edges, None if they were not kept."""
     codes = accumulators.plan.axes[axis].codes
     folds = [fold for fold in accumulators.codes if fold.code in codes and fold.edges is not None]
     return min(folds, key=lambda fold: fold.code.cell, default=None)
@@ -92,7 +92,7 @@ def _finest(accumulators: Accumulators, axis: int) -> GrayFold | None:
 def _interpolate(
     accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, usable: Bools, value: Floats32, variance: Floats32
 ) -> None:
-    """The coordinates (H, W) that a code's edges tell, into `value`, NaN where unknown; and the `variance`."""
+    """Write the coordinates (H, W) from a code's edges to `value`, NaN where unknown, and their `variance`."""
     edges, fold.edges = fold.edges, None
     if edges is None:
         return
@@ -113,8 +113,8 @@ def _interpolate(
 
 
 def _apart(value: Floats32, cell: int) -> float:
-    """How far in projector pixels a cell's centre may be from the values (H, W) around it; less than 0: it must not be
-    taken.
+    """Return how far a cell's centre may be from the values (H, W) around it, in projector pixels;
+    negative: not used.
     """
     slopes = [
         np.nanmedian(np.abs(np.diff(lines[:: max(1, len(lines) // _MOST_LINES)], axis=1))) for lines in (value, value.T)
@@ -133,9 +133,9 @@ def _take_over(
     variance: Floats32,
     reason: Reasons,
 ) -> None:
-    """Put the values (A, H, W) of the measured `axes` (A,), and the mean of their variances, in their place.
+    """Store the values (A, H, W) of the measured `axes` (A,), and the mean of their variances, in place.
 
-    A centre that stays must not be farther than `apart` (A,) from the values around it.
+    A remaining cell centre must be within `apart` (A,) of the values around it.
     """
     count, height, width = value.shape
     for row in range(height):
@@ -162,7 +162,7 @@ def _take_over(
 
 @compiled
 def _around(value: Floats32, spread: Floats32, row: int, column: int) -> float:
-    """The mean of what is known next to a pixel of an image (H, W); NaN if nothing is."""
+    """Return the mean of the known values in the 3 × 3 neighbourhood of a pixel; NaN if there are none."""
     height, width = value.shape
     total, count = 0.0, 0
     for i in range(max(row - 1, 0), min(row + 2, height)):

@@ -1,8 +1,8 @@
-"""What arrives of the contrast of the finest stripes, along x against along y, at pixels scattered over the image.
+"""Compare the contrast of the finest stripes along x and along y, at pixels scattered over the image.
 
-Light that bounces, blur and the surface weaken both alike. A projector that resamples its picture does not: where a
-pixel of the picture falls between two of the panel, stripes across that direction lose most, and the loss beats over
-the picture with the shift between the two (moiré).
+Interreflection, blur and the surface reduce both alike. A projector that resamples its picture does not: where a
+picture pixel falls between two panel pixels, stripes across that direction lose most contrast, in a moiré pattern over
+the picture.
 """
 
 from collections.abc import Callable
@@ -21,20 +21,21 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 
-# A regular grid could beat with the stripes.
+# Random pixels, because a regular grid could beat with the stripes.
 _MOST_PIXELS, _SEED = 65536, 20_261_124
-# Of what pixels swing by: where less is left of the stripes, noise is most of it.
+# Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
-# Between two stripes a bit says nothing of its contrast.
+# Midway between two stripes a bit says nothing of its contrast.
 _LEAST_OF_WAVE = 0.5
 _STEPS = 256
 
 
 @dataclass(frozen=True)
 class FinestStripes:
-    """At N pixels: `camera_px` (N, 2), `projector_px` (N, 2), `log_ratio` (N,) of the contrast along x to that along y.
+    """At N pixels: `camera_px` (N, 2), `projector_px` (N, 2), and `log_ratio` (N,) of the contrast along x to that
+    along y.
 
-    `periods` (2,): of these stripes along x, y, in the picture's pixels.
+    `periods` (2,): of these stripes along x and y, in picture pixels.
     """
 
     camera_px: Floats
@@ -43,7 +44,7 @@ class FinestStripes:
     periods: tuple[float, float]
 
     def at(self, chosen: Ints) -> "FinestStripes":
-        """Some of the pixels."""
+        """Return a selection of the pixels."""
         return replace(
             self,
             camera_px=self.camera_px[chosen],
@@ -53,7 +54,9 @@ class FinestStripes:
 
 
 def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> FinestStripes | None:
-    """At pixels that are kept, of the sample where codes are alone. None where an axis has no stripes that tell."""
+    """Measure the stripes at kept pixels, of the sample if there are codes only; None if an axis has no suitable
+    stripes.
+    """
     x, y = accumulators.plan.axes
     if x.fringes and y.fringes:
         many = min(_MOST_PIXELS, maps.reason.size)
@@ -71,7 +74,7 @@ def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> Fi
 def _where_kept(
     pixels: NDArray[np.int64], of_x: Floats32, of_y: Floats32, periods: tuple[float, float], maps: Maps
 ) -> FinestStripes | None:
-    """From contrasts (P,) at pixels (P,), 0 where they are unknown."""
+    """Select pixels (P,) that are kept and whose contrasts (P,) are known; unknown contrast is 0."""
     projector_px = maps.projector_px.reshape(-1, 2)[pixels]
     known: Bools = np.isfinite(projector_px).all(axis=1) & (maps.reason.reshape(-1)[pixels] == MaskReason.KEPT)
     for contrast in (of_x, of_y):
@@ -90,13 +93,13 @@ def _where_kept(
 
 
 def _of_fringe(signals: Signals) -> Floats32:
-    """The amplitude (P,) of the finest."""
+    """Return the amplitude (P,) of the finest fringe."""
     cosine, sine = signals.fringe(len(signals.components) - 1)
     return np.hypot(cosine, sine)
 
 
 def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tuple[Floats32, float] | None:
-    """The contrast of its finest fringe or bit, (P,), 0 where it is unknown; and the period of these stripes."""
+    """Return the contrast (P,) of an axis's finest fringe or bit, 0 where unknown, and the period of its stripes."""
     if axis.fringes:
         fringe = axis.fringes[-1]
         cosine, sine = fringe.weights[1:].astype(np.float32) @ levels[list(fringe.frames)]
@@ -115,14 +118,16 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
 
 
 def left_between(shift_px: Floats, period: float) -> Floats:
-    """The logarithm of what a linear interpolation between two pixels leaves of a wave that is so many pixels long."""
+    """Return the log contrast that linear interpolation between two pixels leaves of a wave of this
+    period in pixels.
+    """
     between = shift_px - np.floor(shift_px)
     left: Floats = 0.5 * np.log(1 - 2 * between * (1 - between) * (1 - np.cos(2 * np.pi / period)))
     return left
 
 
 def first_harmonics(count: int) -> Callable[[Floats, float], Floats]:
-    """The same as a Fourier series without its mean: the smoother, the fewer."""
+    """Return `left_between` as a Fourier series without its mean, of `count` harmonics."""
     between = (np.arange(_STEPS) + 0.5) / _STEPS
 
     def series(shift_px: Floats, period: float) -> Floats:

@@ -1,4 +1,4 @@
-"""All that is made of the frames one by one: beside a camera as they come, or of those that are kept."""
+"""Everything that is computed from the frames one by one, as they arrive from a camera or are read again."""
 
 from collections.abc import Iterable
 from itertools import chain
@@ -20,9 +20,9 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 class Folded:
-    """Running images of full size, and samples of all frames: of pixels, of tiles, and of the whole picture coarsely.
+    """Full-size running images, and samples of all frames: single pixels, tiles, and coarse images.
 
-    `lit`: the scene evenly lit by either half of the capture, if all of one axis comes before all of the other.
+    `lit`: the evenly lit scene from either half of the capture, if all frames of one axis precede those of the other.
     """
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
@@ -37,11 +37,11 @@ class Folded:
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
 
     def add(self, grey: Image) -> None:
-        """Fold in the next frame (H, W), which nobody changes any more."""
+        """Fold in the next frame (H, W), which must not be modified afterwards."""
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
             self.tiles.add(self._count, grey)
-        # A pattern that was shown before is a witness of what has changed since, and nothing else.
+        # A repeated pattern is only used to detect changes since it was first shown.
         if number not in self._plan.shown[: self._count]:
             self.sample.add(grey)
             self.coarse.add(grey)
@@ -51,7 +51,7 @@ class Folded:
         self._count += 1
 
     def reading(self) -> Reading:
-        """What happened to all frames: a response that is not linear, what they show of the picture before."""
+        """Estimate what affected all frames: a nonlinear response, and ghosting."""
         levels, peak, top = self.sample.levels, self.accumulators.peak, self.accumulators.brightest.max()
         top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
         response = camera_response(self._plan, levels, saturation_level(peak), float(top))
@@ -62,12 +62,12 @@ class Folded:
         return Reading(response, find_ghost(self._plan, levels, rows, saturation_level(peak)))
 
     def noise(self) -> NoiseModel:
-        """Of the frames as they were taken."""
+        """Measure the noise of the frames as they were taken."""
         return measure_noise(self._plan, self.sample, saturation_level(self.accumulators.peak))
 
 
 def folded(plan: SequencePlan, frames: Iterable[Image]) -> Folded:
-    """Of all frames (H, W) of a capture, of which there is one at least."""
+    """Fold all frames (H, W) of a capture, at least one."""
     remaining = iter(frames)
     first = next(remaining)
     found = Folded(plan, first)

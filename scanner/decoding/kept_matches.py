@@ -1,4 +1,4 @@
-"""The matches of the pixels that are kept, and why the others have none."""
+"""Collect the matches of the kept pixels, and the reasons why the others are masked."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import cast
@@ -21,13 +21,13 @@ from scanner.decoding.sequence_plan import SequencePlan
 def match_kept(
     plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None, *, by_pixel: bool
 ) -> tuple[Matches, NDArray[np.uint8]]:
-    """The matches, and for all pixels (H, W) the reason why they have none. Raises InputError; uses up the maps.
+    """Return the matches, and for all pixels (H, W) the mask reason. Raises InputError; overwrites the maps.
 
-    `brightest`: (H, W) grey. `by_pixel`: each pixel has a coordinate of its own; else one match per cell of the codes.
+    `brightest`: (H, W) grey. `by_pixel`: each pixel has its own coordinate; otherwise one match per cell of the codes.
     """
     reasons = maps.reason
     if one_axis:
-        # What a calibration then masks speaks against the calibration, not against the frames.
+        # Before the calibration masks pixels, which would be its error rather than the frames'.
         check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
         one_axis.complete(maps)
     kept = reasons == np.uint8(MaskReason.KEPT)
@@ -48,9 +48,9 @@ def match_kept(
 
 
 def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
-    """The matches of `kept` pixels (H, W), row by row, in the memory of the maps.
+    """Return the matches of `kept` pixels (H, W), row by row, in the memory of the maps.
 
-    Single precision is exact for the camera's pixels, and all that the maps have for the projector's.
+    Single precision is exact for camera pixels, and is the precision of the maps.
     """
     count = int(np.count_nonzero(kept))
     camera_px, projector_px = np.empty((count, 2), np.float32), maps.projector_px.reshape(-1, 2)
@@ -64,7 +64,7 @@ def _pixel_matches(kept: Bools, maps: Maps) -> Matches:
 
 @compiled
 def _note_places(kept: Bools, camera_px: Floats32) -> None:
-    """The columns and rows of the kept pixels."""
+    """Write the columns and rows of the kept pixels."""
     height, width = kept.shape
     match = 0
     for row in range(height):
@@ -76,7 +76,7 @@ def _note_places(kept: Bools, camera_px: Floats32) -> None:
 
 @compiled
 def _gather(kept: Bools, projector_px: Floats32, variance: Floats32) -> None:
-    """Move what belongs to the kept pixels (P, …) to the beginning, with the root of the variance in its place."""
+    """Move the data of the kept pixels (P, …) to the front, with the variance replaced by its square root."""
     match = 0
     for pixel in range(len(kept)):
         if kept[pixel]:

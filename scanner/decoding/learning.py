@@ -1,4 +1,4 @@
-"""What a sample of the frames tells before pixels are decoded: noise, light, motion, tolerances, and what is odd."""
+"""Observe a capture from a sample of its pixels before full decoding: noise, ambient light, motion, frame checks."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,9 +16,9 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Oddity
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
-from scanner.decoding.fringes.blur import leave_out_lost_fringes
+from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
-from scanner.decoding.light.equalise import correction, out_of_line, swings_of
+from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
@@ -43,11 +43,12 @@ from scanner.errors import InputError
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
+class Observations:
+    """Properties of the capture that do not depend on the pattern code: noise, light and motion.
 
-    `unrest`: where something moved, if the frames agree elsewhere. Motion of the devices is measured while other things
-    go on; between which frames fringes were `broken`, only if asked.
+    `levels`: the sample's grey levels as taken, (frames, P). `flicker`: as in `Decoding`. `measuring_motion`: the
+    device motion, measured in the background. `notes`: sentences for the operator. `broken`: finds, on request, the two
+    frames between which fringes jumped. `unrest`: where an object moved, if the frames agree elsewhere; None otherwise.
     """
 
     levels: Image
@@ -62,28 +63,31 @@ class Seen:
 
     @property
     def moved(self) -> Bools | None:
-        """(H, W): where something moved; None if nothing did."""
+        """(H, W): True where something moved; None if nothing did."""
         return None if self.unrest is None else self.unrest.moved
 
     @property
     def spoilt(self) -> Bools | None:
-        """(H, W): where no coordinate can be had for it; None if nothing moved."""
+        """(H, W): True where motion leaves no usable coordinate; None if nothing moved."""
         return None if self.unrest is None else self.unrest.spoilt
 
     @property
     def motion(self) -> MotionFound | None:
-        """Once it is measured."""
+        """The motion of the devices; waits for its measurement to finish."""
         return self.measuring_motion.result()
 
 
-def look(
+def observe(
     accumulators: Accumulators,
     sample: Sample,
     tiles: TileSample,
     coarse: CoarseFrames,
     projector_size: tuple[int, int],
-) -> Seen:
-    """Make frames alike in brightness, leave out what is not resolved, and see how noisy and how still it was."""
+) -> Observations:
+    """Equalise the frames' brightness, drop unresolved fringes and bits, and measure noise, flicker and motion.
+
+    The corrections are made in the accumulators and the samples, in place.
+    """
     notes = list(_finish(accumulators, sample))
     mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
     if mosaic is not None:
@@ -100,7 +104,7 @@ def look(
     flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
     if coarse.are_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
-    notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
+    notes += drop_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:
         unrest = _unrest(accumulators.plan, sample, coarse, noise)
@@ -114,7 +118,7 @@ def look(
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
     aside.shutdown(wait=False)
-    return Seen(
+    return Observations(
         levels,
         noise,
         saturation,
@@ -128,7 +132,7 @@ def look(
 
 
 def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
-    """Where something moved, if enough rests to tell, and exchanged frames are not why it looks so."""
+    """Find moving objects; None if too few static pixels remain, or if exchanged frames explain the finding."""
     found = find_unrest(plan, coarse, noise)
     if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
         return None
@@ -137,7 +141,11 @@ def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: Noi
 
 
 def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
-    """Fold in the last frames; if white is another one in the patterns, the sample has that one, and it is said."""
+    """Fold in the remaining frames.
+
+    If white is brighter in the patterns than in the white frame, rescale the white frame in the sample and yield a
+    warning.
+    """
     white_frame = accumulators.brightest
     white = accumulators.finish()
     number = accumulators.plan.white
@@ -154,9 +162,10 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
 def _equalise(
     accumulators: Accumulators, sample: Sample, tiles: TileSample, coarse: CoarseFrames, unrest: Unrest | None
 ) -> float | None:
-    """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown.
+    """Equalise frames that differ in brightness, in the samples and in the fringes; return the flicker, None if
+    unknown.
 
-    `unrest`: where something moved, which makes frames brighter or darker there.
+    `unrest`: where something moved; those pixels are ignored, because motion changes their brightness.
     """
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
@@ -165,11 +174,11 @@ def _equalise(
     if unrest is not None:
         resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
-    few = sample.pixels[lit]
+    lit_pixels = sample.pixels[lit]
     middle, brightest = (
-        image.reshape(-1)[few].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+        image.reshape(-1)[lit_pixels].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    places = Places(few // width, height)
+    places = Places(lit_pixels // width, height)
     swings = swings_of(plan, levels[:, lit], places)
     for fold in accumulators.fringes:
         if fold.fringe in swings:
@@ -185,7 +194,7 @@ def _equalise(
                 sample.divide(frame, of_frame)
                 coarse.divide(frame, of_coarse)
                 tiles.divide(plan.shown.index(frame), of_tiles)
-    for group, by in out_of_line([(frames, gains.matter) for frames, gains in found], sample):
+    for group, by in outlier_groups([(frames, gains.matter) for frames, gains in found], sample):
         for frame in group:
             sample.divide(frame, np.array([by]))
             coarse.divide(frame, np.array([by]))
@@ -193,50 +202,55 @@ def _equalise(
 
 
 @dataclass(frozen=True)
-class Learnt:
-    """What a sample of the frames tells: how to decode every pixel, and `modulation` as of `Decoding`."""
+class CalibratedDecoders:
+    """The decoders of both axes with tolerances calibrated on a sample, and the `modulation` as in `Decoding`."""
 
     decoders: tuple[AxisDecoder, AxisDecoder]
     modulation: float | None
 
 
-def learn(
-    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, as_taken: bool
-) -> Learnt | AmbientLightChange:
-    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError.
+def check_and_calibrate(
+    accumulators: Accumulators, sample: Sample, observed: Observations, oddities: list[Oddity], *, as_taken: bool
+) -> CalibratedDecoders | AmbientLightChange:
+    """Check the frames, append what is wrong to `oddities`, and calibrate the decoders on the sample. Raises
+    InputError.
 
-    If light was switched that had better be taken out, unless frames are decoded `as_taken`, that is the answer.
+    Returns the ambient light change instead if there is a harmful one to be corrected, unless `as_taken` is set.
     """
-    plan, levels, moved = accumulators.plan, sample.levels, seen.moved
+    plan, levels, moved = accumulators.plan, sample.levels, observed.moved
     if moved is not None:
         sample.leave_out(moved.reshape(-1)[sample.pixels])
     x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
-        # What is wrong with the frames is said first, whatever comes of it here.
-        calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin, sample.levels)
-        odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
+        # Errors in the frames are reported before any error of the calibration.
+        calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, sample.levels)
+        odd, switch = check_frames(
+            plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
+        )
         if not as_taken and switch is not None and switch.is_harmful:
             return switch
         oddities += odd
         odd_codes = check_codes(
-            plan, accumulators.codes, seen.noise, accumulators.middle, accumulators.brightest, moved
+            plan, accumulators.codes, observed.noise, accumulators.middle, accumulators.brightest, moved
         )
-        oddities += _passed_over(plan, odd_codes, oddities, seen.unrest)
+        oddities += _passed_over(plan, odd_codes, oddities, observed.unrest)
         decoders = calibrating.result()
-        with blaming_shifts(plan, seen.code_shifts):
+        with blaming_shifts(plan, observed.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
                 oddities += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
-        return Learnt(decoders, modulation(decoders, thin))
+        return CalibratedDecoders(decoders, modulation(decoders, thin))
 
 
 def _passed_over(
     plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity], unrest: Unrest | None
 ) -> Sequence[Oddity]:
-    """The odd codes, if pairs of their bits were `seen` not to add up, or something moved in their frames or next to.
+    """Return the `odd_codes` if each is explained by inconsistent bit pairs in `seen` or by motion in or next to its
+    frames.
 
-    Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
+    Raises InputError otherwise. An exchange between pairs shows in the sums of those pairs; other errors have no second
+    indication.
     """
     moved = set() if unrest is None else _with_next(plan, unrest.frames)
     suspected = {frame for oddity in seen for frame in oddity.frames}
@@ -248,8 +262,10 @@ def _passed_over(
 
 
 def _with_next(plan: SequencePlan, frames: Sequence[int]) -> set[int]:
-    """Frames with those that were taken before and after: of what moves through bits without inverses only those tell
-    in which it is brighter than white or darker than black.
+    """Return the frames together with those shown just before and just after.
+
+    Where something moves through bits without an inverse, it is only detected in frames where it is brighter than white
+    or darker than black.
     """
     places = [plan.shown.index(frame) + by for frame in frames for by in (-1, 0, 1)]
     return {plan.shown[place] for place in places if 0 <= place < len(plan.shown)}

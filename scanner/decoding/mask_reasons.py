@@ -1,4 +1,4 @@
-"""What speaks against a camera pixel, and which reason is given for masking it.
+"""Flags against a camera pixel, and the mask reason that they lead to.
 
 The loops are compiled. They have no branches and few arrays each, so that they run on many pixels at once.
 """
@@ -19,32 +19,32 @@ class MaskReason(IntEnum):
 
     KEPT = 0
     DARK = 1
-    """The patterns change its brightness by no more than noise would."""
+    """The patterns change its brightness by no more than the noise."""
     SATURATED = 2
     """A fringe reached the camera's largest value."""
     UNDECIDED = 3
     """A bit of the Gray code is within the noise of its threshold, and no fringe helps."""
     INCONSISTENT = 4
-    """Gray codes and fringes contradict each other, or allow two answers."""
+    """Gray codes and fringes contradict each other, or are ambiguous."""
     OUTSIDE = 5
-    """The code is that of no projector pixel, or of none that a given calibration lets it see."""
+    """The code belongs to no projector pixel, or to none that the calibration allows for this pixel."""
     ISOLATED = 6
-    """It does not continue the surface that its neighbours see: an edge of surface or light, or a lone error."""
+    """It does not continue the surface of its neighbours: an edge of surface or light, or an isolated outlier."""
     INDIRECT = 7
     """Codes and fringes contradict each other where more light comes from other surfaces than from the projector."""
     ALONG_EPIPOLAR_LINE = 8
-    """Only stripes along its epipolar line were shown, which do not tell how far away it is."""
+    """Only stripes along its epipolar line were shown, which do not determine its depth."""
     MOVED = 9
     """Something moved there during the capture, so that its frames contradict each other."""
 
 
-# What many pixels have only if frames are not what the capture says.
+# Reasons that are frequent only if the frames are not what the capture says.
 CONTRADICTIONS = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSIDE)
 BROKEN = (*CONTRADICTIONS, MaskReason.ISOLATED)
 
 
 class Against(IntFlag):
-    """What speaks against a pixel along one axis; several may at once, and the first is the reason that is given."""
+    """Flags against a pixel along one axis; several may be set, and the first one determines the reason."""
 
     DARK = 1
     SATURATED = 2
@@ -80,12 +80,12 @@ _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 
 
 def reasons_of(against: Reasons) -> Reasons:
-    """A `MaskReason` for each pixel, from its flags (P,)."""
+    """Return the `MaskReason` of each pixel, from its flags (P,)."""
     return cast(Reasons, cv2.LUT(against, _TABLE).reshape(against.shape))
 
 
 def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints:
-    """How many pixels, in an array of any shape, have each `MaskReason`; of those only that are of interest."""
+    """Return how many pixels, in an array of any shape, have each `MaskReason` of interest; 0 for the others."""
     counts = np.zeros(len(MaskReason), np.int64)
     for reason in of_interest:
         counts[reason] = np.count_nonzero(reasons == np.uint8(reason))
@@ -94,31 +94,31 @@ def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints
 
 @compiled
 def note_codes(outside: Bools, contradictory: Bools, against: Reasons) -> None:
-    """Begin the flags with what the codes say; all (P,)."""
+    """Initialise the flags from the codes; all (P,)."""
     for i in range(len(against)):
         against[i] = (_OUTSIDE if outside[i] else _NOTHING) | (_CONTRADICTORY if contradictory[i] else _NOTHING)
 
 
 @compiled
 def note_orders(agree: Bools, unique: Bools, against: Reasons) -> None:
-    """No fringe order agrees, or more than one."""
+    """Flag pixels where no fringe order agrees, or more than one."""
     for i in range(len(against)):
         against[i] |= (_NOTHING if agree[i] else _DISAGREES) | (_NOTHING if unique[i] else _AMBIGUOUS)
 
 
 @compiled
 def note_light(variance: Floats32, darkest: np.float32, saturated: Bools, against: Reasons) -> None:
-    """A variance is larger than where a fringe is just seen, or a fringe is cut off."""
+    """Flag pixels where the longest fringe is not seen, or a fringe is clipped."""
     for i in range(len(against)):
         against[i] |= (_DARK if variance[i] > darkest else _NOTHING) | (_SATURATED if saturated[i] else _NOTHING)
 
 
 @compiled
 def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
-    """No order or no code is certain, and the amplitude, half of the direct light, is less than a quarter of all light.
+    """Flag doubtful pixels where direct light (twice the amplitude) is less than half of all light.
 
-    `power` (P,): square of the amplitude of fringes too short for light to carry them around a corner, which separate
-    direct from global light (Nayar et al., SIGGRAPH 2006).
+    `power` (P,): squared amplitude of fringes too short for interreflection to transport, which separate direct from
+    global light (Nayar et al., SIGGRAPH 2006).
     """
     for i in range(len(against)):
         half_of_all = brightest[i] - middle[i]
@@ -127,8 +127,10 @@ def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, agains
 
 
 @compiled
-def note_turned_over(least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
-    """Global light exceeds direct light by at least the contrast of a bit, and can have turned it over.
+def note_inverted_bits(
+    least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons
+) -> None:
+    """Flag pixels where global light exceeds direct light by at least a bit's contrast, and may have inverted the bit.
 
     `least` (P,): smallest contrast of a code's bits (Xu and Aliaga, 2007).
     """
@@ -141,7 +143,9 @@ def note_turned_over(least: Floats32, power: Floats32, brightest: Floats32, midd
 def note_contrast(
     least: Floats32, least_certain: Floats32, contrast: Floats32, least_seen: Floats32, against: Reasons
 ) -> None:
-    """The smallest contrast of a code's bits is too small to decide by, or the largest to be seen."""
+    """Flag pixels where a code's smallest contrast is too small to decide its bit, or its largest
+    is within the noise.
+    """
     for i in range(len(against)):
         against[i] |= (_UNDECIDED if least[i] <= least_certain[i] else _NOTHING) | (
             _DARK if contrast[i] <= least_seen[i] else _NOTHING

@@ -1,4 +1,4 @@
-"""Medians by sorting, which NumPy does with vector instructions, in half the time that its own medians take."""
+"""Medians by sorting, which NumPy vectorises: half the time of its own medians."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from scanner.decoding.arrays import Floats32
 
 
 def medians(values: Floats32, axis: int) -> Floats32:
-    """Along one axis of an array that is not empty along it."""
+    """Return the medians along one axis of non-zero length."""
     ordered, count = np.sort(values, axis=axis), values.shape[axis]
     middle: Floats32 = np.take(ordered, (count - 1) // 2, axis) + np.take(ordered, count // 2, axis)
     return np.float32(0.5) * middle
 
 
 def robust_sigmas(values: Floats32) -> Floats32:
-    """(N,): the standard deviations of N samples (N, P) about their medians, outliers left aside."""
+    """Return the standard deviations (N,) of N samples (N, P) from median absolute deviations, robust to outliers."""
     away = np.abs(values - medians(values, axis=1)[:, None])
     return np.float32(SIGMA_PER_MEDIAN) * medians(away, axis=1)

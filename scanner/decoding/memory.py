@@ -1,17 +1,18 @@
-"""Whether there is memory enough to decode frames of a size: asked before it is taken."""
+"""Check that there is enough memory to decode frames, before it is allocated."""
 
 from pathlib import Path
 
 from scanner.errors import InputError
 
-# At its highest, with 16-bit frames and a match at every pixel. Of codes alone edges and all pairs are kept as well.
+# Peak use, with 16-bit frames and a match at every pixel; with codes only, edges and all pairs are kept as well.
 _BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 152
 _MEMINFO = Path("/proc/meminfo")
 
 
-def refuse_more_than_there_is(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
-    """Raise InputError if frames (H, W), of which so many bytes are kept, take more memory than is free, where the
-    system tells.
+def require_memory(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
+    """Raise InputError if decoding frames (H, W) takes more memory than is free.
+
+    `kept_bytes`: memory of the kept frames. Does nothing where the system does not report its free memory.
     """
     needed = kept_bytes + shape[0] * shape[1] * (_OF_CODES_ALONE if codes_alone else _BYTES_PER_PIXEL)
     free = _stated_bytes("MemAvailable")
@@ -23,7 +24,7 @@ def refuse_more_than_there_is(shape: tuple[int, int], kept_bytes: int, *, codes_
 
 
 def total_bytes() -> int | None:
-    """The memory of the machine, where the system tells."""
+    """Return the memory of the machine, None where the system does not report it."""
     return _stated_bytes("MemTotal")
 
 

@@ -1,7 +1,7 @@
-"""A sequence that varies along one axis only: the other coordinate of each pixel comes from a calibration.
+"""Decode a sequence that varies along one axis only: the other coordinate of each pixel comes from a calibration.
 
-The camera's ray is one half of a point, the projector's stripe the other: they cross on the pixel's epipolar line.
-Nothing is left over that could tell whether the calibration is right.
+The camera ray and the projector's stripe plane determine the point: they cross on the pixel's epipolar line. No
+redundancy is left to check the calibration.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 _STRIP_ROWS = 16
-# Where the epipolar line is at 6° to the stripe, errors of the calibration count ten times.
+# At 6° between epipolar line and stripe, calibration errors count ten times.
 _LEAST_SINE = 0.1
 
 
 @dataclass(frozen=True)
 class OneAxis:
-    """The axis that was `measured`, the `other` one, and the calibration that tells it."""
+    """The `measured` axis, the `other` one, and the calibration that determines it."""
 
     measured: AxisPlan
     other: AxisPlan
@@ -34,9 +34,9 @@ class OneAxis:
         return 0 if self.measured.axis == "x" else 1
 
     def complete(self, maps: Maps) -> None:
-        """Fill in the other coordinate, and what that makes of variances and reasons; in place.
+        """Fill in the other coordinate, and update variances and reasons; in place.
 
-        The variance becomes that along the epipolar line, which says how far a point may be off.
+        The variance becomes that along the epipolar line, which determines the uncertainty of a point.
         """
 
         def fill(rows: slice) -> None:
@@ -56,9 +56,9 @@ class OneAxis:
         in_slices(maps.reason.shape[0], _STRIP_ROWS, fill)
 
     def average_stripes(self, kept: Bools, maps: Maps, brightness: Image) -> CellMatches:
-        """As `average_cells`, of stripes that are cut into cells as long as they are wide.
+        """Average the pixels as `average_cells` does, with stripes cut into square cells.
 
-        They are cut along the coordinate that was filled in; at the centre of a cell's pixels it is found once more.
+        They are cut along the coordinate that was filled in; it is computed again at the centre of each cell's pixels.
         """
         cell, cut = np.float32(self.measured.cell), maps.projector_px.copy()
         along = cut[..., 1 - self._axis]
@@ -73,7 +73,7 @@ class OneAxis:
 
 
 def one_axis(plan: SequencePlan, calibration: Calibration | None) -> OneAxis | None:
-    """What tells the other coordinate of a sequence that measures one only; None of one that measures both."""
+    """Return the completion of a sequence that measures one axis; None if it measures both."""
     if plan.only_axis is None or calibration is None:
         return None
     return OneAxis(plan.only_axis, plan.y if plan.only_axis is plan.x else plan.x, calibration)

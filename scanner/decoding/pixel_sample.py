@@ -1,4 +1,4 @@
-"""A thin sample of every frame: what noise, tolerances and the checks between frames are computed from."""
+"""A sparse sample of every frame, from which noise, tolerances and frame checks are computed."""
 
 from typing import Any
 
@@ -14,10 +14,10 @@ _SEED = 20_240_229
 
 
 class Sample:
-    """The grey levels of some pixels in all frames. `pixels` (P,) are flat indices into the image.
+    """Grey levels of some pixels in all frames. `pixels` (P,) are flat indices into the image.
 
-    The pixels are scattered at random, because a regular grid could beat with the fringes. With `neighbours` each
-    comes with one on its left and one on its right.
+    The pixels are random, because a regular grid could beat with the fringes. With `neighbours` each pixel comes with
+    one on its left and one on its right.
     """
 
     def __init__(self, shape: tuple[int, int], *, neighbours: bool) -> None:
@@ -37,46 +37,46 @@ class Sample:
         self._right: list[NDArray[Any]] = []
 
     def add(self, grey: Image) -> None:
-        """Take the sample of one frame (H, W)."""
+        """Sample one frame (H, W)."""
         flat = grey.reshape(-1)
         places = [(self._frames, self.pixels)]
         if self._margin:
             places += [(self._left, self.pixels - _STEP), (self._right, self.pixels + _STEP)]
         for levels, pixels in places:
-            levels.append(flat.take(pixels, mode="clip"))  # all are inside, which need not be checked
+            levels.append(flat.take(pixels, mode="clip"))  # all are inside; clip mode skips the bounds check
 
     def has(self, *frames: int) -> bool:
-        """Whether these frames have come."""
+        """Whether these frames have been added."""
         return max(frames) < len(self._frames)
 
     def level(self, frame: int) -> NDArray[Any]:
-        """(P,) grey levels of a frame that has come."""
+        """Return the grey levels (P,) of a frame that has been added."""
         return self._frames[frame]
 
     def divide(self, frame: int, by: Floats) -> None:
-        """Make a frame that has come darker by so many times, (P,) or (1,), and its neighbours with it."""
+        """Divide the levels of a frame by `by`, (P,) or (1,), including its neighbours."""
         for levels in (self._frames, self._left, self._right)[: 3 if self._margin else 1]:
             levels[frame] = (levels[frame] / by).astype(np.float32)
 
     def leave_out(self, chosen: Bools) -> None:
-        """Forget pixels of it, (P,), once all frames are in."""
+        """Remove the chosen pixels (P,), once all frames are in."""
         self.pixels = self.pixels[~chosen]
         for levels in (self._frames, self._left, self._right):
             levels[:] = [of_frame[~chosen] for of_frame in levels]
 
     @property
     def as_taken(self) -> Image:
-        """(frames, P) grey levels, once all frames are in and before any is made darker, as the camera gave them."""
+        """(frames, P): grey levels as the camera gave them, once all frames are in and before any is divided."""
         return np.stack(self._frames)
 
     @property
     def levels(self) -> Floats32:
-        """(frames, P) grey levels, once all frames are in."""
+        """(frames, P): grey levels, once all frames are in."""
         return np.stack(self._frames, dtype=np.float32)
 
     @property
     def curvature(self) -> Floats32 | None:
-        """(frames, P): left − 2 · centre + right, or None if no neighbours were taken."""
+        """(frames, P): left − 2 · centre + right, or None without neighbours."""
         if not self._margin:
             return None
         left, right = np.stack(self._left).astype(np.float32), np.stack(self._right).astype(np.float32)

@@ -1,6 +1,6 @@
-"""The plan of a sequence of patterns: sorted by what they measure, and whether that determines the coordinates.
+"""Plan a sequence of patterns: sort them by what they measure, and check that this determines the coordinates.
 
-Everything that can be known before the first frame is worked out, or refused, here.
+Everything that can be known before the first frame is computed, or refused, here.
 """
 
 from collections import defaultdict
@@ -15,10 +15,10 @@ from scanner.errors import InputError
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
 
 _MAX_BITS = 32
-# Two fringe orders can be told apart if some period sees them at least this fraction of itself apart.
+# Two fringe orders are distinct if, for some period, they differ by at least this fraction of it.
 _DISTINCT_CYCLES = 0.05
 
-# Bits, cell and offset of a Gray code; and its frames, by whether they are inverted, and by bit.
+# Bits, cell and offset of a Gray code; and its frames by (inverted, bit).
 _Numbering = tuple[int, int, int]
 _Shown = dict[bool, dict[int, int]]
 
@@ -28,8 +28,8 @@ def plan_sequence(
 ) -> SequencePlan:
     """Sort a sequence by what its patterns measure on a projector of (width, height).
 
-    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError where a bit or shift is missing,
-    or a coordinate is not determined.
+    For a `calibrated` rig one axis is enough. Raises InputError if a bit or shift is missing, or a coordinate is not
+    determined.
     """
     index: dict[Pattern, int] = {}
     shown = tuple(index.setdefault(pattern, len(index)) for pattern in patterns)
@@ -60,14 +60,14 @@ def _gray_codes(axis: Axis, length: int, index: Mapping[Pattern, int]) -> list[G
     of_xor: set[tuple[_Numbering, int]] = set()
     for (numbering, base), shown in relative.items():
         bits = frozenset({*shown[False], *shown[True]})
-        # The base and what else is not relative to it, mostly finer bits, are shown plainly.
+        # The base, and the finer bits that are not relative to it, are shown plainly.
         for inverted, frames in plain[numbering].items():
             shown[inverted] |= {bit: frame for bit, frame in frames.items() if bit not in bits}
         if not any(base in frames for frames in shown.values()):
             raise InputError(f"an XOR code along {axis} needs its base as well, the Gray code's bit {base}")
         codes.append(replace(_code(axis, length, numbering, shown), base=base, relative=bits))
         of_xor |= {(numbering, bit) for bit in {*shown[False], *shown[True]} - bits}
-    # Bits that are shown as a part of an XOR code only are no Gray code.
+    # Bits that only belong to an XOR code are no Gray code of their own.
     for numbering, shown in plain.items():
         if {(numbering, bit) for bit in {*shown[False], *shown[True]}} - of_xor:
             codes.append(_code(axis, length, numbering, shown))
@@ -84,8 +84,9 @@ def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown) -> Gray
 
 
 def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:
-    """The value of the bits that were not shown, which must be the same on all pixels of the axis; `key`: a code's
-    bits, cell and offset. Raises InputError.
+    """Return the value of the bits that were not shown; `key`: a code's bits, cell and offset.
+
+    Raises InputError if such a bit is not constant along the axis, or the code does not fit it.
     """
     bits, cell, offset = key
     if bits > _MAX_BITS:
@@ -153,7 +154,9 @@ def _require_determined(plan: AxisPlan) -> None:
 
 
 def repeat_length(periods: Sequence[float], length: int) -> float:
-    """After how many pixels, up to `length`, fringes of these periods (longest first) look alike again; else inf."""
+    """Return the distance, up to `length`, after which fringes of these periods (longest first) repeat; inf if they do
+    not.
+    """
     if not periods:
         return inf
     for order in range(1, ceil(length / periods[0])):

@@ -1,4 +1,4 @@
-"""What happened to all frames of a capture on their way, undone in one place before they are decoded."""
+"""Effects on all frames of a capture that are corrected before decoding."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,9 +12,10 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 @dataclass(frozen=True)
 class Reading:
-    """The camera's `response`, a `ghost` of the picture before, and light that was switched; None where there was none.
+    """The camera's `response`, a `ghost` of the previous picture, and an ambient light change (`switch`); None if
+    absent.
 
-    They are undone in this order, the last that happened first.
+    They are corrected in this order, the reverse of that in which they occur.
     """
 
     response: CameraResponse | None = None
@@ -23,19 +24,19 @@ class Reading:
 
     @property
     def is_plain(self) -> bool:
-        """Whether frames are read as they were taken."""
+        """Whether the frames need no correction."""
         return self == Reading()
 
     def undone(self, frames: Image, plan: SequencePlan) -> Iterator[Image]:
-        """The kept frames (N, H, W) of a capture, one by one, as they would be without all of it."""
+        """Yield the corrected frames of a capture, from the kept frames (N, H, W)."""
         light = None if self.switch is None else self.switch.image(self._steady(frames), frames.shape[1:], plan)
         read = self._steady(frames)
         return read if light is None or self.switch is None else without_light(read, light, plan, self.switch)
 
-    def said(self, plan: SequencePlan) -> Iterator[str]:
-        """For the operator."""
+    def remarks(self, plan: SequencePlan) -> Iterator[str]:
+        """Yield sentences for the operator."""
         if self.ghost:
-            yield f"{self.ghost.said(plan)}, which was taken out. Let the camera wait longer for the projector."
+            yield f"{self.ghost.description(plan)}, which was taken out. Let the camera wait longer for the projector."
         if self.switch:
             yield f"{self.switch.said(plan)}, and was taken out. Better: leave the room's light as it is."
 

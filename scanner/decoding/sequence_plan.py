@@ -11,9 +11,10 @@ from scanner.decoding.arrays import Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12
-# Offset, amplitude and phase of a fringe: so many frames make one in any order, a wrong one included.
+# Parameters of a cosine: this many frames fit one in any order, including a wrong one.
 COSINE_PARAMETERS = 3
-# Of full light, on average over the projector: two bits differ by a half, a dozen steps of a fringe by a sixth.
+# Mean difference of two patterns, relative to white, below which they look alike: two bits differ by a half, a dozen
+# steps of a fringe by a sixth.
 _ALIKE = 0.15
 
 
@@ -21,8 +22,8 @@ _ALIKE = 0.15
 class GrayCode:
     """The bits of one Gray code. `normal` and `inverse` map a bit to the index of its frame.
 
-    `constant` is the part of the code word that never changes on this projector and was not shown. `base`: the bit
-    that the `relative` ones are shown relative to, by exclusive or (an XOR code); None for a plain Gray code.
+    `constant`: the bits of the code word that were not shown because they are constant on this projector. `base`: the
+    bit with which the `relative` ones are combined by exclusive or (an XOR code); None for a plain Gray code.
     """
 
     axis: Axis
@@ -36,7 +37,7 @@ class GrayCode:
     relative: frozenset[int] = frozenset()
 
     def relative_to_base(self, words: Words) -> Words:
-        """The words of the plain code from those that an XOR code shows, and the other way round; any shape."""
+        """Convert words of an XOR code to the plain code, and the reverse; any shape."""
         if self.base is None:
             return words
         shown = sum(1 << self.bits - 1 - bit for bit in self.relative)
@@ -44,7 +45,7 @@ class GrayCode:
         return words ^ base * words.dtype.type(shown)
 
     def without_finest(self, count: int) -> "GrayCode":
-        """The code of longer cells that is left without its finest bits."""
+        """Return the code of longer cells without its `count` finest bits."""
         bits = self.bits - count
         normal, inverse = ({b: f for b, f in frames.items() if b < bits} for frames in (self.normal, self.inverse))
         constant = self.constant >> count
@@ -52,12 +53,12 @@ class GrayCode:
 
     @property
     def pairs(self) -> dict[int, tuple[int, int]]:
-        """Bit → frames of the pattern and of its inverse, for the bits that have both."""
+        """Bit → frames of the pattern and its inverse, for the bits that have both."""
         return {bit: (self.normal[bit], self.inverse[bit]) for bit in self.normal if bit in self.inverse}
 
     @property
     def unpaired(self) -> dict[int, int]:
-        """Bit → its only frame, be it the pattern or the inverse."""
+        """Bit → its only frame, either the pattern or the inverse."""
         alone = {bit: frame for bit, frame in self.normal.items() if bit not in self.inverse}
         return alone | {bit: frame for bit, frame in self.inverse.items() if bit not in self.normal}
 
@@ -69,7 +70,7 @@ class GrayCode:
 
 @dataclass(frozen=True)
 class Fringe:
-    """One period in all its shifts (cycles), in the order of `frames`."""
+    """One period in all its shifts (in cycles), in the order of `frames`."""
 
     axis: Axis
     period: float
@@ -85,19 +86,21 @@ class Fringe:
 
     @property
     def noise_gain(self) -> float:
-        """Standard deviation of the two components of the fringe per grey level of noise; √(2/N) for equal shifts."""
+        """Standard deviation of the fringe's two components per grey level of noise; √(2/N) for equal shifts."""
         return float(np.sqrt(np.mean(np.sum(self.weights[1:] ** 2, axis=1))))
 
     @property
     def equal_steps(self) -> bool:
-        """Whether the shifts divide the cycle evenly, so that only harmonics next to multiples of N bend the phase."""
+        """Whether the shifts divide the cycle evenly, so that only harmonics next to multiples of N
+        distort the phase.
+        """
         steps = np.diff(np.sort(np.mod(np.array(self.shifts) + 1e-9, 1)))
         return bool(np.allclose(steps, 1 / len(self.shifts), atol=1e-6))
 
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """How one projector coordinate is measured. `fringes` from the longest period to the shortest."""
+    """How one projector coordinate is measured. `fringes`: from the longest period to the shortest."""
 
     axis: Axis
     length: int
@@ -111,12 +114,12 @@ class AxisPlan:
 
     @property
     def cell(self) -> float:
-        """The length that the Gray codes leave undetermined."""
+        """The length within which the Gray codes do not determine the coordinate."""
         return min((code.cell for code in self.codes), default=self.length)
 
     @property
     def corrects_bits(self) -> bool:
-        """Whether a second period contradicts a wrong bit of the Gray code."""
+        """Whether a second fringe period detects wrong bits of the Gray code."""
         return len(self.fringes) > 1
 
     @property
@@ -130,8 +133,8 @@ class AxisPlan:
 class SequencePlan:
     """The whole sequence. `white` and `black` are frame indices or None.
 
-    Frames are counted as if each pattern had one; `repeats` is how many it has, of different exposures. `shown`: which
-    pattern each frame shows; one that was shown before tells what has changed since.
+    Frames are counted as one per pattern; `repeats`: number of exposures of each. `shown`: the pattern of each frame; a
+    repeated pattern shows what has changed since.
     """
 
     patterns: tuple[Pattern, ...]
@@ -144,7 +147,7 @@ class SequencePlan:
 
     @property
     def frame_count(self) -> int:
-        """How many frames the capture has."""
+        """The number of frames of the capture."""
         return self.repeats * len(self.shown)
 
     @property
@@ -154,7 +157,7 @@ class SequencePlan:
 
     @property
     def only_axis(self) -> AxisPlan | None:
-        """The axis that is measured, if the other one is not."""
+        """The measured axis, if only one is measured."""
         return None if self.x.is_measured and self.y.is_measured else self.x if self.x.is_measured else self.y
 
     @property
@@ -169,34 +172,35 @@ class SequencePlan:
 
     @property
     def complements(self) -> list[tuple[int, int]]:
-        """Pairs of frames whose light adds up to white plus black: patterns and inverses, and white and black."""
+        """Pairs of frames whose light adds up to white plus black: patterns with inverses, and white with black."""
         pairs = [*dict.fromkeys(pair for code in self.codes for pair in code.pairs.values())]
         if self.white is not None and self.black is not None:
             pairs.append((self.white, self.black))
         return pairs
 
     def shows_the_same(self, frame: int, other: int) -> bool:
-        """Whether two patterns are nearly one picture, as white and a bit that is 1 on most of the projector: where
-        only a part of it is seen, they may well be the same.
+        """Whether two patterns are nearly the same picture, such as white and a bit that is 1 on most of the projector.
+
+        If only part of the picture is visible, they may be identical there.
         """
         size = self.x.length, self.y.length
         one, two = (draw(self.patterns[number], size).astype(np.int16) for number in (frame, other))
         return float(np.abs(one - two).mean()) < _ALIKE * np.iinfo(np.uint8).max
 
     def name(self, frame: int) -> str:
-        """A frame and its pattern, for messages."""
+        """Return a frame's number and pattern, for messages."""
         number = self.shown.index(frame) * self.repeats
         return f"frame {number} ({describe(self.patterns[frame])})"
 
     def names(self, frames: Sequence[int]) -> str:
-        """Frames and their patterns, for messages."""
+        """Return several frames' numbers and patterns, for messages."""
         chosen = sorted(set(frames))
         shown = ", ".join(self.name(frame) for frame in chosen[:_MOST_NAMED])
         return shown if len(chosen) <= _MOST_NAMED else f"{shown} and {len(chosen) - _MOST_NAMED} more"
 
 
 def describe(pattern: Pattern) -> str:
-    """A pattern in a few words."""
+    """Return a pattern in a few words."""
     match pattern:
         case White():
             return "white"

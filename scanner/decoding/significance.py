@@ -1,13 +1,13 @@
-"""From when on something counts: the limits that the steps of decoding have in common."""
+"""Significance limits that the decoding steps have in common."""
 
 from math import erfc, sqrt
 
-# What is so many standard deviations off is more than chance, which does so once in 1.7 million times.
+# Deviations of this many sigmas are significant: chance exceeds it once in 1.7 million.
 SIGNIFICANT_SIGMAS = 5.0
 BY_CHANCE = erfc(SIGNIFICANT_SIGMAS / sqrt(2))
-# Where a fit meets what it does not model, residuals count less from so many standard deviations on (Huber).
+# Residuals larger than this many sigmas are down-weighted (Huber).
 HUBER_SIGMAS = 2.0
-# This quantile stands for the brightest pixels, reflections aside.
+# Quantile that represents the brightest pixels without specular reflections.
 BRIGHTEST = 0.98
-# A few outliers among fewer pixels, cells or matches would decide what is found from them.
+# With fewer pixels, cells or matches a few outliers would decide the result.
 FEWEST_PIXELS = 100

@@ -1,8 +1,8 @@
-"""Slopes of images that are those of what is between their pixels.
+"""Derivative filters for the slope of images between their pixels.
 
-Taps that blur alike and differ by a derivative (Farid and Simoncelli, IEEE TIP 13, 2004, table I): the slope is that of
-the blurred picture. Plain differences tell 9 % too much of a sharp edge's motion, and 10 % too much of a wave's of
-eight pixels.
+Smoothing and derivative filters that match each other (Farid and Simoncelli, IEEE TIP 13, 2004, table I): the slope is
+that of the smoothed image. Plain differences overestimate the motion of a sharp edge by 9 %, and of a wave of eight
+pixels by 10 %.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The frames of a capture, kept as they were taken: in memory, or mapped from a file where they are large."""
+"""Store the frames of a capture as taken: in memory, or in a memory-mapped file if they are large."""
 
 import os
 from tempfile import TemporaryFile
@@ -6,36 +6,36 @@ from tempfile import TemporaryFile
 import numpy as np
 
 from calib.numerics import Image
-from scanner.decoding.memory import refuse_more_than_there_is, total_bytes
+from scanner.decoding.memory import require_memory, total_bytes
 from scanner.errors import InputError
 
-# Frames that take more than this part of the machine's memory are mapped from a file.
+# Share of the machine's memory above which frames are mapped from a file.
 _MOST_OF_MEMORY = 0.25
 
 
 class Stack:
     """The grey frames (N, H, W) of a capture, in the order in which they were taken.
 
-    A frame is a view, which keeps all of them in memory as long as it lives. Raises InputError if there is not memory
-    enough to decode them, or not room enough for the file.
+    A frame is a view that keeps all of them in memory. Raises InputError if there is not enough memory to decode them,
+    or not enough room for the file.
     """
 
     def __init__(self, count: int, first: Image, *, codes_alone: bool) -> None:
         shape = first.shape[0], first.shape[1]
         needed, memory = count * first.nbytes, total_bytes()
         is_mapped = memory is not None and needed > _MOST_OF_MEMORY * memory
-        refuse_more_than_there_is(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
+        require_memory(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
         frames = _mapped((count, *shape), first) if is_mapped else np.empty((count, *shape), first.dtype)
         self._frames: Image = frames
         self._count = 0
 
     @property
     def frames(self) -> Image:
-        """(N, H, W): those that have been kept so far."""
+        """(N, H, W): the frames kept so far."""
         return self._frames[: self._count]
 
     def keep(self, grey: Image) -> Image:
-        """Keep the next frame (H, W); returns it as kept."""
+        """Store the next frame (H, W); return the stored copy."""
         kept: Image = self._frames[self._count]
         np.copyto(kept, grey)
         self._count += 1
@@ -43,11 +43,11 @@ class Stack:
 
 
 def _mapped(shape: tuple[int, int, int], like: Image) -> Image:
-    """Memory of this shape in a file that is gone when nothing needs it any more."""
+    """Return an array of this shape, mapped from a file that is deleted when the array is released."""
     count = shape[0] * like.nbytes
     try:
         with TemporaryFile(prefix="roomscan-") as file:
-            # Without room for all of it, writing to the memory would end the program.
+            # Allocate it now: running out of room while writing to the mapping would kill the program.
             os.posix_fallocate(file.fileno(), 0, count)
             frames: Image = np.memmap(file, like.dtype, "r+", shape=shape)
             return frames

@@ -1,7 +1,7 @@
-"""A sequence that stops early: which of its frames decode all the same, what is missing, and what that costs.
+"""Decode a sequence that stops early: which of its frames are usable, what is missing, and what that costs.
 
-Without its finest bits a Gray code is one of longer cells, whose edges are located all the same; a fringe without all
-of its steps is left out.
+Without its finest bits a Gray code is one of longer cells, whose edges are still located; a fringe without all of its
+steps is left out.
 """
 
 from collections import defaultdict
@@ -16,15 +16,17 @@ from scanner.errors import InputError
 from scanner.patterns import Axis, Gray, Pattern, Phase, Xor
 
 _AXES: tuple[Axis, Axis] = ("x", "y")
-# In simulated rooms, between the edges of stripes of plain codes (68 %): 0.02 px with cells of 1 to 4 px, 0.03 with 8,
+# Accuracy (68 %) between stripe edges of plain codes in simulated rooms: 0.02 px with cells of 1 to 4 px, 0.03 with 8,
 # 0.05 with 16, 0.1 with 32.
 _BETWEEN_EDGES_PX, _OF_CELL = 0.05, 0.1 / 32
 
 
 @dataclass(frozen=True)
 class Usable:
-    """`patterns`: what each frame of the capture is decoded as, None where it is left out. `words`: what is missing and
-    what it costs, in sentences; '' where nothing is.
+    """Usable frames of a capture.
+
+    `patterns`: what each frame is decoded as, None if it is left out. `words`: what is missing and what it costs, in
+    sentences; '' if nothing is.
     """
 
     patterns: tuple[Pattern | None, ...]
@@ -38,10 +40,9 @@ def usable(
     *,
     calibrated: bool = False,
 ) -> Usable:
-    """What the frames of a capture determine; `planned` are those that were to be taken, empty where unknown.
+    """Return what the frames of a capture determine; `planned`: the patterns that were to be taken, empty if unknown.
 
-    Of a rig that is `calibrated` one of the coordinates is enough. Raises InputError with what is missing if they
-    determine too little.
+    For a `calibrated` rig one axis is enough. Raises InputError with what is missing if they determine too little.
     """
     if len(planned) > len(patterns):
         return _trimmed(patterns, planned, projector_size, calibrated=calibrated)
@@ -64,7 +65,7 @@ def _trimmed(
     axes = [_decodable(axis, length, once, wanted) for axis, length in zip(_AXES, size, strict=True)]
     axes = _balanced(axes, wanted, calibrated=calibrated)
     decoded_as = {p: p for p in once if not isinstance(p, Gray | Xor | Phase)} | axes[0] | axes[1]
-    # Fringes that look alike within the cells that are left decide nothing.
+    # Fringes that repeat within the remaining cells are left out as well.
     decoded_as, plan, trouble = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
     taken = f"{len(patterns)} of its {len(planned)} frames were taken. " if planned else ""
     missing = f"The capture stops early: {taken}Missing or left out: {_listed(wanted, decoded_as)}"
@@ -78,7 +79,9 @@ def _trimmed(
 def _first_plan(
     choices: Sequence[dict[Pattern, Pattern]], once: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
 ) -> tuple[dict[Pattern, Pattern], SequencePlan | None, str]:
-    """The first of the choices that determines the coordinates, and its plan; or what the first one lacks."""
+    """Return the first of the choices that determines the coordinates, with its plan; otherwise what the first one
+    lacks.
+    """
     troubles = []
     for choice in choices:
         try:
@@ -89,13 +92,13 @@ def _first_plan(
 
 
 def _exposures(patterns: Sequence[Pattern]) -> int:
-    """How many frames in a row show each pattern, though the last ones may be missing."""
+    """Return the number of successive frames of each pattern; the last ones may be missing."""
     count = next((n for n, pattern in enumerate(patterns) if pattern != patterns[0]), 1)
     return count if exposures_of(patterns[: len(patterns) // count * count])[1] == count else 1
 
 
 def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> dict[Pattern, Pattern]:
-    """What the patterns along an axis are decoded as; those that are no use are not in it."""
+    """Return the patterns along an axis that can be decoded, and what each is decoded as."""
     found: dict[Pattern, Pattern] = {}
     codes: dict[tuple[int, int, int], list[Gray]] = defaultdict(list)
     relative: dict[tuple[int, int, int, int], list[Xor]] = defaultdict(list)
@@ -130,7 +133,7 @@ def _complete(axis: Axis, length: int, code: tuple[int, int, int], shown: set[in
 
 
 def _whole_fringes(axis: Axis, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> list[Phase]:
-    """Those of which all steps that were wanted are there, and as many as any other has."""
+    """Return the fringes with all steps that were planned, and with as many as any other has."""
     steps: dict[tuple[Axis, float], set[float]] = defaultdict(set)
     for pattern in wanted:
         if isinstance(pattern, Phase):
@@ -148,8 +151,10 @@ def _whole_fringes(axis: Axis, once: Sequence[Pattern], wanted: Sequence[Pattern
 def _balanced(
     axes: list[dict[Pattern, Pattern]], wanted: Iterable[Pattern], *, calibrated: bool
 ) -> list[dict[Pattern, Pattern]]:
-    """Where one axis is cut short, the other is worth most like it, as cells whose matches are averaged; or alone, if
-    the calibration tells the one better.
+    """Adjust the axes to each other where one is cut short to cells.
+
+    The other one is then best reduced to cells as well, so that matches are averaged; or the cut axis is dropped, if
+    the calibration determines it better.
     """
     codes = [pattern for pattern in wanted if isinstance(pattern, Gray)]
     fine = [any(isinstance(pattern, Phase) for pattern in found) for found in axes]
@@ -169,7 +174,7 @@ def _only_codes(found: dict[Pattern, Pattern]) -> dict[Pattern, Pattern]:
 
 
 def _listed(wanted: Sequence[Pattern], decoded_as: Collection[Pattern]) -> str:
-    """What does not decode, by axis and kind."""
+    """List what is not decoded, by axis and kind."""
     bits: dict[str, set[int]] = defaultdict(set)
     fringes: dict[Axis, set[float]] = defaultdict(set)
     for pattern in wanted:
@@ -189,7 +194,7 @@ def _listed(wanted: Sequence[Pattern], decoded_as: Collection[Pattern]) -> str:
 
 
 def _cost(plan: AxisPlan, *, by_edges: bool) -> str:
-    """Of one axis; `by_edges`: of plain codes the edges of stripes are kept, as where no fringes are decoded."""
+    """Describe the accuracy of one axis; `by_edges`: edges of plain codes are kept, as without fringes."""
     if not plan.is_measured:
         return f"{plan.axis} follows from the calibration"
     if plan.fringes:

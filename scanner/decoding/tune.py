@@ -1,4 +1,4 @@
-"""The decoders of both axes, with everything that a sample of the capture tells about its fringes."""
+"""Calibrate the decoders of both axes on a sample of the capture: tolerances, blur, response."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from scanner.decoding.axis_signals import Signals
 from scanner.decoding.fringes.blur import weakened
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
-from scanner.decoding.fringes.unchecked import SeenFringe, Unchecked, is_unchecked, response_of
+from scanner.decoding.fringes.unchecked import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 
@@ -26,7 +26,9 @@ _DARKEST = 1e-3
 def calibrated_decoders(
     plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals], levels: Floats32
 ) -> tuple[AxisDecoder, AxisDecoder]:
-    """Decoders for x and y from a sample of the signals of each, and of the `levels` (frames, P) at the same pixels."""
+    """Return decoders for x and y from a sample of the signals of each, and of `levels` (frames, P)
+    at the same pixels.
+    """
     raw = [
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
@@ -36,7 +38,7 @@ def calibrated_decoders(
         _with_tolerances(replace(decoder, ripple=tuple(ripples.get(fringe) for fringe in decoder.plan.fringes)), part)
         for decoder, part in zip(raw, signals, strict=True)
     ]
-    # Two periods are rippled at different places, so that a right correction brings them together.
+    # Periods are rippled at different places, so that a right correction reduces their disagreement.
     worse = any(
         sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
         for new, old in zip(straightened, plain, strict=True)
@@ -46,12 +48,12 @@ def calibrated_decoders(
 
 
 def agreeing(measured: Measured) -> Bools:
-    """(P,): the well lit pixels of a sample whose codes and fringes make sense at all."""
+    """(P,): the well lit pixels of a sample whose codes and fringes are consistent."""
     return measured.orders.agree & measured.interval.possible & measured.well_lit
 
 
 def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]) -> float | None:
-    """The median amplitude of the shortest fringes relative to the level half-way between lit and unlit.
+    """Return the median amplitude of the shortest fringes relative to the level half-way between lit and unlit.
 
     1 for a sharp image of a projector without black level in a dark room; None without fringes.
     """
@@ -81,7 +83,7 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
 def _with_response(
     decoders: list[AxisDecoder], signals: tuple[Signals, Signals], levels: Floats32
 ) -> list[AxisDecoder]:
-    """The same with what amplitudes tell of a response that phases alone do not."""
+    """Return the decoders with the response that amplitudes determine, for axes whose phase nothing else checks."""
     alone = [(decoder, part) for decoder, part in zip(decoders, signals, strict=True) if is_unchecked(decoder.plan)]
     if not alone:
         return decoders
@@ -94,7 +96,7 @@ def _with_response(
         cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
         mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
         amplitude, level = (np.log(np.maximum(each, _DARKEST)) for each in (np.hypot(cosine, sine), mean[lit]))
-        seen.append(SeenFringe(fringe, np.arctan2(sine, cosine), amplitude, level))
+        seen.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
     response = response_of(seen)
 
     def knowing(decoder: AxisDecoder) -> AxisDecoder:
@@ -105,7 +107,7 @@ def _with_response(
 
 
 def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
-    """The number of the shortest fringe that is seen at nearly all pixels of a sample where the longest is."""
+    """Return the index of the shortest fringe that is resolved at nearly all sample pixels."""
     seen = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
         if variance.size and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
@@ -115,7 +117,7 @@ def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
 
 @dataclass(frozen=True)
 class _Phases:
-    """Raw phases (P,) of a fringe, radians, and over how many of its cycles the pixels are spread."""
+    """Raw phases (P,) of a fringe in radians, and the number of cycles over which the pixels are spread."""
 
     fringe: Fringe
     phases: Floats32
@@ -123,10 +125,10 @@ class _Phases:
 
 
 def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> dict[Fringe, Floats32]:
-    """Per fringe, what straightens its phase.
+    """Return the phase correction of each fringe.
 
-    Fringes with the same shifts and period are bent alike on both axes and are measured together. Where the pixels see
-    too few cycles of a period, or too unevenly, the next shorter one lends its table.
+    Fringes of equal shifts and period share it on both axes and are measured together. If the pixels see too few cycles
+    of a period, or too unevenly, the correction of the next shorter period is used.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
     for decoder, part in zip(decoders, signals, strict=True):
@@ -150,7 +152,7 @@ def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
     if not decoder.plan.fringes:
         return
     measured = decoder.measure(signals)
-    # Which pixels saturate would depend on their phase, if it were judged by the fringes themselves.
+    # Judged by the fringes themselves, saturation would depend on the phase.
     lit = measured.well_lit & (signals.brightest < decoder.saturation)
     coordinates = measured.orders.coordinates[:, agreeing(measured)]
     for number, (fringe, coordinate) in enumerate(zip(decoder.plan.fringes, coordinates, strict=True)):

@@ -1,1 +1,1 @@
-"""Gray codes: which cell of the projector a pixel is in."""
+"""Gray codes: the projector cell that each pixel is in."""

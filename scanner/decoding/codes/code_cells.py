@@ -1,6 +1,6 @@
-"""One measurement per projector cell, for captures where only Gray codes tell a coordinate.
+"""Average the camera pixels of each projector cell, for captures where only Gray codes tell a coordinate.
 
-All camera pixels with one code see the same small patch; its centre is better known than any of them is.
+All camera pixels with one code see the same small patch; its centre is known better than any of them.
 """
 
 from dataclasses import dataclass
@@ -11,21 +11,22 @@ import numpy as np
 from calib.numerics import Bools, Floats, Image, Ints, compiled
 from scanner.decoding.arrays import Floats32
 
-# Mean square radius of the pixels of one code, in pixels²: at most this much plus the usual number of pixels (a compact
-# patch has a sixth of that number, a stripe of four times its width a third).
+# Largest mean square radius of a code's pixels, in pixels²: this plus the median number of pixels per cell (a compact
+# patch has a sixth of its number, a stripe of four times its width a third).
 _SMALLEST_SPREAD = 1.0
-# A cell that has many fewer pixels than the fullest around it is cut off, and its centre is not the cell's. The side of
-# a whole one varies by a pixel, as camera and cells beat, and by this share of it, as perspective and shading do; where
-# cells have fewer than `_COUNTABLE` pixels, that is all of it.
+# A cell with many fewer pixels than the fullest around it is cut off, and its pixels' mean is not its centre. The side
+# of a whole cell varies by a pixel, from sampling, and by this share of it, from perspective and shading; cells of
+# fewer than `_COUNTABLE` pixels are not tested.
 _VARYING_PX, _VARYING = 1.0, 0.13
 _COUNTABLE = 6
 
 
 @dataclass(frozen=True)
 class CellMatches:
-    """`camera_px`, `projector_px` (M, 2), `variance` (M,) of each projector coordinate.
+    """`camera_px`, `projector_px` (M, 2), and the `variance` (M,) of each projector coordinate.
 
-    `rejected` (H, W): pixels whose code also turns up elsewhere, so that one of them is wrong, or of cut-off cells.
+    `rejected` (H, W): pixels of cut-off cells, or of a code that also occurs elsewhere, so that one occurrence is
+    wrong.
     """
 
     camera_px: Floats
@@ -63,9 +64,9 @@ def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brigh
 
 
 def _numbered(half_px: Ints) -> tuple[Floats, Ints]:
-    """The different centres of cells, rising, and the number among them of each by its half pixels (N,).
+    """Return the distinct cell centres, ascending, and a table of their indices by half-pixel coordinate.
 
-    Like numpy.unique, without sorting millions of numbers.
+    `half_px` (N,). Like numpy.unique, without sorting millions of numbers.
     """
     there = np.bincount(half_px) > 0
     number: Ints = np.cumsum(there, dtype=np.int32) - np.int32(1)
@@ -74,8 +75,8 @@ def _numbered(half_px: Ints) -> tuple[Floats, Ints]:
 
 @compiled
 def _list_pixels(kept: Bools, projector_px: Floats32, half_px: Ints, pixels: Ints) -> None:
-    """Of the kept pixels (N, 2) each: coordinates in half pixels of the projector from −0.5 on, where the axis begins;
-    column and row.
+    """List the kept pixels, (N, 2) each: projector coordinates in half pixels, counted from −0.5; camera column and
+    row.
     """
     height, width = kept.shape
     n = 0
@@ -98,7 +99,7 @@ def _add_up(
     camera_px: Floats,
     of_variance: Floats,
 ) -> None:
-    """Sums by groups: of weights, of weighted pixels, of variances."""
+    """Sum weights, weighted pixels and variances by group."""
     for n in range(len(group)):
         (column, row), into = pixels[n], group[n]
         by = brightness[row, column] + 1.0
@@ -110,7 +111,7 @@ def _add_up(
 
 @compiled
 def _add_squares(pixels: Ints, group: Ints, camera_px: Floats, square: Floats) -> None:
-    """Sums by groups of squared distances from `camera_px`."""
+    """Sum the squared distances from `camera_px` by group."""
     for n in range(len(group)):
         into = group[n]
         across, down = pixels[n, 0] - camera_px[into, 0], pixels[n, 1] - camera_px[into, 1]

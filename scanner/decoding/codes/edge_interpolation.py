@@ -1,7 +1,7 @@
-"""The projector's coordinate at camera pixels, interpolated between the edges of stripes on either side.
+"""Interpolate the projector coordinate at camera pixels between the stripe edges on either side.
 
-Along rows, and along columns, each edge is a camera position of known projector coordinate; between two that follow
-each other the coordinate is taken to be straight. What is left of two directions is their mean.
+Along rows, and along columns, each edge is a sub-pixel camera position of known projector coordinate. Between
+successive edges the coordinate is interpolated linearly. The results of the two directions are averaged.
 """
 
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ from scanner.decoding.codes.stripe_edges import Packed, unpacked
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode
 
-# Stripes of two cells are resolved from a camera pixel each on: so many cells at most are between two pixels, and twice
-# as many between edges, if some of them were not.
+# Stripes of two cells are resolved down to one camera pixel each: at most this many cells lie between two pixels, and
+# twice as many between edges, if some were not resolved.
 CELLS_PER_PIXEL = 2
-# A surface bends, from one pair of edges to the next, by this much of its slope where no other pair tells. Where it is
-# so many times as steep as between the next ones, and by so many sigmas steeper than that, there is a jump.
+# Change of slope from one pair of edges to the next, as a share of the slope, where no other pair is known. A slope is
+# a jump if it is this many times the neighbouring ones, and steeper by this many sigmas.
 _BEND_OF_SLOPE = 0.25
 _JUMP, _SIGMAS = 1.5, 3.0
-# Edges of the same stripe so close together are one, which noise has split.
+# Edges of the same stripe this close together are one edge, split by noise.
 _SAME_EDGE_PX, _SHORTEST_PX = 2.0, 0.1
-# What the shape of an edge that is taken for a Gaussian's leaves: standard deviation of its place, in camera pixels.
+# Standard deviation of an edge's position, in camera pixels, from its shape, which is modelled as Gaussian blur.
 _SHAPE_PX = 0.02
-# By how much pattern and inverse differ in the light that comes by way of other surfaces, in parts of what there is
-# between dark and bright; the more a lens has blurred an edge, the farther does that move it.
+# Difference of pattern and inverse in indirect light, as a share of the step from dark to bright; the more blurred an
+# edge is, the farther this shifts it.
 _STRAY = 0.01
-# From this share of the light on, noise decides how far away an edge seems to be.
+# Above this share of the light, noise dominates the distance of an edge.
 _SATURATED = 0.97
-# Variance of a pair's difference, and of twice that of a frame and its threshold, in those of a pixel.
+# Variance of a pair's difference, and of twice the difference of a frame and its threshold, in units of a pixel's.
 _PAIR, _HALF = 2.0, 6.0
-# Of each edge: its place along the line with the variance, which edge of the code it is, how many cells the pixels on
-# either side are apart, whether the surface goes on from the edge before.
+# Per edge: position along the line, its variance, number of the code's edge, cells between the pixels on either side,
+# whether the surface continues from the edge before.
 _ROWS = 5
 _PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(_ROWS)
 
@@ -43,8 +43,8 @@ _PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(_ROWS)
 class Lines:
     """L rows, or columns, of N pixels: (L, N) each.
 
-    `words` of the code; `usable`: lit, and with a code; from the contrast `least` on an edge is certain; `middle` and
-    `brightest` as of `Signals`; `packed` and `contrast` as of `StripeEdges`, towards the next pixel of the line.
+    `words`: of the code. `usable`: lit, and with a code. `least`: least contrast of a certain edge. `middle` and
+    `brightest`: as in `Signals`. `packed` and `contrast`: as in `StripeEdges`, towards the next pixel of the line.
     """
 
     words: Words
@@ -57,11 +57,12 @@ class Lines:
 
 
 def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32, variance: Floats32) -> None:
-    """Average the coordinates along lines into `value` and `variance` (L, N), in cells from the code's first on.
+    """Average the coordinates interpolated along lines into `value` and `variance` (L, N), in cells from the code's
+    first.
 
-    Where nothing is known yet, and stays so, the variance is infinite.
+    The variance is infinite where nothing is known, and stays so where no edge is found.
     """
-    # Variance of each bit's difference, in that of a pixel.
+    # Variance of each bit's difference, in units of a pixel's.
     factors = np.array([_HALF if bit in code.unpaired else _PAIR for bit in range(code.bits)])
     numbers = cell_numbers(lines.words).astype(np.int32)
     _interpolate(
@@ -96,9 +97,9 @@ def _interpolate(
     at_black: float,
     per_level: float,
 ) -> None:
-    """Along lines (L, N): average what is interpolated into `value`, in cells from the code's first on, and `variance`.
+    """Average the interpolated coordinates along lines (L, N) into `value`, in cells, and `variance`.
 
-    `numbers`: of the cells. `bit` and `part` as of `unpacked`.
+    `numbers`: of the cells. `bit` and `part`: as returned by `unpacked`.
     """
     edges = np.empty((_ROWS, numbers.shape[1]))
     for line in range(len(numbers)):
@@ -118,7 +119,7 @@ def _list_edges(
     of_noise: tuple[Image, Image, Floats, float, float],
     edges: Floats,
 ) -> int:
-    """Note the edges along a line (N,) in columns of `edges` (rows, N); returns how many there are."""
+    """List the edges along a line (N,) in columns of `edges` (rows, N); return their number."""
     numbers, usable, least, bit, part, contrast = of_line
     middle, brightest, factors, at_black, per_level = of_noise
     bits, most = len(factors), 2 * CELLS_PER_PIXEL
@@ -154,10 +155,10 @@ def _list_edges(
 
 @compiled
 def _of_blurred(part: float, sharp: float) -> float:
-    """Where an edge is between two pixels, that were taken to be joined by a straight line, if it is a Gaussian's.
+    """Return the sub-pixel position of an edge blurred by a Gaussian, between two pixels.
 
-    `part`: distance from the first pixel on the straight line. `sharp`: by how much the two differ, in parts of half of
-    all the light that there is between dark and bright.
+    `part`: its position by linear interpolation, from the first pixel. `sharp`: the difference of the two pixels,
+    relative to half the step from dark to bright.
     """
     here, there = _inverse_error_function(part * sharp), _inverse_error_function((1.0 - part) * sharp)
     return float(here / max(here + there, 1e-9))
@@ -165,7 +166,9 @@ def _of_blurred(part: float, sharp: float) -> float:
 
 @compiled
 def _inverse_error_function(value: float) -> float:
-    """To 0.2 %, of 0 to 1 (Winitzki, A handy approximation for the error function and its inverse, 2008)."""
+    """Return erf⁻¹ of 0 to 1, to 0.2 % (Winitzki, A handy approximation for the error function and
+    its inverse, 2008).
+    """
     logarithm = np.log(1.0 - min(value, _SATURATED) ** 2)
     half = 2.0 / (np.pi * 0.147) + 0.5 * logarithm
     return float(np.sqrt(max(np.sqrt(half * half - logarithm / 0.147) - half, 0.0)))
@@ -173,7 +176,9 @@ def _inverse_error_function(value: float) -> float:
 
 @compiled
 def _slope(edges: Floats, k: int, count: int) -> float:
-    """In cells per camera pixel, from the edge before an edge to it; 0 if it does not follow that."""
+    """Return the slope from the edge before to this edge, in cells per camera pixel; 0 if it does
+    not continue from it.
+    """
     if not 0 < k < count or not edges[_FOLLOWS, k]:
         return 0.0
     return float(
@@ -183,8 +188,9 @@ def _slope(edges: Floats, k: int, count: int) -> float:
 
 @compiled
 def _curved(edges: Floats, k: int, count: int) -> float:
-    """By how many cells the surface between an edge and the one before may be off the straight line, from the slopes
-    next to it; NaN if there is a jump.
+    """Return how far the surface between an edge and the one before may be from a straight line, in cells.
+
+    From the neighbouring slopes; NaN if there is a jump.
     """
     length = max(edges[_PLACE, k] - edges[_PLACE, k - 1], _SHORTEST_PX)
     slope, before, after = _slope(edges, k, count), _slope(edges, k - 1, count), _slope(edges, k + 1, count)
@@ -196,13 +202,15 @@ def _curved(edges: Floats, k: int, count: int) -> float:
     if slope > steepest or steps > 1 + steepest:
         return np.nan
     bend = max(0.0 if before == 0 else abs(slope - before), 0.0 if after == 0 else abs(slope - after))
-    # A slope that changes by so much from the middle of one piece to that of the next.
+    # For a slope that changes by this much between the middles of successive pieces.
     return float(bend * length / 8)
 
 
 @compiled
 def _fill(edges: Floats, k: int, curved: float, numbers: Ints, value: Floats32, variance: Floats32) -> None:
-    """Average in what pixels between an edge and the one before are, if it is in their cell or the one next to it."""
+    """Average in the interpolated coordinates between an edge and the one before, if within a cell of each pixel's own
+    cell.
+    """
     start, first, cells = edges[_PLACE, k - 1], edges[_EDGE, k - 1], edges[_EDGE, k] - edges[_EDGE, k - 1]
     length = max(edges[_PLACE, k] - start, _SHORTEST_PX)
     slope = cells / length

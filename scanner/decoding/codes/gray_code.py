@@ -1,4 +1,4 @@
-"""Gray code words → the interval of the projector axis that they leave."""
+"""Convert Gray code words to the interval of the projector axis that they determine."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ _HALF, _ONE = np.float32(0.5), np.float32(1)
 
 @dataclass(frozen=True)
 class Interval:
-    """Where the Gray codes put each pixel: from `low` to `high` in projector pixels; arrays (P,).
+    """The interval of each pixel by its Gray codes, `low` to `high` in projector pixels; arrays (P,).
 
-    `outside`: the code is that of no projector pixel. `contradictory`: two codes have no interval in common.
+    `outside`: the code belongs to no projector pixel. `contradictory`: the intervals of two codes do not overlap.
     """
 
     low: Floats32
@@ -26,21 +26,21 @@ class Interval:
 
     @property
     def centre(self) -> Floats32:
-        """The middle of it."""
+        """The middle of the interval."""
         return _HALF * (self.low + self.high)
 
     @property
     def possible(self) -> Bools:
-        """Where the codes make sense."""
+        """True where the codes are neither outside nor contradictory."""
         return ~(self.outside | self.contradictory)
 
 
 def interval_of(
     plan: AxisPlan, words: Sequence[Words], pixels: int, undecided: Mapping[int, Words] | None = None
 ) -> Interval:
-    """The interval common to all Gray codes of an axis, given the words (P,) of each; without codes the whole axis.
+    """Return the intersection of the intervals of all Gray codes of an axis; without codes the whole axis.
 
-    `undecided`: for codes by number, the bits (P,) that are set where a pixel does without them.
+    `words` (P,): of each code. `undecided`: by code index, a mask (P,) of bits that are undecided at a pixel.
     """
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
     low, high = np.full(pixels, first), np.full(pixels, last)
@@ -54,13 +54,15 @@ def interval_of(
             _narrow(numbers, ends, cell, before, low, high)
         else:
             _narrow_to_cell(of_code, cell, before, low, high)
-    # Codes whose edges are a little blurred may miss each other by as little.
+    # Blurred edges may leave a small gap between two codes' intervals.
     _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
     return Interval(low, high, outside, contradictory)
 
 
 def cell_numbers(words: Words) -> Words:
-    """Gray code words → cell numbers, of the same type: each bit is the exclusive or of it and all bits above."""
+    """Convert Gray code words to cell numbers, of the same type: each bit is the exclusive or of itself and all higher
+    bits.
+    """
     numbers = words.copy()
     shift = 1
     while shift < 8 * words.itemsize:
@@ -70,10 +72,10 @@ def cell_numbers(words: Words) -> Words:
 
 
 def _widen(words: Words, undecided: Words, numbers: Floats32, ends: Floats32) -> None:
-    """Add the cells that a pixel may be in as well, if bits of its word are undecided; all (P,), in place.
+    """Extend the cell range where bits of the word are undecided; all (P,), in place.
 
-    A bit is undecided along the edge between two cells that differ in it: it is in one or the other. Else, and where
-    finer ones are undecided too, the stripes of the bit are too fine: all that the coarser bits leave is possible.
+    A single undecided bit that separates two neighbouring cells leaves both. Otherwise the stripes of the bit are not
+    resolved, and all cells that share the coarser bits are possible.
     """
     where = np.flatnonzero(undecided)
     word, bits, number = words[where].astype(np.uint32), undecided[where].astype(np.uint32), numbers[where]
@@ -88,7 +90,7 @@ def _widen(words: Words, undecided: Words, numbers: Floats32, ends: Floats32) ->
 def _narrow(
     numbers: Floats32, ends: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32
 ) -> None:
-    """What the cells of one code, from a number to an end, leave of the intervals; it begins so far before pixel 0."""
+    """Intersect the intervals with the cells `numbers` to `ends`; the code begins `before` pixels before pixel 0."""
     for i in range(len(numbers)):
         start, end, first, last = numbers[i] * cell - before, ends[i] * cell - before, low[i], high[i]
         low[i] = max(first, start)
@@ -97,7 +99,7 @@ def _narrow(
 
 @compiled
 def _narrow_to_cell(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
-    """The same with the cell that each of the `words` (P,) says, whose number is that of `cell_numbers`."""
+    """Intersect the intervals with the cell of each of the `words` (P,), decoded as in `cell_numbers`."""
     for i in range(len(words)):
         number = np.uint32(words[i])
         number ^= number >> np.uint32(1)
@@ -121,7 +123,9 @@ def _settle(
     outside: Bools,
     contradictory: Bools,
 ) -> None:
-    """Note intervals that are not between `first` and `last`, or end before they begin; of these, exchange the ends."""
+    """Flag intervals outside `first` to `last`, and contradictory ones, which end before they
+    begin; sort their ends.
+    """
     for i in range(len(low)):
         start, end = low[i], high[i]
         outside[i] = (start >= last) | (end <= first)

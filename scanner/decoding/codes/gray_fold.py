@@ -1,4 +1,4 @@
-"""The bits of a Gray code folded into code words as their frames arrive."""
+"""Fold the bits of a Gray code into code words as their frames arrive."""
 
 from copy import copy
 from functools import cached_property
@@ -15,17 +15,18 @@ from scanner.decoding.sequence_plan import GrayCode
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
-# As many of the finest bits may not be resolved.
+# This many of the finest bits may be unresolved.
 _FINE_BITS = 3
 
 
 class GrayFold:
-    """The code word of each pixel, with how far its bits were from their thresholds.
+    """The code word of each pixel, with the contrast of its bits.
 
-    `least` and `contrast` (H, W): the smallest and largest |bright − dark| among the bits, in grey levels; `contrast`
-    is None where fringes tell what is lit. Where none do, the `fine` bits have images of their own, by bit, and are not
-    among the `least`: whether the camera resolves them is known in the end. They may then be `optional`. `edges`: of
-    its stripes, if they are to be kept; None of an XOR code, most of whose edges belong to no cell.
+    `least` and `contrast` (H, W): smallest and largest |bright − dark| among the bits, in grey levels. `contrast` is
+    None where fringes show what is lit. Without fringes, each of the finest bits has its own contrast image in `fine`,
+    by bit, and is not included in `least`: whether the camera resolves it is decided after all frames. It may then
+    become `optional`. `edges`: the stripe edges, if they are kept; None for an XOR code, most of whose edges bound no
+    cell.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class GrayFold:
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
 
     def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
-        """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold between two."""
+        """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold."""
         place, position = divmod(self.code.bits - 1 - bit, 8)
         plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
         least = self.least
@@ -59,7 +60,7 @@ class GrayFold:
 
     @cached_property
     def words(self) -> Words:
-        """(H, W): the plain Gray code's, bit 0 in place bits − 1, as in the pattern; once all frames are in."""
+        """(H, W): words of the plain Gray code, bit 0 in place bits − 1, as in the pattern; once all frames are in."""
         planes, self._planes = self._planes, []
         if len(planes) == 1:
             return self.code.relative_to_base(planes[0])
@@ -69,15 +70,15 @@ class GrayFold:
 
     @property
     def least_needed(self) -> Image:
-        """(H, W): the smallest contrast among the bits that no pixel can do without."""
+        """(H, W): the smallest contrast among the bits that are not optional."""
         return self._least_of_others if self.optional else self.least
 
     def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
-        """The coarser code that the other bits are, once all frames are in; its `least` is that of all its bits.
+        """Return the coarser code without its `count` finest bits, once all frames are in; its `least` covers all its
+        bits.
 
-        If the lenses blur stripes away, the edges of the next ones are not where the projector has them either.
-
-        `optional`: a pixel may do without some of the fine bits that are left.
+        If blur removes the finest stripes, the edges of the next bit are displaced too, so edges are dropped with any
+        bit. `optional`: a pixel may lack some of the remaining fine bits.
         """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
@@ -99,7 +100,7 @@ def _note_bit(
 ) -> None:
     """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
 
-    Of the frame and a threshold half-way, the difference is doubled, as far as numbers go.
+    The difference from a half-way threshold is doubled, up to the largest value of the type.
     """
     for i in range(len(bright)):
         one, other = bright[i], dark[i]
@@ -112,7 +113,7 @@ def _note_bit(
 
 @compiled
 def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedinteger[Any], contrast: Image) -> None:
-    """Raise `contrast` to the same difference; (P,)."""
+    """Raise `contrast` to the difference that `_note_bit` uses; (P,)."""
     for i in range(len(bright)):
         one, other = bright[i], dark[i]
         difference = one - other if one > other else other - one

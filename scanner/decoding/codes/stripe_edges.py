@@ -1,10 +1,10 @@
-"""The edges of a Gray code's stripes between camera pixels, kept as its frames arrive.
+"""Locate the stripe edges of a Gray code between camera pixels, as its frames arrive.
 
 An edge is where pattern and inverse are equally bright (Trobina, Error model of a coded-light range sensor, ETH Zürich,
-1995). Blur that is alike on both sides leaves it where it is, and so does any response curve of the camera. Between two
-camera pixels the difference of the two is taken to be straight; it is divided by their sum, so that a surface that is
-darker at one pixel than at the next moves no edge. Each edge of a Gray code belongs to one bit, and to one place of the
-projector, which the code words on either side of it tell.
+1995). Symmetric blur and the camera's response curve leave it in place. The difference of the two is interpolated
+linearly between two camera pixels; it is divided by their sum, so that a change of albedo between the pixels does not
+move the edge. Each edge of a Gray code belongs to one bit, and to one projector coordinate, which the code words on
+either side determine.
 """
 
 from typing import Any
@@ -17,17 +17,17 @@ from scanner.decoding.arrays import Floats32
 
 Packed = NDArray[np.uint16]
 
-# Packed: the place in the lower bits, and the bit's number in the upper ones, so that of two the coarser is the larger.
+# Packed: position in the lower bits, number in the upper ones, so that the larger of two values is the coarser bit.
 PLACE_BITS = 11
 COARSEST = 31
 
 
 class StripeEdges:
-    """Between each pixel (H, W) and its right neighbour, and the one below: one edge at most, of the coarsest bit.
+    """Edges between each pixel (H, W) and its right and lower neighbours; at most one each, that of the coarsest bit.
 
-    `packed`: for either direction (H, W); 0 where there is none, else `COARSEST` − bit times 2^`PLACE_BITS`, plus the
-    distance from the pixel in parts of 2^`PLACE_BITS` − 1. `contrast`: mean |bright − dark| of the two pixels, in grey
-    levels, as of `GrayFold`.
+    `packed`: per direction (H, W); 0 without an edge, else (`COARSEST` − bit) · 2^`PLACE_BITS` plus the distance from
+    the pixel in units of 1 / (2^`PLACE_BITS` − 1). `contrast`: mean |bright − dark| of the two pixels, in grey levels,
+    as in `GrayFold`.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: np.dtype[Any]) -> None:
@@ -35,11 +35,13 @@ class StripeEdges:
         self.contrast: Image = np.zeros((2, *shape), dtype)
 
     def fold(self, bit: int, bright: Image, dark: Image, threshold: Image | None = None) -> None:
-        """Note the edges of a bit, (H, W); `threshold`: which of the two is half-way between lit and unlit."""
+        """Add the edges of a bit, (H, W); `threshold`: the one of the two images that is half-way between lit and
+        unlit.
+        """
         if bit >= COARSEST:
             return
         number, largest = np.uint16(COARSEST - bit << PLACE_BITS), np.float32(np.iinfo(bright.dtype).max)
-        # A threshold has twice the sum of light and no light at all, and half the difference.
+        # Of a frame and its threshold: twice the threshold replaces the sum, and the difference is half.
         sums = (bright, dark) if threshold is None else (threshold, threshold)
         by = np.float32(0.5 if threshold is None else 1.0)
         for packed, contrast, down, across in zip(self.packed, self.contrast, (0, 1), (1, 0), strict=True):
@@ -47,7 +49,9 @@ class StripeEdges:
 
 
 def unpacked(packed: Packed) -> tuple[NDArray[np.int32], Floats32]:
-    """The numbers of bits, `COARSEST` where there is no edge, and the distances from the pixel, 0 to 1; any shape."""
+    """Return the bit numbers, `COARSEST` where there is no edge, and the distances from the pixel,
+    0 to 1; any shape.
+    """
     bit = COARSEST - (packed >> PLACE_BITS).astype(np.int32)
     last = (1 << PLACE_BITS) - 1
     return bit, (packed & np.uint16(last)).astype(np.float32) / np.float32(last)
@@ -67,7 +71,7 @@ def _note_edges(
     down: int,
     across: int,
 ) -> None:
-    """Where the sign of bright − dark changes towards the pixel so far down and across; light is `one` + `other`."""
+    """Record where bright − dark changes sign towards the pixel `down` and `across`, normalised by `one` + `other`."""
     height, width = bright.shape
     last = np.float32((1 << PLACE_BITS) - 1)
     for row in range(height - down):

@@ -1,1 +1,1 @@
-"""Phases: where in its cell a pixel is, and what bends a phase. Fringes decide where codes contradict each other."""
+"""Fringes: phase unwrapping, systematic phase errors, and contradictions between codes that fringes resolve."""

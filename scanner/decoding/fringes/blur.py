@@ -1,7 +1,7 @@
-"""What lenses take from the longest fringe of an axis: how much weaker it is than stripes, and whether it is seen.
+"""Loss of contrast by lens blur: how much weaker the longest fringe is than the stripes, and whether it is resolved.
 
-Light from other surfaces weakens fringes and stripes alike, next to white. A lens weakens fringes more than the middle
-of a stripe, which tells the two apart.
+Interreflection weakens fringes and stripes alike, relative to white. Lens blur weakens fringes more than the middle of
+a stripe, which separates the two.
 """
 
 from collections.abc import Iterator
@@ -19,24 +19,24 @@ from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
 
-# So many of the pixels are nearer to an edge between two cells.
+# This share of the pixels is nearer to an edge between two cells.
 _NEARER = 0.9
 _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
 _THIN = 4
-# What lenses in focus take is not made up for: with less direct light than there is, more doubtful bits are masked.
+# The blur of lenses in focus is not corrected: underestimating the direct light would mask more doubtful bits.
 _IN_FOCUS = 1.5
-# Fringes that fewer pixels see than this share of those that see all bits leave most of a picture out.
+# A fringe that is seen at less than this share of the pixels that decode all bits would leave out most of the image.
 _LEAST_SEEN = 0.5
-# Of half of the light that a pixel has from the projector.
+# Share of half of the projector's light at the pixel.
 _FAINT = 0.1
 
 
 def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
-    """How many times weaker than without a lens its longest fringe is, given the smallest contrast (P,) of the bits and
-    the fringe's amplitude (P,) at lit pixels; at least 1.
+    """Return the factor by which lens blur weakens the longest fringe; at least 1.
 
-    A blur of σ leaves exp(−2π²σ²/λ²) of a fringe, and erf(d / √2 σ) of the contrast at a distance d from an edge.
+    From the smallest contrast (P,) of the bits and the fringe's amplitude (P,) at lit pixels. A blur of σ leaves
+    exp(−2π²σ²/λ²) of a fringe, and erf(d / √2 σ) of the contrast at a distance d from an edge.
     """
     if not len(least):
         return 1.0
@@ -48,8 +48,10 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     return weaker if weaker > _IN_FOCUS else 1.0
 
 
-def leave_out_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
-    """Go on without fringes where an axis has hardly any left but a code, judged by a sample (P,); says so."""
+def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+    """Drop all fringes if blur leaves hardly any on an axis with a code, judged at sample pixels
+    (P,); yield a warning.
+    """
     pixels = pixels[::_THIN]
 
     def sample(image: NDArray[Any]) -> NDArray[Any]:
@@ -75,9 +77,9 @@ def _is_lost(
     certain_from, seen_from = least_contrasts(noise, signals.middle)
     folds = [fold for fold in accumulators.codes if fold.code in axis.codes]
     least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
-    # Light that was switched on decides bits in the dark, too.
+    # Ambient light that was switched on decides bits at unlit pixels, too.
     half_lit = signals.brightest - signals.middle
-    # Nor is stray light, which has no fringes and which cameras of many bits see, the projector's.
+    # Stray light, which cameras of many bits detect, has no fringes either.
     lit = half_lit > STRAY_PART * np.quantile(half_lit, BRIGHTEST)
     decided = (least > certain_from) & (2 * half_lit > seen_from) & lit
     if np.count_nonzero(decided) < FEWEST_PIXELS:
@@ -86,6 +88,6 @@ def _is_lost(
     fringe = axis.fringes[0]
     variance = (fringe.period / (2 * np.pi) * fringe.noise_gain) ** 2 * noise.variance(signals.middle)
     power = cosine**2 + sine**2
-    # What moves in between makes noise and breaks fringes, but leaves them stronger.
+    # Motion adds noise and breaks fringes, but leaves their amplitude.
     seen = (variance <= largest_variance(fringe, with_gray=True) * power) | (power > (_FAINT * half_lit) ** 2)
     return bool(np.mean(seen[decided]) < _LEAST_SEEN)

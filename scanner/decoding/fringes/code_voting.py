@@ -1,12 +1,12 @@
-"""Where two codes of an axis contradict each other: the one that the fringes agree with.
+"""Where two codes of an axis contradict each other, choose the one that the fringes agree with.
 
-Where more light has bounced than comes straight from the projector, it turns over the coarse bits of a Gray code. It
-does not turn over those of an XOR code, but all of these are doubtful along the edges of its fine stripes. Fringes of
-two periods repeat too soon to be a code of their own, and still agree with hardly any wrong one. So two of the three
-must agree, and no other two on anything else. (Gupta et al., CVPR 2011, keep what two of four codes agree on.)
+Strong interreflection inverts the coarse bits of a Gray code. It does not invert those of an XOR code, but all of these
+are uncertain along the edges of its fine stripes. Fringes of two periods are too ambiguous to be a code of their own,
+yet hardly any wrong code agrees with them. So two of the three must agree, and no other two on a different answer.
+(Gupta et al., CVPR 2011, keep what two of four codes agree on.)
 
-The bit that an XOR code is relative to is one frame for both. Where it is misread, along the edges of its stripes or
-all over the picture, both codes are wrong, by a cell and by many; so that bit is asked about, too.
+The base bit of an XOR code is one frame for both codes. Where it is misread, both codes are wrong; so its inverse is
+tried as well.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrappe
 from scanner.decoding.sequence_plan import AxisPlan, GrayCode
 
 
-def let_fringes_decide(
+def resolve_contradictory_codes(
     plan: AxisPlan,
     words: Sequence[Words],
     wrapped: Wrapped,
@@ -28,9 +28,10 @@ def let_fringes_decide(
     interval: Interval,
     orders: Orders,
 ) -> None:
-    """Settle contradictions between codes, given the words (P,) of each, where the fringes agree with one of them only.
+    """Resolve contradictions between codes, from the words (P,) of each, where the fringes agree with exactly one of
+    them.
 
-    Its interval and its orders take the place of those of all codes together, in `interval` and `orders`.
+    That code's interval and fringe orders replace those of all codes together, in `interval` and `orders`.
     """
     if len(plan.codes) < 2 or not interval.contradictory.any():
         return
@@ -41,7 +42,7 @@ def let_fringes_decide(
     agrees = np.array([f.agree & f.unique & answer.possible for f, answer in zip(followed, answers, strict=True)])
     found = np.stack([f.coordinates[-1] for f in followed])
     first, last = (end(np.where(agrees, found, np.float32(np.nan)), axis=0) for end in (np.fmin.reduce, np.fmax.reduce))
-    # Unknown where none agrees.
+    # NaN, and so not clear, where none agrees.
     is_clear = last - first < np.float32(plan.fringes[-1].period / 2)
     best = np.argmax(agrees, axis=0)
     for number, (answer, orders_of) in enumerate(zip(answers, followed, strict=True)):
@@ -54,7 +55,9 @@ def let_fringes_decide(
 
 
 def _answers(plan: AxisPlan, words: Sequence[Words]) -> Iterator[Interval]:
-    """What each code says by itself; and all that share the base of an XOR code, if that was misread."""
+    """Yield the interval of each code by itself, then that of the codes that share an XOR base with
+    this bit inverted.
+    """
     for code, of_code in zip(plan.codes, words, strict=True):
         yield interval_of(replace(plan, codes=(code,)), [of_code], len(of_code))
     for base_code in plan.codes:
@@ -70,5 +73,5 @@ def _answers(plan: AxisPlan, words: Sequence[Words]) -> Iterator[Interval]:
 
 
 def _misread(code: GrayCode, bit: int, words: Words) -> Words:
-    """The words (P,) if a bit, as shown, was the other one."""
+    """Return the words (P,) with one bit, as shown, inverted."""
     return code.relative_to_base(code.relative_to_base(words) ^ words.dtype.type(1 << code.bits - 1 - bit))

@@ -1,10 +1,10 @@
-"""The shift that a change of brightness makes where lens and pixel average over an area.
+"""The coordinate shift at brightness edges, caused by the average over the footprint of a camera pixel.
 
-A camera pixel sees the fringes of its footprint, weighted by how bright each part is, so its coordinate is that of the
+A camera pixel averages the fringes over its footprint, weighted by brightness, so its coordinate is biased towards the
 brighter side: x is too large by ∇x · V ∇ ln A, with A the fringe's amplitude and V the footprint's covariance. (For a
-Gaussian footprint this is exact: it is Tweedie's formula, Efron, JASA 106, 2011.) At the edge of a poster, of a
-floorboard or of a shadow it is tenths of a pixel, always to the same side; where light falls off evenly over a wall it
-is thousandths, all over the wall.
+Gaussian footprint this is exact: it is Tweedie's formula, Efron, JASA 106, 2011.) At the edge of a poster, a floorboard
+or a shadow the bias is tenths of a pixel; where light falls off evenly over a wall it is thousandths, all over the
+wall.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,9 @@ CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 
 @dataclass(frozen=True)
 class Footprint:
-    """The covariance of what a camera pixel sees, in square camera pixels: of its columns, its rows, and of both."""
+    """The covariance of a camera pixel's footprint, in square camera pixels: column variance, row
+    variance, covariance.
+    """
 
     across_px2: float
     down_px2: float
@@ -30,22 +32,22 @@ class Footprint:
 
     @classmethod
     def round(cls, variance_px2: float) -> "Footprint":
-        """The same in all directions."""
+        """Return an isotropic footprint."""
         return cls(variance_px2, variance_px2)
 
     @property
     def largest_px2(self) -> float:
-        """The variance in the direction in which it is largest."""
+        """The variance along the principal axis."""
         half = (self.across_px2 - self.down_px2) / 2
         return (self.across_px2 + self.down_px2) / 2 + hypot(half, self.mixed_px2)
 
 
-# Of which any covariance is a sum.
+# Basis of all covariances.
 UNITS = Footprint(1, 0), Footprint(0, 1), Footprint(0, 0, 1)
 
 
 def log_amplitude(power: Floats32) -> Floats32:
-    """Its logarithm from the square of the amplitude, any shape."""
+    """Return the logarithm of the amplitude from its square, any shape."""
     result = np.empty_like(power)
     cv2.log(power.reshape(1, -1), result.reshape(1, -1))
     result *= np.float32(0.5)
@@ -53,13 +55,13 @@ def log_amplitude(power: Floats32) -> Floats32:
 
 
 def surrounded(usable: Bools, window: Image) -> Bools:
-    """Pixels (H, W) about which all of a window is usable."""
+    """Return the pixels (H, W) around which the whole window is usable."""
     whole = cv2.erode(usable.view(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return whole.view(np.bool_)
 
 
 def shading_shift(value: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint) -> Floats32:
-    """∇x · V ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
+    """Return ∇x · V ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
     chosen = surrounded(usable, CROSS)
     shift = np.zeros_like(value)
     across, down, mixed = (np.float32(v) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2))
@@ -82,7 +84,7 @@ def _add_products(
     times: np.float32,
     sums: Floats32,
 ) -> None:
-    """Add, at chosen pixels, some times the product of the two slopes along a column or along a row."""
+    """Add, at chosen pixels, `times` the product of the two images' slopes along columns or along rows."""
     height, width = value.shape
     share = _QUARTER * times
     for row in range(down, height - down):
@@ -99,7 +101,7 @@ def _add_products(
 def _add_mixed_products(
     value: Floats32, log_amplitude: Floats32, chosen: Bools, times: np.float32, sums: Floats32
 ) -> None:
-    """Add, at chosen pixels, some times the products of one's slope along a row and the other's along a column."""
+    """Add, at chosen pixels, `times` the products of one image's slope along rows and the other's along columns."""
     height, width = value.shape
     share = _QUARTER * times
     for row in range(1, height - 1):

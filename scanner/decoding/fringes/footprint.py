@@ -1,8 +1,7 @@
-"""What a camera pixel sees: the covariance of its footprint, from what edges of paint and light do to coordinates.
+"""Estimate the covariance of a camera pixel's footprint from the coordinate shifts at brightness edges.
 
-The shift at such edges is linear in the covariance (`edge_shift_correction`), which is the same all over the image, and
-is measured where the capture has them. A lens blurs alike in all directions; a camera that shook while frames were
-exposed blurs along one.
+The shift at such edges is linear in the covariance (`edge_shift_correction`). The covariance is taken as constant over
+the image. Lens blur is isotropic; camera shake during the exposure blurs along one direction.
 """
 
 from collections.abc import Sequence
@@ -19,23 +18,23 @@ from scanner.decoding.significance import BY_CHANCE, SIGNIFICANT_SIGMAS
 
 _FINE_PX, _COARSE_PX = 3, 9
 _MARGIN_PX = 6
-# No surface bends this much, in projector pixels, over the coarse window; a wrong fringe order does.
+# A surface bends less than this over the coarse window, in projector pixels; a wrong fringe order jumps more.
 _JUMP_PX = 0.5
 _FEWEST_TILES = 4
 # Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
 _MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
 _LARGEST_PX2 = 9.0
-# Where a capture does not show it: a pixel's own area (1/12) behind a lens that blurs by a third of a pixel. Of a plain
-# wall a variance of none is further off, whatever the lens.
+# Default where the capture does not determine it: a pixel's own area (1/12) behind a lens that blurs by a third of a
+# pixel. For a plain wall, zero would be a worse guess with any lens.
 TYPICAL_PX2, _TYPICAL_SIGMA_PX2 = 0.2, 0.15
-# Where all edges run one way, they say nothing of the direction along them.
+# Parallel edges do not determine the variance along them.
 _LARGEST_CONDITION = 100.0
 _ITERATIONS = 20
 
 
 @dataclass(frozen=True)
 class _Tiles:
-    """Of each tile, normal equations `matrix` (T, 3, 3) and `vector` (T, 3) of the covariance, in `UNITS`."""
+    """Normal equations of the covariance in `UNITS`, per tile: `matrix` (T, 3, 3) and `vector` (T, 3)."""
 
     matrix: Floats
     vector: Floats
@@ -44,13 +43,13 @@ class _Tiles:
 def footprint_of(
     shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int, assumed_px2: float
 ) -> Footprint:
-    """The footprint, round unless the capture shows another; of a variance `assumed_px2` if it does not show any.
+    """Estimate the footprint: isotropic unless the capture shows otherwise; `assumed_px2` if it is not determined.
 
-    `shaded`: of one or both axes, the coordinate and the logarithm of its amplitude; `log_lit`: that of the grey level
-    in full light; in square tiles of `tile_px` one above the other, (T · tile, tile).
+    `shaded`: for one or both axes, the coordinate and the logarithm of its amplitude. `log_lit`: logarithm of the grey
+    level in full light. All are square tiles of `tile_px` stacked vertically, (T · tile, tile).
     """
     tiles = _equations(shaded, log_lit, usable, tile_px)
-    # Of a round one the two variances are the same.
+    # An isotropic footprint has equal variances.
     found, weight = tiles.vector[:, :2].sum(axis=1), tiles.matrix[:, :2, :2].sum(axis=(1, 2))
     telling = weight > 0
     if np.count_nonzero(telling) < _FEWEST_TILES:
@@ -71,8 +70,8 @@ def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, u
     matrix = np.zeros((len(usable) // tile_px, len(UNITS), len(UNITS)))
     vector = np.zeros(matrix.shape[:2])
     for bend, (value, log_amplitude) in zip(bends, shaded, strict=True):
-        # An instrument: it knows the paint, but not the noise of the amplitude, nor the ripples of amplitude and phase
-        # that go with each other where light has bounced.
+        # Instrumental variable: it depends on the albedo, but neither on the noise of the amplitude nor on the
+        # correlated ripples that interreflection causes in amplitude and phase.
         instruments, shifts = (
             np.stack(
                 [_of_tiles(_band(shading_shift(value, of, usable, unit)), inner, tile_px) for unit in UNITS], axis=1
@@ -85,11 +84,11 @@ def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, u
 
 
 def _not_round(tiles: _Tiles) -> Footprint | None:
-    """The footprint that is not the same in all directions; None if it may be.
+    """Return an anisotropic footprint; None if the data agree with an isotropic one.
 
-    By weights that make of the mean over tiles a median (Weiszfeld); its covariance is that of the tiles' scatter, and
-    the test that of Hotelling, which knows how few they are. A few strong edges may tell more than all other tiles
-    together; where one of them errs, nothing would show it: no tile has more weight than the middle one.
+    Weights turn the mean over tiles into a median (Weiszfeld). The covariance of the estimate comes from the tiles'
+    scatter, and the test is Hotelling's, which accounts for their small number. No tile has more weight than the median
+    tile, so that an error in a few strong edges does not decide.
     """
     unknowns = tiles.vector.shape[1]
     information = np.trace(tiles.matrix, axis1=1, axis2=2)
@@ -109,7 +108,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
         weight = 1 / np.maximum(1, off / np.median(off))
     response = np.linalg.solve(total, (weight[:, None] * left).T)
     uncertain = response @ response.T
-    # The difference of the two variances, and what they have in common: both are zero of a round one.
+    # Difference of the variances, and the covariance: both are zero for an isotropic footprint.
     apart = np.array([[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
     difference = apart @ covariance
     squared = float(difference @ np.linalg.solve(apart @ uncertain @ apart.T, difference))
@@ -120,7 +119,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
 
 
 def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:
-    """The weighted median and its standard deviation, from the scatter of the values about it."""
+    """Return the weighted median and its standard deviation, from the scatter of the values about it."""
 
     def median(of: Floats) -> float:
         order = np.argsort(of)
@@ -133,13 +132,13 @@ def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:
 
 
 def _band(image: Floats32) -> Floats32:
-    """What is left of an image between two scales: no noise of single pixels, no slope of the surface."""
+    """Band-pass filter an image: remove the noise of single pixels and the slope of the surface."""
     fine, coarse = (cv2.blur(image, (size, size)) for size in (_FINE_PX, _COARSE_PX))
     return np.asarray(fine - coarse, np.float32)
 
 
 def _inner(usable: Bools, tile_px: int) -> Bools:
-    """Pixels of each tile whose windows are in it and hold nothing unusable."""
+    """Return the pixels of each tile whose windows lie in the tile and hold only usable pixels."""
     size = 2 * _MARGIN_PX + 1
     whole = cv2.erode(usable.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
     tiles = whole.reshape(-1, tile_px, tile_px)
@@ -150,6 +149,6 @@ def _inner(usable: Bools, tile_px: int) -> Bools:
 
 
 def _of_tiles(values: Floats32, chosen: Bools, tile_px: int) -> Floats:
-    """(T, tile · tile), zero where not chosen."""
+    """Return the values by tile, (T, tile · tile), zero where not chosen."""
     tiles: Floats = np.where(chosen, values, np.float32(0)).reshape(-1, tile_px**2).astype(np.float64)
     return tiles

@@ -1,8 +1,9 @@
-"""All that averaging over its footprint does to a camera pixel's coordinate, and taking it out.
+"""Correct the bias that averaging over its footprint causes in a camera pixel's coordinate.
 
-To second order, the mean coordinate over a footprint of covariance V is off by ∇x · V ∇ ln A + ½ V : ∇∇x: to the side
-that is brighter (`edge_shift_correction`), and to the one to which the surface bends. On planes the second term is
-nothing; at the rim of a ball it is a tenth of a projector pixel, always to the same side, so that balls came out small.
+To second order, the mean coordinate over a footprint of covariance V is off by ∇x · V ∇ ln A + ½ V : ∇∇x. The first
+term is the shift towards the brighter side (`edge_shift_correction`), the second comes from surface curvature. It is
+zero on planes; at the rim of a ball it is a tenth of a projector pixel, always to the same side, so that balls would
+come out too small.
 """
 
 from functools import cache
@@ -16,27 +17,27 @@ from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
 
-# Pixels on either side by which a surface's curvature is measured, and of those beside an edge whose shift is taken.
+# Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.
 _REACH = 2
 REACH_PX = 2 * _REACH
 _WINDOW = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
-# Over a longer footprint, of a camera that shook, a surface is more than a parabola in that window.
+# Over the larger footprint of a shaken camera, a parabola in this window no longer fits the surface.
 _LARGEST_PX2 = 1.5
-# Second differences of a surface's coordinates from pixel to pixel; more is a step from one surface to another.
+# Largest second difference of a surface's coordinates; more is a step between surfaces.
 _MOST_BEND_PX = 1.0
-# Central differences at the sharpest edges, and what the orders left out say: share of a shift that stays uncertain.
+# Share of a shift that stays uncertain: finite differences at sharp edges, and neglected higher orders.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
-# Where a shift cannot be measured for want of neighbours, at the rim of a surface, it is larger than theirs.
+# At the rim of a surface, where neighbours are missing, the shift is larger than at the neighbours.
 _OF_NEIGHBOURS_SHARE2 = np.float32(1)
 _ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
 
 
-def take_out_shading(
+def correct_shading_shift(
     value: Floats32, variance: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint
 ) -> Floats32:
-    """Take out the shift to the brighter side, and be less sure of what was shifted; (H, W), in place.
+    """Subtract the shift towards the brighter side, and add its uncertainty to the variance; (H, W), in place.
 
-    Returns the shift, NaN beside pixels that are not usable, where it is not known.
+    Returns the shift, NaN beside unusable pixels, where it is unknown.
     """
     shift = shading_shift(value, log_amplitude, usable, footprint)
     _forget(shift.ravel(), surrounded(usable, CROSS).ravel(), _ANY)
@@ -44,7 +45,7 @@ def take_out_shading(
     return shift
 
 
-def take_out_bend(
+def correct_curvature_shift(
     value: Floats32,
     variance: Floats32,
     of_shading: Floats32,
@@ -52,10 +53,10 @@ def take_out_bend(
     footprint: Footprint,
     wanted: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> None:
-    """Take out the shift to where a surface bends, and what shading shifts beside its edge; (H, W), in place.
+    """Subtract the shift by surface curvature, and estimate the shading shift beside edges; (H, W), in place.
 
-    Pixels of a `surface` that are neighbours see the same one. Rows and columns that are `wanted`, all by default, come
-    out right; those around them need not: at the border of what is there, nothing is known of neighbours.
+    Neighbouring pixels of `surface` see the same surface. Only the `wanted` rows and columns, all by default, are
+    correct afterwards: along the border the neighbours are unknown.
     """
     _take_out_as_around(of_shading, surface, value, variance, *_limits(wanted, value.shape, REACH_PX))
     if not 0 < footprint.largest_px2 <= _LARGEST_PX2:
@@ -69,14 +70,14 @@ def take_out_bend(
 
 
 def _limits(wanted: tuple[slice, slice], shape: tuple[int, ...], by: int) -> tuple[int, int, int, int]:
-    """First row, last and one, first column, last and one, of what is wanted and so many pixels around it."""
+    """Return first row, end row, first column, end column of the wanted part widened by `by` pixels."""
     (top, bottom, _), (left, right, _) = (part.indices(size) for part, size in zip(wanted, shape, strict=True))
     return max(0, top - by), min(shape[0], bottom + by), max(0, left - by), min(shape[1], right + by)
 
 
 @cache
 def curvature_kernel(footprint: Footprint) -> NDArray[np.float32]:
-    """What gives ½ V : ∇∇x from the values about a pixel, by the parabola that fits them best."""
+    """Return the kernel that gives ½ V : ∇∇x from the values around a pixel, by a least-squares parabola."""
     u = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
     ones, bend = np.ones_like(u), u**2 - np.mean(u**2)
     second = 2 * bend / np.sum(bend**2) / len(u)
@@ -86,7 +87,7 @@ def curvature_kernel(footprint: Footprint) -> NDArray[np.float32]:
 
 
 def noise_gain2(kernel: NDArray[np.float32]) -> np.float32:
-    """By how much taking out what the kernel gives makes the variance of independent noise larger."""
+    """Return the factor by which subtracting the kernel's output increases the variance of independent noise."""
     left = -kernel.astype(np.float64)
     left[_REACH, _REACH] += 1
     return np.float32(np.sum(left**2))
@@ -94,14 +95,14 @@ def noise_gain2(kernel: NDArray[np.float32]) -> np.float32:
 
 @compiled
 def _forget(shift: Floats32, known: Bools, most: np.float32) -> None:
-    """NaN in place of shifts (P,) that are not known, or larger than any can be."""
+    """Set unknown or impossibly large shifts (P,) to NaN."""
     for i in range(len(shift)):
         shift[i] = shift[i] if known[i] & (abs(shift[i]) < most) else _UNKNOWN
 
 
 @compiled
 def _take_out(shift: Floats32, value: Floats32, variance: Floats32, gain: np.float32) -> None:
-    """Where it is known, (P,); independent noise becomes larger by `gain`."""
+    """Subtract the known shifts (P,); the variance of independent noise grows by `gain`."""
     for i in range(len(shift)):
         own, is_known = shift[i], shift[i] == shift[i]
         value[i] -= own if is_known else _ZERO
@@ -112,13 +113,13 @@ def _take_out(shift: Floats32, value: Floats32, variance: Floats32, gain: np.flo
 def _take_out_as_around(
     shift: Floats32, surface: Bools, value: Floats32, variance: Floats32, top: int, bottom: int, left: int, right: int
 ) -> None:
-    """Where it is not known, the mean of what it is at pixels of the surface nearby, if it is known at any.
+    """Where the shift is unknown, subtract the mean of the known shifts nearby on the surface, if there are any.
 
-    In rows from `top` to `bottom`, in columns from `left` to `right`.
+    In rows from `top` to `bottom`, columns from `left` to `right`.
     """
     for row in range(top, bottom):
         of_surface, of_shift = surface[row, left:right], shift[row, left:right]
-        # Nowhere in most of a row: between which columns is seen many pixels at once.
+        # Most rows have none: their column range is found by a vectorised loop.
         first, last = np.int32(len(of_shift)), np.int32(-1)
         for i in range(len(of_shift)):
             is_unknown = of_surface[i] & (of_shift[i] != of_shift[i])
@@ -133,7 +134,7 @@ def _take_out_as_around(
 
 @compiled
 def _mean_around(shift: Floats32, surface: Bools, row: int, column: int) -> np.float32:
-    """Of the known shifts of a surface nearby, 0 if there are none."""
+    """Return the mean of the known shifts of the surface nearby, 0 if there are none."""
     height, width = shift.shape
     total, count = _ZERO, _ZERO
     for r in range(max(0, row - _REACH), min(height, row + _REACH + 1)):

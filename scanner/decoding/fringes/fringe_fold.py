@@ -1,4 +1,4 @@
-"""The frames of a fringe folded into its two components as they arrive."""
+"""Fold the frames of a fringe into its two components as they arrive."""
 
 from typing import Any
 
@@ -14,8 +14,8 @@ from scanner.decoding.sequence_plan import Fringe
 class FringeFold:
     """The two components A cos θ and A sin θ of a fringe, (H, W) each, by least squares over its shifts.
 
-    `cosine` and `sine` times `scale` are in grey levels, and then need the `correction` if there is one. Of four equal
-    shifts each is the difference of two frames, in whole numbers, of which the first waits for the second; others are
+    `cosine` and `sine` times `scale` are in grey levels, to which `correction` applies if there is one. For four equal
+    shifts each is the integer difference of two frames, of which the first waits for the second. Otherwise they are
     weighted sums.
     """
 
@@ -29,14 +29,16 @@ class FringeFold:
         self._waiting = waiting
         self.scale = largest if self._is_plain else 1.0
         self.correction: Correction | None = None
-        # Differences are written, sums begin with nothing.
+        # Differences overwrite, sums accumulate from zero.
         begin = np.empty if self._is_plain else np.zeros
         kept_as = np.dtype(np.float32) if not self._is_plain else np.dtype(np.int16 if dtype == np.uint8 else np.int32)
         self.cosine: Component = begin(shape, kept_as)
         self.sine: Component = begin(shape, kept_as)
 
     def fold(self, step: int, frame: Image, peak: Image) -> None:
-        """Add the frame of one shift, and raise `peak` (H, W) to it: of frames that wait, when they are added."""
+        """Add the frame of one shift, and update `peak` (H, W) with it; a waiting frame is included when it is
+        subtracted.
+        """
         if not self._is_plain:
             np.maximum(peak, frame, out=peak)
             for component, weights in zip((self.cosine, self.sine), self.fringe.weights[1:], strict=True):
@@ -54,7 +56,7 @@ class FringeFold:
 
 @compiled
 def _subtract(frame: Image, other: Image, sign: int, difference: Component, peak: Image) -> None:
-    """A frame less another, or the reverse, and the peaks raised to both; (P,)."""
+    """Subtract two frames, with a sign, and update the peaks with both; (P,)."""
     for i in range(len(frame)):
         difference[i] = sign * (np.int32(frame[i]) - np.int32(other[i]))
         peak[i] = max(peak[i], max(frame[i], other[i]))

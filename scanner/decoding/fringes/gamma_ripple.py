@@ -1,9 +1,9 @@
-"""Straightening of a phase that a bent brightness curve has rippled, from the phases themselves.
+"""Correct the phase ripple of a nonlinear response (gamma) from the distribution of the phases themselves.
 
-With few shifts the harmonics of a fringe that is no clean cosine fall onto the phase: an error that repeats N times per
-cycle. Over many pixels the true phase is spread evenly, so the unevenness of the measured phase, folded N times, is
-the derivative of that error. (That the distribution of phases tells the gamma is used by Yu et al., Optics Express 27,
-32047, 2019; here no form of the curve is assumed.)
+With few shifts the harmonics of a distorted cosine alias onto the phase: an error that repeats N times per cycle. Over
+many pixels the true phase is uniformly distributed, so the non-uniformity of the measured phase, folded N times, is the
+derivative of that error. (Yu et al., Optics Express 27, 32047, 2019, also estimate gamma from the distribution of
+phases; here no form of the curve is assumed.)
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 TABLE_LENGTH = 4096
-# Over fewer cycles the phases of a scene need not be evenly spread.
+# Over fewer cycles the phases of a scene need not be uniformly distributed.
 ENOUGH_CYCLES = 8.0
 _FINE = 1 << 14
 # From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.
@@ -27,14 +27,14 @@ _FEWEST_PIXELS = 2000
 
 
 def can_ripple(fringe: Fringe) -> bool:
-    """Whether harmonics disturb this fringe's phase in a way that can be seen in the phase alone."""
+    """Whether harmonics distort this fringe's phase noticeably, in a way that the phases show."""
     return fringe.equal_steps and len(fringe.shifts) < _MANY_SHIFTS
 
 
 def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None:
-    """What to add to a measured phase, as a table over one cycle, both in radians; None if there is nothing to add.
+    """Return the phase correction as a table over one cycle, both in radians; None if none is significant.
 
-    `phases` are samples from fringes with the same shifts as `fringe`, shown on the same projector.
+    `phases`: samples of fringes with the same shifts as `fringe`, shown on the same projector.
     """
     steps, first = len(fringe.shifts), 2 * np.pi * fringe.shifts[0]
     angle = np.concatenate(phases).astype(np.float64) + first
@@ -53,7 +53,7 @@ def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None
 
 
 def _spectrum(angle: Floats) -> NDArray[np.complex128]:
-    """Means of exp(i k angle) for k = 0, 1, 2 …, from a histogram that is fine enough for all that are used."""
+    """Return the means of exp(i k angle) for k = 0, 1, 2 …, from a sufficiently fine histogram."""
     counts = np.bincount((angle * (_FINE / (2 * np.pi))).astype(np.int64) % _FINE, minlength=_FINE)
     to_middles = np.exp(1j * np.pi * np.arange(_FINE // 2 + 1) / _FINE)
     spectrum: NDArray[np.complex128] = np.conj(np.fft.rfft(counts)) / len(angle) * to_middles
@@ -61,6 +61,6 @@ def _spectrum(angle: Floats) -> NDArray[np.complex128]:
 
 
 def _unevenness(spectrum: NDArray[np.complex128], steps: int) -> float:
-    """How uneven the phases are at frequencies that harmonics cannot cause: the scene, and chance."""
+    """Return the RMS non-uniformity at frequencies that harmonics cannot cause: scene and chance."""
     others = [k for k in range(1, 3 * steps) if k % steps]
     return float(np.sqrt(np.mean(np.abs(spectrum[others]) ** 2)))

@@ -1,8 +1,8 @@
-"""Fringes that a filter shifts, by more the shorter they are: frames that software has moved by a part of a pixel.
+"""Shifts that grow as the period shortens, as when software resamples frames by a fraction of a pixel.
 
-Between two pixels such software takes their weighted mean, which is a shift for long waves only; short ones lag behind,
-with the square of their frequency. The fringes of one period then disagree with those of the next, smoothly over whole
-faces, as if a device had been knocked against just between them. Which of the two it was cannot be told.
+Linear interpolation between two pixels shifts long waves correctly, but short ones lag behind with the square of their
+frequency. The fringes of one period then disagree with those of the next, smoothly over whole surfaces, as if a device
+had been knocked exactly between them. The two causes cannot be told apart.
 """
 
 from itertools import pairwise
@@ -11,16 +11,18 @@ from math import sqrt
 from scanner.decoding.motion import MotionFound
 from scanner.decoding.sequence_plan import SequencePlan
 
-# The polynomials up to the cubic ones, of either coordinate, share what is seen.
+# The modes over which the shift is spread: polynomials up to cubic, in either coordinate.
 _MODES = 20
-# Frames that are each somewhere else ripple a fringe, and what of it is alike over whole faces is this part of the
-# coordinates' motion: 0.001 to 0.002 px of 0.2 to 0.3, of each polynomial, in three simulated rooms.
+# Jitter of single frames ripples a fringe. The part that is alike over whole surfaces is this share of the motion:
+# 0.001 to 0.002 px of 0.2 to 0.3, for each polynomial, in three simulated rooms.
 _LEFT_OF_SINGLE_FRAMES = 0.006
 
 
 def between_periods_px(plan: SequencePlan, motion: MotionFound | None) -> float:
-    """What coordinates may err smoothly if a motion was seen between fringes of two periods, and was none, or if each
-    frame was somewhere else, as of `calib.refinement.Shifts`; 0 if none was seen.
+    """Return the smooth error left by an apparent motion between two periods or by jitter, as in
+    `calib.refinement.Shifts`.
+
+    In projector pixels; 0 if no such motion was found. An apparent motion between periods may not be a real one.
     """
     if motion is None or not motion.significant or motion.slow:
         return 0.0

@@ -1,9 +1,9 @@
-"""Fringe orders: from wrapped phases, longest period first, on top of the interval that the Gray codes leave.
+"""Temporal phase unwrapping: fringe orders from wrapped phases, longest period first, within the Gray code interval.
 
-For every order of the longest fringe that falls in the interval, the shorter ones are followed down to the shortest.
-How far outside the interval it lies, and how far each fringe is from the one before it, are measured in standard
-deviations: the noise's, and what the capture shows beyond it. The order with the smallest sum of squares is taken; two
-that are nearly as good decide nothing.
+Each order of the longest fringe within the interval is followed through to the shortest fringe. The distance outside
+the interval, and that of each fringe from the one before, are measured in standard deviations (noise plus a tolerance
+measured from the capture). The order with the smallest sum of squares is chosen; if another is nearly as good, the
+pixel is ambiguous.
 
 The loops are compiled. They have no branches and few arrays each, so that they run on eight pixels at once.
 """
@@ -20,10 +20,10 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
 
-# Disagreements of more than this many standard deviations contradict.
+# Larger disagreements, in standard deviations, are contradictions.
 _LIMIT = 5.0
 _LIMIT2 = np.float32(_LIMIT**2)
-# An order is unique if the next best is this much worse: 9 is a likelihood ratio of about 100.
+# An order is unique if the next best cost is larger by this; 9 is a likelihood ratio of about 100.
 _CLEAR_MARGIN = np.float32(9)
 _INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
 _FEWEST = 50
@@ -41,7 +41,7 @@ class Wrapped:
 class Tolerances:
     """Standard deviations beyond the noise, in projector pixels.
 
-    `interval_px`: of the edges of the interval. `fringe_px`: of each shorter fringe against the one before it.
+    `interval_px`: of the ends of the interval. `fringe_px`: of each shorter fringe relative to the one before it.
     """
 
     interval_px: float
@@ -50,10 +50,10 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Orders:
-    """`coordinates` (fringes, P): longest first, in projector pixels.
+    """Unwrapped `coordinates` (fringes, P), longest period first, in projector pixels.
 
-    `agree` (P,): some order explains all the phases and the interval; where none does, coordinates mean nothing.
-    `unique` (P,): no other order explains them nearly as well.
+    `agree` (P,): some order explains all phases and the interval; otherwise the coordinates are invalid. `unique` (P,):
+    no other order explains them nearly as well.
     """
 
     coordinates: Floats32
@@ -63,8 +63,10 @@ class Orders:
 
 @dataclass(frozen=True)
 class Disagreements:
-    """Of pixels whose orders agree: `outside_px` (P,), how far the longest fringe is outside the interval; `between_px`
-    (fringes − 1, P), how far each shorter fringe is from the one before it.
+    """Distances at pixels whose orders agree.
+
+    `outside_px` (P,): of the longest fringe from the interval. `between_px` (fringes − 1, P): of each shorter fringe
+    from the one before it.
     """
 
     outside_px: Floats32
@@ -72,14 +74,14 @@ class Disagreements:
 
 
 def disagreements(orders: Orders, interval: Interval, chosen: Bools) -> Disagreements:
-    """Those at the `chosen` pixels."""
+    """Return the disagreements at the `chosen` pixels."""
     coordinates, low, high = orders.coordinates[:, chosen], interval.low[chosen], interval.high[chosen]
     outside_px = np.maximum(np.maximum(low - coordinates[0], coordinates[0] - high), _ZERO)
     return Disagreements(outside_px, np.abs(np.diff(coordinates, axis=0)))
 
 
 def widest_tolerances(plan: AxisPlan) -> Tolerances:
-    """What to begin with: as much as still separates neighbouring orders."""
+    """Return the initial tolerances: the largest that still separate neighbouring orders."""
     if not plan.fringes:
         return Tolerances(0.0, ())
     longest = plan.fringes[0].period
@@ -89,7 +91,7 @@ def widest_tolerances(plan: AxisPlan) -> Tolerances:
 
 
 def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats32) -> Tolerances:
-    """Tolerances from the disagreements of a sample that was unwrapped with the widest ones.
+    """Return the tolerances estimated from a sample that was unwrapped with the widest ones.
 
     `variances` (fringes, P): those of the sample's pixels.
     """
@@ -113,12 +115,12 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
 def unwrap(
     plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances, *, in_place: bool = False
 ) -> Orders:
-    """The orders of the fringes of an axis. `in_place`: positions may be used up, so that it takes less memory."""
+    """Unwrap the fringes of an axis. `in_place`: the positions may be overwritten to save memory."""
     periods = [np.float32(fringe.period) for fringe in plan.fringes]
     positions = wrapped.positions
     reach = plan.cell / 2 + _LIMIT * tolerances.interval_px
     others = int(2 * reach / plan.fringes[0].period)
-    # If no more than one order is within reach, it is the nearest.
+    # With a single order within reach, it is the nearest.
     search = np.float32(reach if others else plan.fringes[0].period / 2)
     coordinates = positions if in_place and not others else np.empty_like(positions)
     _first_order(positions[0], periods[0], search, interval.low, interval.high, coordinates[0])
@@ -140,9 +142,9 @@ def unwrap(
 def _followed(
     coordinates: Floats32, interval: Interval, wrapped: Wrapped, periods: Sequence[np.float32], tolerances: Tolerances
 ) -> Floats32:
-    """Follow the longest fringe, the first of the `coordinates` (fringes, P), to the others, which are filled in.
+    """Fill in the `coordinates` (fringes, P) of the shorter fringes from the longest one, which is given.
 
-    Returns what that costs (P,): infinite where it contradicts.
+    Returns the cost (P,), infinite where fringes or interval contradict.
     """
     positions, variances = wrapped.positions, wrapped.variances
     cost: Floats32 = np.empty_like(coordinates[0])
@@ -158,7 +160,7 @@ def _followed(
 def _first_order(
     position: Floats32, period: np.float32, search: np.float32, low: Floats32, high: Floats32, coordinate: Floats32
 ) -> None:
-    """The lowest coordinate with this position, from so far below the middle of the interval on."""
+    """Compute the lowest coordinate with this position that is at most `search` below the middle of the interval."""
     for i in range(len(position)):
         start = _HALF * (low[i] + high[i]) - search
         coordinate[i] = position[i] + np.ceil((start - position[i]) / period) * period
@@ -166,7 +168,7 @@ def _first_order(
 
 @compiled
 def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coordinate: Floats32) -> None:
-    """The coordinate with this position that is nearest to the target."""
+    """Compute the coordinate with this position that is nearest to the target."""
     for i in range(len(position)):
         coordinate[i] = position[i] + np.rint((target[i] - position[i]) / period) * period
 
@@ -175,7 +177,7 @@ def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coo
 def _cost_outside(
     coordinate: Floats32, low: Floats32, high: Floats32, variance: Floats32, tolerance_px2: np.float32, cost: Floats32
 ) -> None:
-    """Of being outside the interval."""
+    """Compute the cost of the distance from the interval."""
     for i in range(len(coordinate)):
         distance = max(max(low[i] - coordinate[i], coordinate[i] - high[i]), _ZERO)
         square = distance * distance / (variance[i] + tolerance_px2)
@@ -193,7 +195,7 @@ def _follow(
     shorter: Floats32,
     cost: Floats32,
 ) -> None:
-    """From the coordinate of one fringe to that of the next shorter; add what their distance costs."""
+    """Unwrap one fringe by the next longer one, and add the cost of their distance."""
     for i in range(len(position)):
         nearest = position[i] + np.rint((longer[i] - position[i]) / period) * period
         distance = nearest - longer[i]
@@ -204,7 +206,7 @@ def _follow(
 
 @compiled
 def _choose(order: Floats32, cost: Floats32, best: Floats32, best_cost: Floats32, second_cost: Floats32) -> None:
-    """Keep the orders that cost less than the best so far."""
+    """Keep the cheaper order, and the cost of the second best."""
     for i in range(len(order)):
         second_cost[i] = min(second_cost[i], max(cost[i], best_cost[i]))
     for i in range(len(order)):

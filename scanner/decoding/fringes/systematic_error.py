@@ -1,12 +1,12 @@
-"""Errors that noise does not explain, from how much the fringes of different periods disagree.
+"""Estimate systematic phase errors from the disagreement of fringes of different periods.
 
-Light that a neighbouring face reflects shifts a fringe. Fringes of two periods are shifted differently, so that what
-separates them beyond their noise, averaged over a window, is the size of this error; likewise for whatever else depends
-on the period, such as what harmonics or the rounding of the pattern to grey levels leave.
+Interreflection shifts a fringe by an amount that depends on its period. So the disagreement of two periods beyond their
+noise, averaged over a window, measures this error; likewise any other error that depends on the period, such as
+harmonics or the rounding of the pattern to grey levels.
 
-The mean distance over a window is mostly an error of the longer fringe, so it is taken out of that one: what a longer
-fringe adds to a coordinate is less noise, not its error, which is the same at thousands of pixels and would stay in
-every mean over them.
+The mean disagreement over a window is mostly an error of the longer fringe, so it is subtracted from that one. The
+longer fringe then reduces the noise of a coordinate without adding an error that thousands of pixels share and that no
+averaging would remove.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,24 +22,24 @@ from scanner.patterns import Axis, Phase
 
 # Windows are 3 × 3 blocks.
 BLOCK_PX = 2
-# Share of a window's pixels; a window with none is not asked for.
+# Least share of usable pixels, to avoid division by zero; a window without any is not used.
 _FEWEST = np.float32(0.01)
-# Some errors are the same share of every period, like the ripple of a bent curve; reflected light fades faster than the
-# period shortens, like λ² close to a crease and λ³ far from it. In between, the variance grows with the cube.
+# Some errors are proportional to the period, like gamma ripple; interreflection falls off faster, like λ² close to a
+# crease and λ³ far from it. As a compromise the variance grows with the cube.
 _POWER = 3
-# Both periods are drawn to the same side where the crease is near: their difference shows less than the errors are.
+# Close to a crease both periods are shifted to the same side: their difference is smaller than the errors.
 _HIDDEN = 1.6
 _ZERO, _QUARTER, _THREE_QUARTERS, _ONE = (np.float32(number) for number in (0, 0.25, 0.75, 1))
-# What stays in every mean: the standard deviation of each of its modes, as of `calib.refinement.Shifts`, for fringes of
-# 6.7 px in simulated rooms (benchmarks/bench_furnished.py). With longer ones it grows as interreflection does.
+# Smooth error: standard deviation of each mode in `calib.refinement.Shifts`, for fringes of 6.7 px in simulated rooms
+# (benchmarks/bench_furnished.py). It grows with the period as interreflection does.
 SMOOTH_PX, _SMOOTH_PERIOD_PX = 2.5e-4, 6.7
 _SMOOTH_POWER = 2
 
 
 def smooth_error_px(fringes: Iterable[Fringe | Phase]) -> float:
-    """What coordinates by such fringes err smoothly, as of `calib.refinement.Shifts`, in projector pixels.
+    """Return the smooth error of coordinates from these fringes, as in `calib.refinement.Shifts`, in projector pixels.
 
-    By the shortest of either axis, and of the two axes by the longer one; fringes may be there several times.
+    It is that of the shortest period of each axis, and of the axis where this is longer. Fringes may be repeated.
     """
     shortest: dict[Axis, float] = {}
     for fringe in fringes:
@@ -50,10 +50,11 @@ def smooth_error_px(fringes: Iterable[Fringe | Phase]) -> float:
 def correct_systematic(
     periods: Sequence[float], coordinates: Floats32, variances: Floats32, usable: Bools, shape: tuple[int, int]
 ) -> None:
-    """Bring two fringes or more, longest first, to the mean of the shortest around each pixel, and add to each one's
-    `variances` (fringes, P) that of its coordinate beyond the noise; in place.
+    """Align the longer fringes with the shortest in the local mean, and add the systematic error to `variances`; in
+    place.
 
-    From the `coordinates` (fringes, P) of `usable` pixels (P,) in windows around each, in an image of `shape` (H, W).
+    At least two fringes, longest first, `coordinates` and `variances` (fringes, P) and `usable` (P,) of an image of
+    `shape` (H, W).
     """
     excesses, distances = [], []
     for k in range(len(coordinates) - 1):
@@ -66,14 +67,16 @@ def correct_systematic(
     of_longer, of_shorter = (_HIDDEN * part / (powers[:-1] + powers[1:]) for part in (powers[:-1], powers[1:]))
     last = len(excesses) - 1
     for k, variance in enumerate(variances):
-        # Of what a fringe is apart from that before and that after it, the first and the last have one only.
+        # Each fringe has two neighbouring periods, except the first and the last, which have one.
         before = (excesses[k - 1], of_shorter[k - 1]) if k > 0 else (excesses[0], of_longer[0])
         after = (excesses[k], of_longer[k]) if k <= last else (excesses[last], of_shorter[last])
         _add_larger(before[0], np.float32(before[1]), after[0], np.float32(after[1]), variance)
 
 
 def _bring_together(coordinates: Floats32, distances: Sequence[Floats32]) -> None:
-    """Take out of each but the last how far it is from that, given the distances (P,) between every two successive."""
+    """Subtract from each longer fringe its distance from the shortest, given the distances (P,) of
+    successive fringes.
+    """
     apart: Floats32 | None = None
     for coordinate, distance in reversed([*zip(coordinates[:-1], distances, strict=True)]):
         apart = distance if apart is None else apart + distance
@@ -83,8 +86,8 @@ def _bring_together(coordinates: Floats32, distances: Sequence[Floats32]) -> Non
 def _apart(
     longer: Floats32, shorter: Floats32, longer_variance: Floats32, shorter_variance: Floats32, usable: Bools
 ) -> tuple[Floats32, Floats32]:
-    """By how much the square of the distance of two fringes exceeds the noise, and that distance; (H, W) → means over
-    windows, one for each block.
+    """Return the excess of the squared distance of two fringes over the noise, and the distance; (H, W) → window means,
+    one per block.
     """
     blocks = np.empty((3, *(-(-size // BLOCK_PX) for size in usable.shape)), np.float32)
     _compare(longer, shorter, longer_variance, shorter_variance, usable, *blocks)
@@ -104,8 +107,10 @@ def _compare(
     distance: Floats32,
     share: Floats32,
 ) -> None:
-    """How far usable pixels (H, W) of one fringe are from those of another, and by how much the square exceeds the
-    noise: of each block the mean over all of its pixels, of which a `share` is usable. Beyond the image is nothing.
+    """Average over blocks the distance of two fringes (H, W), its square's excess over the noise, and the `share` of
+    usable pixels.
+
+    Unusable pixels and pixels beyond the image count as zero.
     """
     height, width = usable.shape
     of_row = np.zeros((3, 2 * share.shape[1]), np.float32)
@@ -131,18 +136,18 @@ def _compare(
 def _add_larger(
     first: Floats32, first_share: np.float32, second: Floats32, second_share: np.float32, variance: Floats32
 ) -> None:
-    """Add the larger of two shares."""
+    """Add the larger of the two scaled errors to the variance."""
     for i in range(len(variance)):
         variance[i] += max(first_share * first[i], second_share * second[i])
 
 
 def _over_windows(blocks: Floats32) -> Floats32:
-    """Means over windows of the means over blocks; beyond the image is nothing."""
+    """Average the block means over windows, with zeros beyond the image."""
     return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))
 
 
 def _fine(blocks: Floats32, shape: tuple[int, int]) -> Floats32:
-    """Means over windows, one for each pixel (P,)."""
+    """Interpolate the window means at each pixel, (P,)."""
     fine = np.empty(shape, np.float32)
     _interpolate(blocks, fine)
     return fine.reshape(-1)
@@ -150,7 +155,7 @@ def _fine(blocks: Floats32, shape: tuple[int, int]) -> Floats32:
 
 @compiled
 def _interpolate(blocks: Floats32, fine: Floats32) -> None:
-    """Linearly between the middles of blocks of two by two pixels; beyond the outermost as there."""
+    """Interpolate linearly between the centres of 2 × 2 blocks, with the border replicated."""
     height, width = fine.shape
     last_row, last = blocks.shape[0] - 1, blocks.shape[1] - 1
     between = np.empty(last + 3, np.float32)

@@ -1,13 +1,13 @@
-"""What nothing in a capture checks: the phase of a fringe that is an axis's only one, over few cycles.
+"""Systematic error of an axis with a single fringe of few cycles, which nothing in the capture checks.
 
-Shorter fringes would disagree with it, and many cycles would show the unevenness of a rippled phase (`gamma_ripple`).
-Of a single long fringe two things stay unseen. A bent brightness curve ripples the phase of N steps N times a cycle, by
-the harmonic of N − 1 cycles: by up to a twentieth of a cycle in three steps. Light from other surfaces shifts it.
+A shorter fringe would disagree with it, and many cycles would show the uneven distribution of a rippled phase
+(`gamma_ripple`). A single long fringe hides two errors. A nonlinear response ripples the phase of N steps N times per
+cycle, by the harmonic of order N − 1: up to a twentieth of a cycle with three steps. Interreflection shifts the phase.
 
-The same harmonic ripples the fringe's amplitude, where no scene has reason to: with I_n = Σ b_k cos k(θ + 2πn/N), the
-measured phasor is b₁ e^{iθ} (1 + (b_{N−1}/b₁) e^{−iNθ} + …), so its logarithm's real part tells the imaginary one.
-Curves are taken as powers, of an exponent between what is left by a camera's tone curve and what projectors have; how
-likely each is, amplitudes say as far as the scene's own unevenness allows.
+The same harmonic ripples the fringe's amplitude, which the scene has no reason to do: with I_n = Σ b_k cos k(θ +
+2πn/N), the measured phasor is b₁ e^{iθ} (1 + (b_{N−1}/b₁) e^{−iNθ} + …), so the real part of its logarithm determines
+the imaginary part. Response curves are modelled as powers, from the residual of a camera's tone curve up to a
+projector's gamma; the amplitudes give the likelihood of each exponent, within the scene's own variation.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,22 +25,22 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 
-# How the remark begins, by which others know it.
+# Beginning of the remark, by which other modules recognise it.
 UNCHECKED = "Nothing as fine checks"
-# Of projector and camera together, all equally likely beforehand.
+# Exponents of projector and camera together, with a uniform prior.
 _EXPONENTS = np.linspace(0.4, 3.2, 57)
 _FEWEST_PIXELS = 500
 _ROUNDS = 10
-# What the ripple of an amplitude may have of other things at least: harmonics that no power has, light that is clipped.
+# Least uncertainty of the amplitude ripple: harmonics that no power curve has, clipping.
 _LEAST_RIPPLE = 0.01
-# Light from other surfaces shifts a fringe that spans an axis by this share of its period, and shorter ones by one that
-# falls with the root of the period. In four simulated corners 0.0083 by the median, 0.0127 by the root mean square.
+# Interreflection shifts a fringe that spans an axis by this share of its period, and shorter ones by a share that falls
+# with the root of the period. In four simulated corners 0.0083 by the median, 0.0127 by the root mean square.
 _INDIRECT_CYCLES = 0.0105
 
 
 @dataclass(frozen=True)
-class SeenFringe:
-    """A fringe at P pixels: `phases` as measured, in radians, and the logarithms of its amplitude and of its mean."""
+class FringeSample:
+    """A fringe at P pixels: measured `phases` in radians, and the logarithms of its amplitude and of its mean level."""
 
     fringe: Fringe
     phases: Floats
@@ -50,36 +50,39 @@ class SeenFringe:
 
 @dataclass(frozen=True)
 class Response:
-    """A brightness curve as far as it is known: the `probability` of each exponent that is possible."""
+    """Posterior of the response exponent: the `probability` of each of `_EXPONENTS`."""
 
     probability: Floats
 
     @property
     def exponent(self) -> float:
-        """The mean."""
+        """The posterior mean."""
         return float(self.probability @ _EXPONENTS)
 
     @property
     def sigma(self) -> float:
-        """The standard deviation."""
+        """The posterior standard deviation."""
         return sqrt(float(self.probability @ (_EXPONENTS - self.exponent) ** 2))
 
     def straightening(self, fringe: Fringe) -> Floats32:
-        """What to add to a measured phase, as a table over one cycle, both in radians."""
+        """Return the phase correction as a table over one cycle, both in radians."""
         table: Floats32 = (self.probability @ _bent(fringe).ripples).astype(np.float32)
         return table
 
     def left(self, fringe: Fringe) -> Floats:
-        """What a straightened phase is off by where the exponent is larger by a standard deviation, as such a table."""
+        """Return the phase error left after correction if the exponent is one standard deviation larger, as such a
+        table.
+        """
         relative = (_EXPONENTS - self.exponent) / self.sigma
         left: Floats = -(self.probability * relative) @ _bent(fringe).ripples
         return left
 
 
-def response_of(seen: Sequence[SeenFringe]) -> Response:
-    """The response that the ripples of amplitudes speak for, of fringes of one or of both axes at the same pixels.
+def response_of(seen: Sequence[FringeSample]) -> Response:
+    """Estimate the response from the amplitude ripple of the fringes of one or both axes at the same pixels.
 
-    Of both axes the amplitudes are compared with each other, whatever paint and light; of one, with the mean of frames.
+    With both axes their amplitudes are compared with each other, which cancels albedo and light; with one axis, with
+    the mean of the frames.
     """
     first = seen[0].fringe
     steps = len(first.shifts)
@@ -96,29 +99,31 @@ def response_of(seen: Sequence[SeenFringe]) -> Response:
 
 @dataclass(frozen=True)
 class Unchecked:
-    """An axis whose only fringe is too long to be checked by itself, and how bent it was found to be."""
+    """An axis whose single fringe is too long to check itself, and its estimated response."""
 
     axis: AxisPlan
     response: Response
 
     @property
     def fringe(self) -> Fringe:
-        """The only one."""
+        """The single fringe."""
         return self.axis.fringes[0]
 
     @cached_property
     def stretch(self) -> Floats32:
-        """By how much more than its measured phase a coordinate changes, as a table over one cycle."""
+        """The derivative of the true phase by the measured phase, as a table over one cycle."""
         slope: Floats = np.gradient(self.response.straightening(self.fringe).astype(np.float64), _CYCLE[1])
         return self._by_true_phase(1 + slope)
 
     @cached_property
     def left_px(self) -> Floats32:
-        """What a coordinate is off by for the response, one standard deviation of it, as a table over one cycle."""
+        """The coordinate error for one standard deviation of the response, as a table over one cycle, in projector
+        pixels.
+        """
         return self._by_true_phase(self.fringe.period / (2 * pi) * self.response.left(self.fringe))
 
     def add_to(self, variance: Floats32, coordinate: Floats32) -> None:
-        """Add to the variance (P,) of coordinates by noise what else they err by; in place."""
+        """Add the systematic errors to the variance (P,) of the coordinates, which holds their noise; in place."""
         place = _place(coordinate, self.fringe.period)
         indirect_px = _INDIRECT_CYCLES * self.fringe.period * sqrt(self.fringe.period / self.axis.length)
         variance += np.float32(indirect_px**2)
@@ -132,12 +137,12 @@ class Unchecked:
 
 
 def is_unchecked(axis: AxisPlan) -> bool:
-    """Whether nothing checks what bends the fringes of an axis."""
+    """Whether nothing checks the systematic phase error of an axis."""
     return len(axis.fringes) == 1 and axis.length < ENOUGH_CYCLES * axis.fringes[0].period
 
 
 def shift_of(unchecked: Sequence[Unchecked]) -> Shift:
-    """By what all matches are off if the response is off by a standard deviation: the same one on both axes."""
+    """Return the shift of all matches if the response is off by one standard deviation, common to both axes."""
 
     def shift(camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
         del camera_px, gradient
@@ -151,13 +156,13 @@ def shift_of(unchecked: Sequence[Unchecked]) -> Shift:
 
 
 def _place(coordinate: NDArray[np.floating[Any]], period: float) -> NDArray[np.int64]:
-    """Of coordinates (P,), in a table over one cycle."""
+    """Return the table index over one cycle of coordinates (P,)."""
     place: NDArray[np.int64] = np.floor(coordinate * (TABLE_LENGTH / period)).astype(np.int64) % TABLE_LENGTH
     return place
 
 
 def remark_on(unchecked: Sequence[Unchecked]) -> str:
-    """What a person should know."""
+    """Return the remark for the operator."""
     axes = " and ".join(each.axis.axis for each in unchecked)
     fringe, response = max((each.fringe for each in unchecked), key=lambda each: each.period), unchecked[0].response
     return (
@@ -173,8 +178,9 @@ _CYCLE = 2 * pi * np.arange(TABLE_LENGTH) / TABLE_LENGTH
 
 @dataclass(frozen=True)
 class _Bent:
-    """What each exponent does to a fringe, by measured phase, (exponents, TABLE_LENGTH): `ripples` as `straightening`
-    takes them out, and the logarithms of amplitude and mean.
+    """The effect of each exponent on a fringe, by measured phase, (exponents, TABLE_LENGTH).
+
+    `ripples`: the phase corrections, as in `straightening`; and the logarithms of amplitude and mean.
     """
 
     ripples: Floats
@@ -190,23 +196,23 @@ def _bent(fringe: Fringe) -> _Bent:
         levels = shown**exponent
         cosine, sine = fringe.weights[1:] @ levels
         off = np.angle((cosine + 1j * sine) * np.exp(-1j * _CYCLE))
-        # From true phases, which are even, to measured ones, which are.
+        # Resample from evenly spaced true phases to evenly spaced measured phases.
         measured = _CYCLE + off
         curves = (-off, np.log(np.hypot(cosine, sine)), np.log(levels.mean(axis=0)))
         parts.append([np.interp(_CYCLE, measured, curve, period=2 * pi) for curve in curves])
     return _Bent(*np.moveaxis(np.array(parts), 1, 0))
 
 
-def _relative(seen: Sequence[SeenFringe]) -> Floats:
-    """The logarithm (P,) of an amplitude relative to that of the other axis, or else to the mean."""
+def _relative(seen: Sequence[FringeSample]) -> Floats:
+    """Return the logarithm (P,) of the amplitude relative to that of the other axis, or else to the mean level."""
     return seen[0].log_amplitude - (seen[1].log_amplitude if len(seen) > 1 else seen[0].log_mean)
 
 
 def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[float, float]:
-    """The coefficient of the cosine of `steps` cycles, and its standard deviation: what scenes have of such a ripple
-    they have of neighbouring frequencies and of the sine, too, which no response explains.
+    """Fit the coefficient of the cosine of `steps` cycles per fringe cycle; return it and its standard deviation.
 
-    `angles` (P,) for each axis: what goes with the second of two axes does so with the opposite sign.
+    The standard deviation comes from the sine and from neighbouring frequencies, which no response explains. `angles`
+    (P,) for each axis; the second axis enters with the opposite sign.
     """
 
     def of_both(wave: Callable[[Floats], Floats], cycles: int) -> Floats:

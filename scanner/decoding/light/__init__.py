@@ -1,1 +1,1 @@
-"""Brightness of frames and pixels: noise, flicker that is divided out, exposures that are merged."""
+"""Brightness of frames and pixels: noise, flicker, response curve, exposure fusion, ghosting."""

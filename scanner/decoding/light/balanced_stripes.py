@@ -1,9 +1,8 @@
-"""How bright a pattern is next to its inverse, from stripes that are fine: nothing else tells where they are weak, too.
+"""Brightness of a pattern relative to its inverse, from fine stripes of low contrast.
 
-Inside each cell that coarser bits leave, a bit lights up one half and its inverse the other. Over a cell the mean
-logarithm of their ratio is therefore that of their brightness, whatever contrast the lenses leave and however the
-camera answers to light, and how far cells differ says how well it is known. The sum of the two, which tells where
-contrast is high, is the same everywhere where it is low.
+Within each cell of the coarser bits, a bit lights one half and its inverse the other. The mean logarithm of their ratio
+over a cell is therefore that of their brightness, for any contrast and response curve; its scatter between cells gives
+the uncertainty. The sum of the two, which is used where contrast is high, is uninformative where it is low.
 """
 
 from collections.abc import Sequence
@@ -16,15 +15,16 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.brightness import LEAST_DIFFERENCE, Gains
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# Fewer cells do not tell how well the mean is known; stripes of much contrast are told better by their sums.
+# Fewer cells do not determine the mean's uncertainty; for high-contrast stripes the sums are more precise.
 _FEWEST_CELLS, _MOST_CELLS, _FEWEST_PER_CELL = 16, 64, 32
 _MOST_CONTRAST = 1.5
 
 
 def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None:
-    """Those of a pattern and its inverse (2, P), given all coarser bits of the code, the coarsest first, (P,) each.
+    """Return the gains of a pattern and its inverse (2, P), given all coarser bits of the code, coarsest first, (P,)
+    each.
 
-    None if the pixels do not tell.
+    None if they are not determined or not significant.
     """
     first, second = levels
     if abs(float(np.sum(first - second))) < LEAST_DIFFERENCE / 2 * float(np.sum(first + second)):
@@ -44,7 +44,7 @@ def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None
 
 
 def _cells(coarser: Sequence[Bools], pixels: int) -> tuple[Ints, Ints]:
-    """The number of each pixel's cell (P,), −1 of one that holds few, and how many pixels each of the others holds."""
+    """Return each pixel's cell index (P,), −1 for cells of few pixels, and the pixel count of each other cell."""
     words = np.zeros(pixels, np.int64)
     of_pixel, count = words, np.array([pixels])
     for bit in coarser:

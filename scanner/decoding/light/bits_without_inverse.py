@@ -1,8 +1,8 @@
-"""How bright the frame of a bit without an inverse is next to white and black, and where the bit is decided then.
+"""Threshold of a bit without an inverse, from the brightness of its frame relative to white and black.
 
-Half-way between white and black is right for steady light. A lamp that breathes, light that was switched on, and fine
-stripes that lose light move the two levels of a bit; the right threshold is half-way between these. Both are seen at
-many pixels: dark I = a B + l (W − B), or lit I = a B + u (W − B), and a, l and u are those of the whole frame.
+Half-way between white and black is right for steady light. Flicker, ambient light changes, and fine stripes that lose
+light change the two levels of a bit; the right threshold is half-way between these. Both are fitted over many pixels:
+dark I = a B + l (W − B), or lit I = a B + u (W − B), with a, l and u common to the frame.
 """
 
 from collections.abc import Sequence
@@ -20,21 +20,23 @@ from scanner.decoding.significance import FEWEST_PIXELS
 
 _ROUNDS = 5
 TAILS = (0.05, 0.95)  # quantiles of a bit's levels, in its dark and in its bright stripes
-# Levels so close to each other, in deviations of the pixels from them, are no levels of a bit.
+# Levels closer than this, in standard deviations of the pixels from them, are not two levels.
 _APART_SIGMAS = 4.0
-# Nearer to half-way between white and black, in parts of white minus black, is half-way.
+# A threshold nearer than this to half-way between white and black, as a share of white minus black, is taken as
+# half-way.
 _LEAST = 0.05
-# White is another one than in the patterns if so many bits say so alike, to this spread of what they say.
+# White differs in the patterns if at least this many bits agree on it, with this spread.
 _FEWEST_BITS, _ALIKE = 3, 0.05
 _OTHER_WHITE = 0.1
-# What another white adds to the dark level, of what it adds to both; of light that was switched on it is a half.
+# Most that a different white adds to the dark level, as a share of what it adds to both; ambient light adds a half.
 _OF_DARK = 0.25
 
 
 @dataclass(frozen=True)
 class BitLevels:
-    """Of a frame: the parts `dark` and `bright` of white minus black that its pixels have beside `of_black` times
-    black; and how far half-way between them is from half-way between white and black, `away` in the same parts.
+    """Levels of a bit in its frame: I = `of_black` · black + (`dark` or `bright`) · (white − black).
+
+    `away`: distance of the half-way level from that of white and black, in the same unit.
     """
 
     of_black: float
@@ -43,7 +45,9 @@ class BitLevels:
     away: float
 
     def threshold(self, middle: Image, white: Image) -> Image:
-        """From the level half-way between white and black, and white, (H, W); the former itself if that is as good."""
+        """Return the threshold from half-way level and white, (H, W); the half-way level itself if
+        it is close enough.
+        """
         if self.away < _LEAST:
             return middle
         of_white = self.dark + self.bright - self.of_black
@@ -51,9 +55,9 @@ class BitLevels:
 
 
 def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.int64]) -> BitLevels | None:
-    """Those of a frame, given the level half-way between white and black, and white (H, W), from a sample (P,).
+    """Fit the levels of a frame, given the half-way level and white (H, W), at sample pixels (P,).
 
-    None if too few pixels have either level, or none are clear.
+    None if too few pixels have either level, or the levels are not distinct.
     """
     level, half_way, brightest = (image.reshape(-1)[pixels].astype(np.float32) for image in (frame, middle, white))
     lit = lit_by(brightest - half_way)
@@ -73,10 +77,10 @@ def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.
 
 
 def white_of(bits: Sequence[BitLevels]) -> float:
-    """How bright white is where it is part of a pattern, in parts of white minus black in the white frame.
+    """Return the brightness of white in the patterns, relative to white minus black in the white frame.
 
-    1 unless all bits without an inverse say alike that it is another one: a frame that was exposed longer, or a device
-    that dims pictures that are bright all over.
+    1 unless all bits without an inverse agree on a different value, as with a longer exposure of the white frame or a
+    projector that dims bright pictures.
     """
     if len(bits) < _FEWEST_BITS:
         return 1.0
@@ -84,14 +88,15 @@ def white_of(bits: Sequence[BitLevels]) -> float:
     white, dark, bright = (float(np.median(n)) for n in (whites, [b.dark for b in bits], [b.bright for b in bits]))
     if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < _OTHER_WHITE:
         return 1.0
-    # Light that was switched on raises both levels, and does not bring them further apart than white and black.
+    # Ambient light raises both levels, but does not separate them by more than white and black.
     is_white = dark * np.sign(white - 1) < _OF_DARK * abs(white - 1) or bright - dark > 1 + _OTHER_WHITE / 2
     return white if is_white else 1.0
 
 
 def _parts(relative: Floats32, black: Floats32, is_bright: Bools) -> tuple[float, float, float]:
-    """That of black in a frame, and those of white minus black where it is dark and where it is bright: least squares
-    in levels (P,) relative to white minus black.
+    """Fit the share of black, and those of white minus black where dark and where bright, by least squares.
+
+    Levels (P,) are relative to white minus black.
     """
     design = np.stack([black, ~is_bright, is_bright], axis=1).astype(np.float64)
     of_black, dark, bright = np.linalg.lstsq(design, relative, rcond=1e-4)[0].tolist()

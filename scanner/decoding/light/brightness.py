@@ -1,11 +1,10 @@
-"""How bright each frame is next to the others, from the light that several frames must show together.
+"""Relative brightness of frames, from groups of frames that must add up to the same light.
 
 A pattern and its inverse add up to the same light as every other such pair; so do opposite steps of a fringe, or every
-three, or all steps that divide its cycle evenly, which must be tied to a cosine then. Where lamp, colour wheel, mains
-or exposure made frames brighter or darker, there are weights w with Σ w I = N · M at all pixels, M being the light that
-the groups have in common: a linear least-squares problem of as many unknowns as the group has frames, whatever the
-frames show. A rolling shutter makes them depend on the row. Stripes so fine that they lose light make all weights of a
-group larger, not their ratios, and ratios are all that is used.
+three, or all evenly spaced steps, which must then be constrained to a cosine. Where lamp, colour wheel, mains or
+exposure change the brightness of frames, weights w satisfy Σ w I = N · M at all pixels, with M the common light: a
+linear least-squares problem with one unknown per frame of the group. With a rolling shutter the weights depend on the
+row. Fine stripes that lose light scale all weights of a group, so only ratios of weights are used.
 """
 
 from collections.abc import Sequence
@@ -20,38 +19,39 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# Smaller differences change hardly a bit, and a phase less than its noise.
+# Smaller differences invert hardly any bit, and change a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
-# The harmonic of as many cycles as a group has steps stays in its sum: relative to the fringe, at a gamma of 3.
+# Harmonic of order equal to the group's steps, which remains in its sum: relative to the fringe, at a gamma of 3.
 _HARMONICS = {2: 0.4, 3: 0.07}
-# Gains that are unknown by more than this part of what they differ are not known; nor are any that are unknown by more
-# than the larger limit; the smaller one does no harm. Where few cycles are in view, gains explain what is fringe.
+# Gains are rejected if their error may exceed this share of their difference, but never below the smaller limit, and
+# always above the larger. With few cycles in view, gains are confused with the fringe.
 _MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
-# Each starts from frames that the one before made alike; a much darker frame is well known after the second.
+# Iterations of the initial guess, each on the equalised frames; two suffice for a much darker frame.
 _GUESSES = 2
-# Each finds what the frames that the one before made alike still differ by.
+# Iterations that estimate the residual gains of the equalised frames.
 _PASSES = 4
 BANDS = 32
 _FEWEST_PER_BAND = 64
 _FEWEST_PIXELS = 200
-# What bands may leave of the squared residuals of one weight for all rows: chance leaves 0.99, uneven phases 0.95.
+# Largest share of the squared residuals of a single weight for which bands are accepted: chance leaves 0.99, uneven
+# phases 0.95.
 _BANDED = 0.85
-# How far the weights of a band may well be from those of the whole frame.
+# Prior standard deviation of a band's weights from those of the whole frame.
 _BAND_SIGMA = 0.2
-# Of a bit that one pixel in twelve sees change.
+# Variety of a bit that changes at one pixel in twelve.
 _LEAST_VARIETY = 0.3
-# Darker pixels than this share of the median count less: theirs is noise.
+# Pixels darker than this share of the median are mostly noise and get less weight.
 _FAINT = 0.25
 _OUTLYING = 4.0
-# Close to the largest level of the frames, which may be where the camera saturates.
+# Share of the largest level, above which the camera may saturate.
 _SATURATED = 0.98
-# Gains explain part of what the frames' sum is off, or they are none: a camera that is not linear is off as well.
+# Gains must explain a part of the deviation of the sum; a nonlinear camera makes it deviate as well.
 _UNEXPLAINED = 0.8
 
 
 @dataclass(frozen=True)
 class Places:
-    """The `rows` (P,), which rise, of some lit pixels of an image of `height`."""
+    """The ascending `rows` (P,) of lit pixels in an image of `height`."""
 
     rows: NDArray[np.int64]
     height: int
@@ -59,8 +59,8 @@ class Places:
 
 @dataclass(frozen=True)
 class Gains:
-    """Brightness of the frames of a group, their geometric mean being 1: (frames, rows of the image), or (frames, 1)
-    where rows do not differ.
+    """Relative brightness of the frames of a group, with geometric mean 1: (frames, image rows), or (frames, 1) if
+    uniform.
     """
 
     of_rows: Floats
@@ -73,30 +73,30 @@ class Gains:
 
     @property
     def are_banded(self) -> bool:
-        """Whether rows differ."""
+        """Whether the gains depend on the row."""
         return len(self.of_rows[0]) > 1
 
     def at(self, rows: NDArray[np.int64]) -> Floats:
-        """(frames, P), or (frames, 1) where rows do not differ."""
+        """Return the gains at given rows, (frames, P), or (frames, 1) if uniform."""
         return self.of_rows[:, rows] if self.are_banded else self.of_rows
 
     def equalised(self, frame: int, image: Image) -> Image:
-        """One of the frames (H, W) as bright as the darkest of the group, of the same type."""
+        """Scale one of the frames (H, W) to the darkest of the group, keeping its type."""
         factors = self.of_rows.min(axis=0) / self.of_rows[frame]
         result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
         return result
 
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
-    """Those of a pattern and its inverse (2, P), which together show twice the `common` light (P,)."""
+    """Return the gains of a pattern and its inverse (2, P), which add up to twice the `common` light (P,)."""
     nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, _ties(len(levels)), is_pair=True)])
 
 
 def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
-    """Those of the steps (N, P) of a fringe in even steps around the `common` light (P,).
+    """Return the gains of the steps (N, P) of an evenly stepped fringe around the `common` light (P,).
 
-    1 where few cycles are in view, so that the harmonics of a bent brightness curve could be taken for them.
+    All 1 if few cycles are in view, where harmonics of a nonlinear response could be mistaken for gains.
     """
     order = np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))
     count = len(order)
@@ -105,13 +105,13 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     back = np.argsort(np.concatenate(groups))
     ties = _ties(size)
     nothing = np.zeros((1, len(common)), np.float32)
-    # Neither phases nor variety of frames that differ are those of the fringe.
+    # Phases and variety can only be judged on equalised frames.
     found, alike = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
         guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
         found = _gains(guesses, before=found)
         alike = (levels / found.of_rows[back]).astype(np.float32)
-    # Of rows that differ the phases differ, too, so that the harmonic has a part of what they differ by.
+    # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
     for _ in range(_PASSES):
         cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
         phase = np.arctan2(sine, cosine)
@@ -127,31 +127,35 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
 
 
 def _ties(steps: int) -> Floats:
-    """(ties, steps): of so many even steps of a cycle, in what they add up to nothing, whatever offset and amplitudes.
+    """Return linear constraints (ties, steps): combinations of the even steps of a cosine that vanish for any
+    parameters.
 
-    Three steps, and two that are opposite, have as many weights as the fringe has unknowns. More need it be said that
-    what they show is a cosine, but for harmonics.
+    Three steps, or two opposite ones, need none: they have as many weights as the fringe has unknowns. More steps must
+    be constrained to a cosine, except for harmonics.
     """
     turns = 2 * np.pi * np.outer(np.arange(2, (steps - 1) // 2 + 1), np.arange(steps)) / steps
     return np.concatenate([np.cos(turns), np.sin(turns)])
 
 
 def _unevenness(phase: Floats32, size: int) -> float:
-    """How far phases (P,) are from evenly spread, where a harmonic of `size` cycles looks like the fringe itself."""
+    """Return the non-uniformity of the phases (P,), where a harmonic of order `size` is confused with the fringe
+    itself.
+    """
     return max(abs(complex(np.mean(np.exp(1j * cycles * phase)))) for cycles in (size - 1, size + 1))
 
 
 def flicker_of(groups: Sequence[Gains]) -> float | None:
-    """Standard deviation of the brightness of frames, relative, about that of their groups; None without any."""
+    """Return the relative standard deviation of frame brightness within groups; None without groups."""
     freedom = sum(len(gains.of_rows) - 1 for gains in groups)
     squares = sum(float(np.sum(np.mean(np.log(gains.of_rows) ** 2, axis=1))) for gains in groups)
     return sqrt(squares / freedom) if freedom else None
 
 
 def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before: Gains | None = None) -> Gains:
-    """From weights (frames, rows or 1) of groups that share their light, and how wrong each and all of them may be.
+    """Return the gains from the weights (frames, rows or 1) of groups of common light, each with its error; 1 if
+    insignificant.
 
-    `before`: gains that were taken out of the frames already.
+    `mistaken`: an error common to all groups. `before`: gains that were already divided out of the frames.
     """
     rows = max(weights.shape[1] for weights, _ in found)
     weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
@@ -172,12 +176,12 @@ def _weights(
     is_pair: bool = False,
     is_guess: bool = False,
 ) -> tuple[Floats, float]:
-    """(frames, rows of the image or 1), and how far they may be from the truth: infinitely if the pixels do not tell.
+    """Fit the weights (frames, image rows or 1); return them with their error, infinite if not determined.
 
-    The mean of the frames is explained by the common light and the frames' distances from it. So what else is in the
-    mean, as `harmonic` (terms, P) of a bent brightness curve or lost light, is left over and pulls at nothing. `ties`
-    (ties, frames): what the frames also add up to nothing in. A guess is the same for all rows, and is given even if
-    the pixels do not tell.
+    The mean of the frames is explained by the common light and the frames' deviations from the mean. Other terms in the
+    mean, such as the `harmonic` (terms, P) of a nonlinear response or lost light, stay in the residual without bias.
+    `ties` (ties, frames): further combinations of the frames that vanish. A guess is uniform over rows, and is returned
+    even if poorly determined.
     """
     count = len(levels)
     scale = 1 / np.maximum(common, np.float32(_FAINT * median(common) + 1e-3))
@@ -204,10 +208,10 @@ def _weights(
     of_common = design[:, 0] * (design[:, 0] @ target / (design[:, 0] @ design[:, 0]))
     if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
-    # Noise in what explains draws its weights together: a share of them as large as it is next to what it explains.
+    # Noise in the regressors biases the weights towards each other, by its share of their variance.
     told = np.concatenate([design, *tied[:, chosen]])
     spread = float(np.linalg.eigvalsh(told.T @ told / len(left))[1])
-    if spread <= 0:  # frames without light, all alike
+    if spread <= 0:  # identical frames without light
         return np.ones((count, 1)), inf
     error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread
     bands = None if is_guess else _bands(design, left, noise)
@@ -220,7 +224,7 @@ def _weights(
 
 
 def _tied(levels: Floats, ties: Floats) -> tuple[Floats, Floats]:
-    """Rows of a design (ties, P, 1 + frames), and their targets (ties, P), that say what the frames are tied by."""
+    """Return the design rows (ties, P, 1 + frames) and targets (ties, P) of the linear constraints."""
     products = ties[:, :, None] * levels
     nothing: Floats = products.mean(axis=1)
     of_frames = np.moveaxis(products - nothing[:, None], 1, 2)
@@ -228,25 +232,31 @@ def _tied(levels: Floats, ties: Floats) -> tuple[Floats, Floats]:
 
 
 def _without(terms: Floats32, values: Floats) -> Floats:
-    """What the terms (P, terms) do not explain of the values (P,)."""
+    """Return the residual of the values (P,) after regression on the terms (P, terms)."""
     rest: Floats = values - terms @ _least_squares(terms.astype(np.float64), values)
     return rest
 
 
 def _weights_from(terms: Floats) -> Floats:
-    """Those with which the frames add up to the common light, from a M + Σ b (I − mean) = mean; (1 + frames, rows)."""
+    """Return the weights with which the frames add up to the common light, from a M + Σ b (I − mean) = mean; (1 +
+    frames, rows).
+    """
     of_common, of_frames = terms[0], terms[1:]
     weights: Floats = (1 / len(of_frames) - of_frames + of_frames.mean(axis=0)) / of_common
     return weights
 
 
 def _starts(count: int) -> NDArray[np.int64]:
-    """Where bands of as many pixels each begin, of pixels row by row; the projector may light up a part of them."""
+    """Return the first index of each band, of equally many pixels row by row; the projector may light part of the
+    image.
+    """
     return np.arange(BANDS) * count // BANDS
 
 
 def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
-    """How far the terms of each band of rows are from those of all (bands, terms); None if they are not, or unknown."""
+    """Return the deviation of each band's terms from the common ones (bands, terms); None if insignificant or
+    undetermined.
+    """
     starts = _starts(len(left))
     counts = np.diff(starts, append=len(left))
     if counts.min() < _FEWEST_PER_BAND:
@@ -262,16 +272,16 @@ def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
 
 
 def _variety(squares: Floats, means: Floats) -> Floats:
-    """How much the frames' distances from their mean vary over pixels, given their mean squares and means (…, terms).
+    """Return how much the frames' deviations from their mean vary over pixels, from mean squares and means (…, terms).
 
-    0 if each is alike everywhere, as inside one stripe, where it cannot be told from the common light; 1 if each is as
-    often above as below.
+    0 if a frame is uniform, as inside one stripe, and so confused with the common light; 1 if it is above and below the
+    mean equally often.
     """
     variety: Floats = np.min(1 - means[..., 1:] ** 2 / np.maximum(squares[..., 1:], 1e-12), axis=-1)
     return variety
 
 
 def _least_squares(design: Floats, target: Floats) -> Floats:
-    """The terms (N,) of a design (P, N) of few columns, which need not be independent: their smallest."""
+    """Return the minimum-norm solution (N,) for a design (P, N) of few columns, which may be dependent."""
     terms: Floats = np.linalg.pinv(design.T @ design, rcond=1e-9, hermitian=True) @ (design.T @ target)
     return terms

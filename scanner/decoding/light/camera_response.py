@@ -1,10 +1,10 @@
-"""The camera's response curve, from sums of frames, and frames taken back to light.
+"""Estimate the camera's response curve from sums of frames, and linearise frames with it.
 
-A pattern and its inverse make the same light as every other pair. Blurred stripes make it of two middling levels, sharp
-ones of a dark and a bright level, so that a tone curve, as of photographs, makes their sums differ. The curve f of
-which g = f⁻¹ makes all sums alike, g(I) + g(I') = M at every pixel, is the camera's: least squares in the values of g
-at a few levels (radiometric self-calibration, after Mitsunaga and Nayar, CVPR 1999). In the light g(I) all the rest
-holds: what adds up, what is half-way, what is a cosine.
+A pattern and its inverse add up to the same light as every other pair. Blurred stripes contribute two medium levels,
+sharp ones a dark and a bright level, so that a tone curve, as of photographs, makes their sums differ. The inverse
+response g = f⁻¹ makes all sums equal, g(I) + g(I') = M at every pixel: least squares in the values of g at a few levels
+(radiometric self-calibration, after Mitsunaga and Nayar, CVPR 1999). The rest of the decoder works in the linear light
+g(I).
 """
 
 from dataclasses import dataclass
@@ -20,32 +20,37 @@ from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.patterns import Xor
 
-# g is linear between so many levels; how much its second differences weigh against one pixel's sums, and what is given
-# against all.
+# Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
+# the constraints relative to all pixels.
 _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
 _ROUNDS = 4
-# Farther off the sums than so many times what most are counts less: something moves there, or flickers.
+# Sums this many times farther off than the median are down-weighted as motion or flicker.
 _OUTLYING = 4.5
 _FEWEST_PAIRS, _FEWEST_PIXELS, _MOST_PIXELS = 3, 200, 1000
-# So many bits of a code have stripes of which many are in view; in so many groups of pixels half are lit of each.
+# Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
+# half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
-# The squares of what sums are off, in swings, added up over pairs: less is no matter. The right curve leaves a tenth of
-# them; nothing else that bends sums leaves so little to a curve that rises everywhere, by this part of its mean slope.
+# Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter. The
+# right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
+# mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
-_MOST_UNEVEN = 1e12  # squared swings: of a pixel that does not swing
-_SWITCHED = 0.5  # what light that was switched leaves where it is why sums differ
-# Where a curve leaves pairs off by more of their swing, contrast is faint, and light in 10 bits would lose some of it.
+_MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
+_SWITCHED = 0.5  # most that is left if an ambient light change explains the sums
+# Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
 _FAINT = 0.025
-_RARE = 0.001  # levels that are hardly there say nothing of their slope
-# In the dark, where photographs spread the light, differences of a few of 10 bits are still a few grey levels.
+_RARE = 0.001  # share of pixels below which a level does not determine its slope
+# Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
+# levels.
 _FULL_SCALE = 1023
 
 
 @dataclass(frozen=True)
 class CameraResponse:
-    """`light` (levels,): that of grey levels evenly spaced from 0 to `top`, in parts of that of the last one. From
-    `saturation` on pixels are clipped.
+    """The inverse response: `light` (levels,) of grey levels evenly spaced from 0 to `top`, relative to that of the
+    last.
+
+    Pixels are clipped from grey level `saturation` on.
     """
 
     light: Floats
@@ -53,7 +58,9 @@ class CameraResponse:
     saturation: float
 
     def light_of(self, frame: Image) -> Image:
-        """The light of grey levels, of 16 bits; some may be brighter than white ever was."""
+        """Convert grey levels to light, as 16-bit integers; values brighter than white are clipped
+        to the table's end.
+        """
         return cast(Image, np.take(self._table, frame, mode="clip"))
 
     @cached_property
@@ -65,8 +72,9 @@ class CameraResponse:
 
 
 def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top: float) -> CameraResponse | None:
-    """That which a sample `levels` (frames, P) of all frames tells, up to a level `top`; None if sums are even without
-    one, or one does not make them so.
+    """Estimate the response from a sample `levels` (frames, P) of all frames, up to level `top`.
+
+    None if the sums are equal without it, or not equal with it.
     """
     lit = unclipped(levels, saturation)
     if lit.shape[1] < _FEWEST_PIXELS:
@@ -80,7 +88,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     fit = _fit([sums], of_swing)
     if fit.before < notable:
         return None
-    # Light that is switched on makes sums differ, too: those before it from those after it.
+    # An ambient light change also makes sums differ: those before it from those after it.
     if has_pairs:
         split = (_fit([sums[:place], sums[place:]], of_swing) for place in range(1, len(sums)))
         switched = min(split, key=lambda each: each.after)
@@ -98,7 +106,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
 
 @dataclass(frozen=True)
 class _Fit:
-    """The values of g (_LEVELS,), and how uneven sums of light are `before` and `after` it."""
+    """The values of g (_LEVELS,), and how uneven the sums of light are `before` and `after` linearisation."""
 
     light: Floats
     before: float
@@ -106,15 +114,16 @@ class _Fit:
 
 
 def _fit(groups: list[Floats], swing: Floats) -> _Fit:
-    """Of groups of sums (sums, P, _LEVELS), each of which are to be alike."""
+    """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal."""
     light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
     return _Fit(light, before, after)
 
 
 def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float]:
-    """What makes the sums of pairs, in the order in which they were shown, (pairs, P, _LEVELS), and the swings
-    (P, _LEVELS) of g, at pixels `seen` (frames, P); and what unevenness is notable.
+    """Return the sums of pairs in capture order, the swings, and the notable unevenness, at pixels `seen` (frames, P).
+
+    Sums (pairs, P, _LEVELS) and swings (P, _LEVELS) are linear in the values of g.
     """
     some = thinned(seen, _MOST_PIXELS)
     of_levels = _interpolation(some)
@@ -124,8 +133,10 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float
 
 
 def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float] | None:
-    """The same of white with black, and of fine bits without inverses with themselves, over pixels that are as bright:
-    half of them are lit. None without any, or without white and black, or of darker bits.
+    """Return the same as `_of_pairs` for fine bits without inverses, compared with white plus black.
+
+    Averages over groups of equally bright pixels replace pairs, as half of the pixels are lit. None without such bits,
+    without white or black, or if the bits are darker.
     """
     bits = [frame for code in plan.codes for bit, frame in code.unpaired.items() if bit >= code.bits - _FINE_BITS]
     bits = [frame for frame in bits if not isinstance(plan.patterns[frame], Xor)]
@@ -136,23 +147,23 @@ def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, 
     counts = np.diff(starts, append=seen.shape[1])
     white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
     sums, swing = 2 * np.stack(of_bits), white - black
-    # If they are darker, stripes lose light, or white is another one than in patterns.
+    # Darker bits mean that stripes lose light, or that white differs in patterns.
     if np.any(swing @ _LINEAR <= 0) or np.sum((sums - white - black) @ _LINEAR) <= 0:
         return None
     return np.concatenate([[white + black], sums]), swing, _NOTABLE_OF_BITS
 
 
 def _interpolation(levels: Floats32) -> Floats:
-    """The weights (…, _LEVELS) with which the values of g make g(I), for I (…) from 0 to 1."""
+    """Return the weights (…, _LEVELS) by which the values of g give g(I), for I (…) from 0 to 1."""
     place = np.clip(levels, 0, 1) * (_LEVELS - 1)
     weights: Floats = np.maximum(0, 1 - np.abs(place[..., None] - np.arange(_LEVELS)))
     return weights
 
 
 def _levelling(off: Floats, swing: Floats) -> Floats:
-    """The values (_LEVELS,) of g that make `off` @ g least, in swings; in the mean these are as they are without g.
+    """Return the values (_LEVELS,) of g that minimise `off` @ g relative to the swings, with the mean swing kept.
 
-    `off` (sums, P, _LEVELS): what makes the sums, less that of all; `swing` (P, _LEVELS): what makes the swings.
+    `off` (sums, P, _LEVELS): the sums minus their mean; `swing` (P, _LEVELS).
     """
     rows, mean = off.reshape(-1, _LEVELS), swing.mean(axis=0)
     bends = np.diff(np.eye(_LEVELS), 2, axis=0)
@@ -172,7 +183,7 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
-    """How far sums (sums, P) are from most at a pixel, squared, in swings (P,): of the median pixel, added up."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # where nothing swings nothing is known
+    """Return the squared deviation of the sums (sums, P) from the median sum, in swings (P,): median pixel, summed."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # pixels without swing
         off = (sums - np.median(sums, axis=0)) / swing
     return float(np.sum(np.median(np.nan_to_num(off**2, posinf=_MOST_UNEVEN), axis=1)))

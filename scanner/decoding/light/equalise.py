@@ -1,8 +1,8 @@
-"""Frames whose brightness differs, made alike: bits as they are folded in, fringes once all frames are known.
+"""Equalise frames of different brightness: bits as they are folded in, fringes once all frames are known.
 
-A pattern and its inverse are compared as soon as both are there, so that they are made alike then. Of a fringe only its
-two components are kept; what brighter and darker steps did to them is undone afterwards, given the light around
-which the fringe swings.
+A pattern and its inverse are compared as soon as both are there, so they are equalised then. For a fringe only its two
+components are kept; the effect of brighter and darker steps is corrected afterwards, given the offset around which the
+fringe oscillates.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,17 +29,17 @@ from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 Levels = Image | Floats32
-# Which pixels are lit shows in the first pairs, even if one of them is odd.
+# This many pairs determine which pixels are lit, even if one of them is wrong.
 _TELLING_PAIRS = 3
 _PASSES = 3
-# A pair of which one frame is brighter by so much has a sum that goes with its difference by as much.
+# A gain between the frames of a pair correlates their sum with their difference by as much.
 _STEADY = LEAST_DIFFERENCE / 2
 
 
 class PairEqualiser:
-    """The gains of each pattern and its inverse, as they arrive, against the pairs before them.
+    """The gains of each pattern and its inverse, as they arrive, relative to the pairs before them.
 
-    The first pair has none before it, unless white and black came first.
+    The first pair is the reference, unless white and black came first.
     """
 
     def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
@@ -59,7 +59,7 @@ class PairEqualiser:
         self._bits: dict[tuple[int, int], Bools] = {}
 
     def gains(self, pair: tuple[int, int]) -> Gains | None:
-        """Those of two frames that are in the sample; None if they do not matter."""
+        """Return the gains of two frames that are in the sample; None if they do not matter."""
         first, second = (self._sample.level(frame) for frame in pair)
         if not self._pairs:
             self._begin_with_white_and_black()
@@ -106,9 +106,9 @@ class PairEqualiser:
 
 
 def _is_steady(first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp]) -> bool:
-    """Whether the sum of a pair (P,) goes with its difference nowhere at `lit` pixels, as it does in steady light.
+    """Whether the sum of a pair (P,) is uncorrelated with its difference at `lit` pixels, as in steady light.
 
-    `total` (P,): of the pairs before. Quickly told: most pairs are.
+    `total` (P,): of the pairs before. A fast test that most pairs pass.
     """
     products, squares = np.zeros(BANDS), np.full(BANDS, 1e-12)
     _compare(first, second, total, lit, products, squares)
@@ -120,8 +120,10 @@ def _is_steady(first: Levels, second: Levels, total: Floats32, lit: NDArray[np.i
 def _compare(
     first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp], products: Floats, squares: Floats
 ) -> None:
-    """Add up, in bands of as many lit pixels each, the differences' squares, and their products with what the sums have
-    beside their share of the total.
+    """Accumulate, in bands of equally many lit pixels, the squared differences and their products with the sums'
+    residuals.
+
+    The residual is relative to the best fitting multiple of the total.
     """
     along, of_total = 0.0, 1e-12
     for pixel in lit:
@@ -137,10 +139,11 @@ def _compare(
 
 @dataclass(frozen=True)
 class Correction:
-    """What gives the components of a fringe from those that were accumulated, (2, 2, rows), and the light around which
-    it swings, (2, rows); that light is `light` (3,) times middle, brightest and 1. Rows: of the image, or one for all.
+    """Linear correction of a fringe's components for the gains of its steps.
 
-    Where rows differ, both are 0 in rows beyond those that tell how: nothing is lit there.
+    `of_components` (2, 2, rows) applies to the accumulated components, `of_light` (2, rows) to the fringe's offset,
+    which is `light` (3,) times middle, brightest and 1. Rows: of the image, or one for all. If the gains depend on the
+    row, both are 0 in rows beyond those with lit pixels.
     """
 
     of_components: Floats32
@@ -150,7 +153,7 @@ class Correction:
     def apply(
         self, cosine: Floats32, sine: Floats32, middle: Floats32, brightest: Floats32, rows: NDArray[np.int64]
     ) -> tuple[Floats32, Floats32]:
-        """At pixels in these `rows`, all (P,)."""
+        """Return the corrected components at pixels in these `rows`, all (P,)."""
         at = rows if self.of_light.shape[-1] > 1 else np.zeros(1, np.int64)
         light = self.light[0] * middle + self.light[1] * brightest + self.light[2]
         a, b = self.of_components[..., at], self.of_light[..., at]
@@ -160,10 +163,10 @@ class Correction:
 def correction(
     fringe: Fringe, gains: Gains, places: Places, common: Floats32, middle: Floats32, brightest: Floats32
 ) -> Correction:
-    """Undoes the `gains` of the steps of a fringe around the `common` light; that and the others (P,) at the `places`
-    that told the gains.
+    """Return the correction for the `gains` of a fringe's steps around the `common` light.
 
-    I = g (M + C cos φ − S sin φ), and what was accumulated are weighted sums of I.
+    `common`, `middle` and `brightest` (P,): at the `places` from which the gains were estimated. I = g (M + C cos φ − S
+    sin φ), and the accumulated components are weighted sums of I.
     """
     angles = 2 * np.pi * np.array(fringe.shifts)
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
@@ -180,16 +183,16 @@ def correction(
 
 
 def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, tuple[Gains, Floats32]]:
-    """Of each fringe in even steps: the gains of its steps, and the light around which it swings (P,).
+    """Return, for each evenly stepped fringe, the gains of its steps and the offset around which it oscillates (P,).
 
-    `levels` (frames, P): of lit pixels. What a single fringe swings around, no other tells: then there are none.
+    `levels` (frames, P): of lit pixels. Empty for a single fringe, as the offset is known only from other fringes.
     """
     even = [fringe for axis in plan.axes for fringe in axis.fringes if fringe.equal_steps and not is_unchecked(axis)]
     if len(even) < 2:
         return {}
     found: dict[Fringe, tuple[Gains, Floats32]] = {}
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
-    # The light around which a fringe swings is known from the others: what is wrong with it there is wrong elsewhere.
+    # The offset of a fringe comes from the others, so that an error in one affects the rest; hence the passes.
     for _ in range(_PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
@@ -205,9 +208,10 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
 
 
 def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> bool:
-    """Whether opposite steps (N, P) of a fringe are as bright as each other, and all such pairs; of an even number.
+    """Whether opposite steps (N, P) of a fringe are equally bright, and all such pairs; False for an odd number of
+    steps.
 
-    Quickly told, as of a pattern and its inverse.
+    A fast test, as for a pattern and its inverse.
     """
     pairs, is_odd = divmod(len(levels), 2)
     if is_odd:
@@ -220,12 +224,12 @@ def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> boo
     )
 
 
-def out_of_line(
+def outlier_groups(
     groups: Sequence[tuple[tuple[int, ...], bool]], sample: Sample
 ) -> Iterator[tuple[tuple[int, ...], float]]:
-    """Yields groups of frames, made alike, that differ from the other pairs or fringes, and how many times brighter.
+    """Yield groups of equalised frames that differ in brightness from the other pairs or fringes, with the ratio.
 
-    `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the measure, if any.
+    `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the reference, if any.
     """
     for kind in ([one for one in groups if len(one[0]) == 2], [one for one in groups if len(one[0]) > 2]):
         means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames, _ in kind])

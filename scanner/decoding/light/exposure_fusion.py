@@ -1,10 +1,10 @@
-"""Frames of one pattern at several exposures → one image, before anything is decoded.
+"""Merge frames of one pattern at several exposures into one image, before decoding.
 
-Each camera pixel takes all its frames from one exposure, the longest in which full light does not saturate it. So its
-frames compare with each other as if there were no other exposure, and no response of the camera has to be known. Only
-where neighbouring pixels are compared does it matter how long each was exposed.
+Each camera pixel takes all its frames from one exposure, the longest in which white does not saturate it. Its frames
+are therefore comparable, and the camera's response need not be known. The exposure matters only where neighbouring
+pixels are compared.
 
-Frames that were exposed alike are averaged.
+Frames of equal exposure are averaged.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from scanner.decoding.light.saturation_level import saturation_level
 from scanner.errors import InputError
 from scanner.patterns import Pattern, White
 
-# Full light may reach this share of the camera's range: a fringe or a brighter neighbour's blur adds a little to it.
+# White may reach this share of the camera's range: a fringe, or blur from a brighter neighbour, may exceed it a little.
 _MOST = 0.95
-# Exposures are the same to this share; frames of unknown exposure seem to be, to this share of their mean.
+# Relative difference up to which exposures are equal, and up to which frames of unknown exposure seem equal.
 _SAME, _SEEM_ALIKE = 0.01, 0.15
 
 
 def exposures_of(patterns: Sequence[Pattern]) -> tuple[tuple[Pattern, ...], int]:
-    """The patterns without repeats, and how many frames in a row show each; 1 if not all are repeated alike."""
+    """Return the patterns without repeats, and the number of successive frames of each; 1 if they differ in number."""
     count = next((n for n, pattern in enumerate(patterns) if pattern != patterns[0]), len(patterns))
     once = tuple(patterns[::count]) if count else ()
     if count > 1 and len(patterns) == count * len(once) and all(p == once[n // count] for n, p in enumerate(patterns)):
@@ -36,9 +36,9 @@ def exposures_of(patterns: Sequence[Pattern]) -> tuple[tuple[Pattern, ...], int]
 
 
 class ExposureMerger:
-    """Takes `count` frames of each pattern and gives one; the first pattern must be white if exposures differ.
+    """Take `count` frames of each pattern and merge them; the first pattern must be white if exposures differ.
 
-    Raises InputError if it is not: nothing else tells how bright a pixel becomes.
+    Raises InputError if it is not: only white shows how bright a pixel becomes.
     """
 
     def __init__(self, patterns: Sequence[Pattern], count: int) -> None:
@@ -50,10 +50,9 @@ class ExposureMerger:
         self._alike: bool | None = None
 
     def add(self, name: str, image: Image, exposure_us: float | None) -> Image | None:
-        """The merged image when the last frame of a pattern has come, else None; `name` is for messages.
+        """Return the merged image with the last frame of a pattern, else None; `name` is for messages.
 
-        Raises InputError if the exposures are unknown and seem to differ, or are others than those of the first
-        pattern.
+        Raises InputError if the exposures are unknown and seem to differ, or differ from those of the first pattern.
         """
         self._frames.append((exposure_us, image.copy()))
         if len(self._frames) < self._count:
@@ -69,7 +68,7 @@ class ExposureMerger:
         return _mean([image for _, image in frames])
 
     def _are_alike(self, name: str, frames: Sequence[tuple[float | None, Image]], known: Sequence[float]) -> bool:
-        """Whether the frames of the first pattern, some of `known` exposure, were exposed alike."""
+        """Whether the frames of the first pattern, some of `known` exposure, were exposed equally."""
         are_unknown = len(known) < self._count
         if are_unknown or np.ptp(known) <= _SAME * max(known):
             means = np.array([float(np.mean(image)) for _, image in frames])
@@ -104,7 +103,9 @@ class ExposureMerger:
 
     @property
     def log_exposure(self) -> Floats32 | None:
-        """(H, W): the logarithm of each pixel's exposure relative to the shortest; None before the first pattern."""
+        """(H, W): logarithm of each pixel's exposure relative to the shortest; None if exposures are equal or not yet
+        known.
+        """
         if self._choice is None:
             return None
         ratios = np.log(np.array(self._exposures_us) / self._exposures_us[-1])
@@ -114,7 +115,7 @@ class ExposureMerger:
         return result
 
     def alike(self, image: Image) -> Image:
-        """A merged image as the shortest exposure would show it, without its noise."""
+        """Scale a merged image to the shortest exposure."""
         log_exposure = self.log_exposure
         if log_exposure is None:
             return image
@@ -123,7 +124,9 @@ class ExposureMerger:
         return cast(Image, np.rint(levels).astype(image.dtype))
 
     def _choose(self, whites: list[Image]) -> list[NDArray[np.uint8]]:
-        """For each exposure but the longest, where it takes the place of the longer ones; (H, W), longest first."""
+        """Return, for each exposure but the longest, the mask of pixels where it replaces longer ones; (H, W), longest
+        first.
+        """
         brightest = [white.max(axis=2) if white.ndim == 3 else white for white in whites]
         limit = _MOST * saturation_level(brightest[0])
         return [(white > limit).astype(np.uint8) for white in brightest[:-1]]

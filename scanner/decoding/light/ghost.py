@@ -1,7 +1,7 @@
-"""A ghost: the share of the picture before that a slow panel, or a camera that is early, leaves in every frame.
+"""Ghosting: the share of the previous picture that a slow panel, or a camera that is early, leaves in every frame.
 
-Frame k shows (1 − g) P(k) + g P(k − 1). The picture before is known, and so g P(k − 1) can be taken out, if g is known:
-with the right share the light of patterns and inverses, and of the steps of fringes, adds up again.
+Frame k shows (1 − g) P(k) + g P(k − 1). As the previous picture is known, g P(k − 1) can be subtracted once g is known.
+The right g makes the sums of pattern pairs, and of fringe steps, equal again.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,33 +21,33 @@ from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
 
-# The shares that are looked for; less does no harm. With a half and more either picture may be the ghost.
+# Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
-# What taking it out may leave of the unevenness: of a ghost a sixth is left, of other causes a half, or they want most.
+# Largest remaining share of the unevenness after correction: a ghost leaves a sixth, other causes a half, or a share at
+# the limit.
 _LEFT = 0.4
-# The same where two sums are all there is to compare, as with codes without inverses and one fringe an axis: frames
-# that are each exposed anew come to a quarter by chance.
+# The same where only two sums are compared, as with codes without inverses and one fringe per axis: single frames of
+# random exposure reach a quarter by chance.
 _LEFT_OF_TWO = 0.2
 _TRIED = 0.03
-# How far apart the shares of even and odd rows are, if they are not the same.
+# Least difference between the shares of even and odd rows, if they differ.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 _MOST_PIXELS = 400
 
 
 @dataclass(frozen=True)
 class Ghost:
-    """The `share` of the picture before that the frame in a `place` of the capture shows; None: each frame does.
+    """The `share` of the previous picture in the frame at a `place` of the capture, or in each frame if None.
 
-    `of_odd_rows`: the share in every second row, from row 1 on, where a device builds up half of the rows at a time;
-    None: the same.
+    `of_odd_rows`: the share in odd rows, for a device that updates half of the rows at a time; None if the same.
     """
 
     share: float
     place: int | None = None
     of_odd_rows: float | None = None
 
-    def said(self, plan: SequencePlan) -> str:
-        """For the operator."""
+    def description(self, plan: SequencePlan) -> str:
+        """Return a clause for the operator."""
         if self.of_odd_rows is not None:
             both = f"{self.share:.0%} and {self.of_odd_rows:.0%}"
             return f"each frame shows {both} of the picture before it in even and in odd rows"
@@ -55,15 +55,16 @@ class Ghost:
         return f"{who} {self.share:.0%} of the picture before it"
 
     def of_rows(self, height: int) -> Floats32:
-        """(height, 1): the share in each row of an image."""
+        """Return the share in each row of an image, (height, 1)."""
         odd = self.share if self.of_odd_rows is None else self.of_odd_rows
         return np.resize(np.array([self.share, odd], np.float32), height)[:, None]
 
 
 def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
-    """The frames (N, H, W) of a capture, one by one, without it, if all of each has one as much darker.
+    """Yield the frames (N, H, W) of a capture without the ghost; if it is in all frames alike, they stay darker by the
+    factor 1 − g.
 
-    A clipped pixel stays as it is. Before the first it was dark; where rows differ, the first stood there for long.
+    Clipped pixels are unchanged. The picture before the first frame is taken as dark; if rows differ, as the first one.
     """
     before: Floats32 | None = None
     is_even = ghost.place is None and ghost.of_odd_rows is None
@@ -75,7 +76,7 @@ def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
         if before is not None:
             share = ghost.of_rows(len(frame))
             without -= share * before if not is_even else share / (1 - share) * before
-            # As bright as the other frames, or rows.
+            # Restore the brightness of the other frames, or rows.
             without *= np.float32(1) if is_even else 1 / (1 - share)
         before = without
         result = cast(Image, np.rint(np.clip(without, 0, np.iinfo(frame.dtype).max)).astype(frame.dtype))
@@ -84,8 +85,8 @@ def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
 
 
 def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], saturation: float) -> Ghost | None:
-    """That of all frames which a sample `levels` (frames, P), in some `rows` (P,) of the image, tells of, or else of
-    one frame.
+    """Estimate the ghost in all frames, or else in one frame, from a sample `levels` (frames, P) in
+    image `rows` (P,).
     """
     varies = np.ptp(levels, axis=0) > 0
     if not varies.any():
@@ -95,7 +96,7 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
     if share is not None:
         halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)]
         (even, off_even), (odd, off_odd) = ((of_half or 0.0, off) for of_half, off in halves)
-        # The half that has it contradicts itself by more.
+        # The rows with the ghost are more uneven.
         if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
             return Ghost(even, of_odd_rows=odd)
     if share:
@@ -105,8 +106,10 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], sa
 
 
 def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float | None, float]:
-    """How much of the picture before each frame of a sample `levels` (frames, P) shows, 0 if it cannot be told, None if
-    a little less of it makes nothing better; and how uneven the frames are with it, per pixel.
+    """Estimate the previous picture's share in each frame of `levels` (frames, P), and the unevenness per pixel before
+    correction.
+
+    The share is 0 if it is not significant, None if a small share improves nothing.
     """
     lit = unclipped(levels, saturation)
     if lit.shape[1] < FEWEST_PIXELS:
@@ -136,9 +139,11 @@ def _without(levels: Floats32, before: list[int], share: float) -> Floats32:
 
 
 def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
-    """How far the light of pairs, and that of fringes in even steps, differs from one to the next, squared; in swings
-    of the pixels. The one that is furthest off does not count, for a ghost is in all of them, a brighter frame in one.
-    What steps leave of a cosine is no measure: a bent brightness curve leaves more.
+    """Return the squared deviations of the sums of pairs, and of evenly stepped fringes, relative to the pixels'
+    swings.
+
+    The worst sum is left out: a ghost affects all, a single brighter frame only one. Residuals of the steps from a
+    cosine are not used, because a nonlinear response leaves more.
     """
     off = [0.0]
     for groups in _sums(plan):
@@ -148,6 +153,6 @@ def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
 
 
 def _sums(plan: SequencePlan) -> list[Sequence[Sequence[int]]]:
-    """Groups of frames whose sums are to be the same, by kind: pairs, and fringes."""
+    """Return groups of frames whose sums should be equal, by kind: pairs, and fringes."""
     kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
     return [groups for groups in kinds if len(groups) > 1]

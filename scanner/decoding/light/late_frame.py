@@ -1,8 +1,8 @@
-"""A single frame that was taken while the projector still showed a part of the picture before.
+"""Find a single frame that was exposed while the projector still showed part of the previous picture.
 
-Frame k shows (1 − g) P(k) + g P(k − 1), all others are right. What no other frame explains then contradicts it: its
-light and that of its inverse do not add up; a bit without an inverse has more levels than two. With the right share
-taken out, they do. Steps of fringes are made alike in brightness anyway, which leaves little of it.
+Frame k shows (1 − g) P(k) + g P(k − 1); all others are right. The frame then contradicts the others: its sum with its
+inverse differs, and a bit without an inverse has more than two levels. Subtracting the right share removes the
+contradiction. Steps of fringes are equalised in brightness anyway, which leaves little of it.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,16 +17,17 @@ from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
 
-# With more of the picture before than this the frame is that picture; less does no harm.
+# Range of shares: above it the frame is the previous picture, below it is harmless.
 _LEAST, _MOST = 0.1, 0.75
-# What taking it out leaves of the contradiction. Of late frames with inverses a few hundredths are left, of brightness
-# a third and more; of bits alone, whose levels bounced light spreads, up to three tenths.
+# Largest remaining share of the contradiction. Late frames with inverses leave a few hundredths, brightness changes a
+# third and more; single bits, whose levels interreflection spreads, up to three tenths.
 _LEFT = {"pairs": 0.15, "bits": 0.35}
-# The contradiction of a tenth, in squares of the pixels' swings; and how many times the usual one it is.
+# Contradiction that a share of a tenth causes, in squared swings; and least ratio to the usual contradiction.
 _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
-# Of what would be left if frames were brighter or darker. A frame's own inverse before it looks like that.
+# Largest share of what equal brightness would leave. A preceding inverse of the same bit looks like a brightness
+# change.
 _OF_BRIGHTNESS = 0.3
-_LEAST_VARIETY = 0.2  # of the picture before, in swings: black in a frame makes it darker, and nothing else
+_LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only darkens the frame
 _MOST_PIXELS = 1000
 _FEWEST_GROUPS = 3
 
@@ -34,8 +35,9 @@ Off = Callable[[Floats32], float]
 
 
 def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float, int] | None:
-    """The one that a sample `levels` (frames, P) of all frames shows, if there is one: the share of the picture before
-    in it, and its place in the capture.
+    """Return the share of the previous picture in the late frame, and its place in the capture; None if there is none.
+
+    `levels` (frames, P): a sample of all frames.
     """
     lit = unclipped(levels, saturation)
     if lit.shape[1] < FEWEST_PIXELS:
@@ -72,7 +74,7 @@ def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple
 
 
 def _groups(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[str, tuple[int, ...], Off]]:
-    """Pairs and bits alone that contradict themselves more than usual, and by how much, given levels (frames, P)."""
+    """Yield pairs and single bits of unusual contradiction, with its measure, given levels (frames, P)."""
     pairs = plan.complements
     if len(pairs) >= _FEWEST_GROUPS:
         common = medians(np.stack([np.mean(seen[list(pair)], axis=0) for pair in pairs]), axis=0)
@@ -98,7 +100,7 @@ def _off_common(frames: tuple[int, ...], common: Floats32) -> Off:
 
 
 def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
-    """What is left of the contradiction if each of the frames is as bright as makes them add up to even light."""
+    """Return what is left of the contradiction with optimal gains of the frames."""
     if len(frames) == 1:
         return np.inf
     light = np.mean(seen, axis=0)

@@ -1,6 +1,6 @@
-"""Raw frames of a colour camera, whose pixels lie behind a mosaic of filters: every second one is brighter.
+"""Detect raw Bayer frames of a colour camera, in which every second pixel is brighter.
 
-Codes and phases of a pixel do not depend on how bright it is. Only where neighbours are compared must it be known.
+Codes and phases of a pixel do not depend on its brightness. It matters only where neighbours are compared.
 """
 
 import numpy as np
@@ -10,15 +10,15 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.significance import BRIGHTEST
 
 _PERIOD = 2
-# Blocks that are lit: of the brightest few.
+# Least brightness of a lit block, as a share of the brightest ones.
 _LIT = 0.25
 _FEWEST_BLOCKS, _MOST_BLOCKS = 200, 4000
-# Logarithms by which pixels of a block differ in the median, and how much less blocks differ from each other in that.
+# Least difference of the filters, in logarithms, and largest scatter between blocks relative to it.
 _LEAST, _ALIKE = 0.1, 0.5
 
 
 def log_mosaic(lit: Image) -> Floats32 | None:
-    """The logarithm (H, W) of how bright pixels are behind their filters, from the scene fully lit; None without."""
+    """Return the log brightness (H, W) of each pixel's filter, from the fully lit scene; None without a mosaic."""
     down, across = (size // _PERIOD for size in lit.shape)
     parts = lit[: down * _PERIOD, : across * _PERIOD].reshape(down, _PERIOD, across, _PERIOD)
     blocks = parts[:: max(1, down * across // _MOST_BLOCKS)].swapaxes(1, 2).reshape(-1, _PERIOD**2)

@@ -1,8 +1,8 @@
-"""The camera's noise, measured from the frames of the capture itself.
+"""Measure the camera's noise from the frames of the capture itself.
 
 Some combinations of frames show the same light twice: every pattern plus its inverse, white plus black, the mean of
-every fringe over its shifts. Their differences are noise. Where a sequence has few of them, the curvature of the
-frames along their rows is used as well; edges of the scene do not move its median (after Immerkær, CVIU 64, 1996).
+every fringe over its shifts. Their differences are noise. If a sequence has few of them, the curvature of the frames
+along rows is used as well; edges of the scene do not move its median (after Immerkær, CVIU 64, 1996).
 """
 
 from dataclasses import dataclass, replace
@@ -22,9 +22,9 @@ _BINS = 10
 _QUIET = 0.1
 _ENOUGH_REPEATS = 3
 _SEED = 7
-# Differences that may be stray light are a part of what the brightest pixels show, a few of which are enough …
+# Stray light: largest difference that it may cause, as a share of what the brightest pixels show.
 STRAY_PART, _BRIGHTEST = 0.03, 0.995
-# … but those of rounding are not; and larger ones are neither.
+# Bounds of that difference in grey levels: rounding, and the most that stray light is assumed to cause.
 _ROUNDING, _MOST_STRAY = 1.0, 5.0
 
 
@@ -32,7 +32,7 @@ _ROUNDING, _MOST_STRAY = 1.0, 5.0
 class NoiseModel:
     """Variance of a pixel at grey level I: `at_black` + `gain` · I (read noise and quantisation, shot noise).
 
-    `stray`: differences between frames up to here are rounding, compression and stray light, whatever the noise.
+    `stray`: smaller differences between frames may be rounding, compression and stray light, whatever the noise.
     """
 
     at_black: float
@@ -40,11 +40,11 @@ class NoiseModel:
     stray: float = _MOST_STRAY
 
     def sigma(self, level: NDArray[np.generic]) -> Floats32:
-        """Standard deviation in grey levels at each level; any shape."""
+        """Return the standard deviation in grey levels at each level; any shape."""
         return np.sqrt(self.variance(level))
 
     def variance(self, level: NDArray[np.generic]) -> Floats32:
-        """Its square."""
+        """Return the variance at each level; any shape."""
         variance: Floats32 = level.astype(np.float32)
         variance *= np.float32(self.gain)
         variance += np.float32(self.at_black)
@@ -52,15 +52,15 @@ class NoiseModel:
 
 
 def needs_neighbours(plan: SequencePlan) -> bool:
-    """Whether a sequence shows too little light twice, so that noise must be seen between neighbouring pixels too.
+    """Whether a sequence repeats too little light, so that noise must be measured between neighbouring pixels too.
 
-    With a single repeat one exchanged frame would pass for noise.
+    With a single repeat an exchanged frame would pass for noise.
     """
     return max(0, len(plan.complements) - 1) + max(0, len(plan.fringes) - 1) < _ENOUGH_REPEATS
 
 
 def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> NoiseModel:
-    """Fit the model to a sample of all frames; pixels that reach `saturation` in any are left out."""
+    """Fit the noise model to a sample of all frames, excluding pixels that reach `saturation` in any of them."""
     levels = sample.levels
     unsaturated = levels.max(axis=0) < saturation
     if not unsaturated.any():
@@ -76,7 +76,7 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
 
 
 def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:
-    """For light that was shown twice: the level (P,), and a difference (P,) that has the variance of one pixel."""
+    """Return, for light that was shown twice, the level (P,) and a difference (P,) with the variance of one pixel."""
     sums = [levels[a] + levels[b] for a, b in plan.complements]
     found = [((a + b) / 4, (a - b) / 2) for a, b in pairwise(sums)]
     for first, second in pairwise(plan.fringes):
@@ -88,13 +88,12 @@ def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Float
 
 
 def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
-    """Mean level and variance in bins of equal width in level; `levels`, `differences` are (repeats, P).
+    """Return mean level and variance in bins of equal width in level; `levels`, `differences` are (repeats, P).
 
-    Of the repeats the quieter ones count: a camera that is not linear adds a difference of its own where the stripes
-    are as fine as its pixels.
+    The quieter repeats count: a nonlinear camera adds a difference where stripes are as fine as its pixels.
     """
     level = medians(levels, axis=0)
-    # Dither: the median of small whole numbers would jump between multiples of one.
+    # Dither: the median of small integers would jump between multiples of one.
     dithered = differences + np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
     bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)
     where, variances = [], []

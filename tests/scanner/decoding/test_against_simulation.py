@@ -1,4 +1,6 @@
-"""The decoder before a simulated room: light that bounces, gamma, blur, noise. The truth is the room's, not ours."""
+"""Decode a simulated room with interreflection, gamma, blur and noise, and compare with the
+simulator's ground truth.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +33,7 @@ class Scanned:
 
     @cached_property
     def error_px(self) -> np.ndarray:
-        """(N, 2): each match from the truth, NaN where the projector does not light its pixel directly."""
+        """Return the error of each match (N, 2), NaN where the projector does not light the pixel directly."""
         x, y = np.rint(self.decoding.matches.camera_px).astype(int).T
         return self.decoding.matches.projector_px - self.truth.projector_px[y, x]
 
@@ -73,10 +75,11 @@ def results(room: SimulatedRoom) -> dict[PresetName, Scanned]:
 
 @dataclass(frozen=True)
 class Limits:
-    """Of the errors in projector pixels: their median, 99.9th percentile, and mean over cells (root mean square).
+    """Limits of the errors in projector pixels: median, 99.9th percentile, and root mean square of the means over
+    cells.
 
-    `kept`: least share of the lit pixels. Of the presets only quick has no second period that tells a bit which global
-    light has turned over, and has to mask it.
+    `kept`: least share of the lit pixels. Only the preset quick has no second period to detect bits inverted by global
+    light, and has to mask them.
     """
 
     median: float
@@ -105,7 +108,7 @@ def test_share_of_the_lit_pixels_that_is_kept(results: dict[PresetName, Scanned]
     kept = result.decoding.reasons == MaskReason.KEPT
     whole = cv2.erode(result.lit.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     assert LIMITS[preset].kept < (kept & whole).sum() / whole.sum() <= 1.0
-    # Pixels half in shadow are lit a little although their centre is not.
+    # Penumbra pixels are lit a little although their centre is not.
     assert (kept & ~result.lit).sum() / kept.sum() < 0.002
 
 
@@ -116,7 +119,7 @@ def test_sigma_is_the_error(results: dict[PresetName, Scanned], preset: PresetNa
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_errors_average_out_away_from_creases(results: dict[PresetName, Scanned], preset: PresetName) -> None:
-    """What a calibration sees: means over cells. Noise alone leaves 0.002 px of them; a shaded edge left 0.02."""
+    """Means over cells, as a calibration uses them. Noise leaves 0.002 px; a shaded edge used to leave 0.02."""
     result = results[preset]
     near = [cv2.dilate((result.truth.label == face).astype(np.uint8), np.ones((41, 41), np.uint8)) for face in range(3)]
     far = (sum(near) == 1) & (result.truth.label < FACES)
@@ -151,7 +154,7 @@ def test_one_axis_and_the_calibration_give_both_coordinates(
     median: tuple[float, float],
     largest: tuple[float, float],
 ) -> None:
-    """Without a white and a black frame. The other coordinate has the error of the measured one, times the slope."""
+    """Without white and black frames. The other coordinate has the error of the measured one, times the slope."""
     alone = [p for p in patterns if not isinstance(p, White | Black) and p.axis == axis]
     result = scanned(room, alone, room.calibration)
     assert result.decoding.only_axis == axis
@@ -162,13 +165,13 @@ def test_one_axis_and_the_calibration_give_both_coordinates(
     assert 0.88 < (kept & whole).sum() / whole.sum() <= 1.0
     sigma_px = result.decoding.matches.sigma_px
     assert sigma_px is not None
-    # Sigma is along the epipolar line, and so is all of the error but what the camera pixel's own is.
+    # Sigma is along the epipolar line, and so is all error except that of the camera pixel itself.
     ratio = np.linalg.norm(result.error_px, axis=1) / sigma_px
     assert 0.8 < np.nanmedian(ratio) / 0.6745 < 1.25
 
 
 def test_stripes_along_the_epipolar_lines_are_masked(room: SimulatedRoom) -> None:
-    """By a calibration that has the projector straight above the camera, y alone tells distances."""
+    """With the projector straight above the camera, only y determines distances."""
     true = room.calibration
     above = replace(true, rotation=np.eye(3), translation=np.array([0.0, 0.4, 0.0]))
     patterns = [p for p in PRESETS["quick"].patterns(PROJECTOR) if getattr(p, "axis", "x") == "x"]

@@ -1,4 +1,4 @@
-"""Frames of different exposure whose stripes the camera hardly resolves."""
+"""Frames of different exposure with stripes that the camera hardly resolves."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ PIXELS = 4096
 
 
 def fine_stripes(contrast: float, seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """A pattern and its inverse (2, P) in the same light, and the five coarser bits: 32 cells, each half lit."""
+    """Return a pattern and its inverse (2, P) in the same light, and the five coarser bits: 32 cells, each half lit."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(0, 32, PIXELS)
     light = 100 * rng.uniform(0.5, 1.5, PIXELS) * np.exp(0.3 * np.sin(place / 5))

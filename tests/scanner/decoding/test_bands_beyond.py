@@ -1,4 +1,4 @@
-"""Bands of a rolling shutter, in a projector's light alone: rows that it does not reach are dark, not lit by bands."""
+"""Rolling shutter bands affect only the projector's light: rows that it does not reach have no bands."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def test_there_are_no_fringes_where_only_bands_are() -> None:
     told = Places(LIT_ROWS, HEIGHT)
     found = correction(fringe, gains, told, middle[LIT_ROWS], middle[LIT_ROWS], brightest[LIT_ROWS])
     waves = np.cos(phase + 2 * np.pi * np.array(fringe.shifts))[:, None]
-    # Beyond the picture is only the light of the room, which is steady.
+    # Outside the picture there is only steady room light.
     light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
     first, second = (fringe.weights[1:] @ light).astype(np.float32)
     cosine, sine = found.apply(first, second, middle, brightest, rows)

@@ -1,4 +1,4 @@
-"""Cameras with a tone curve: it is told by sums of blurred and of sharp stripes, and frames become light again."""
+"""Estimate a camera's tone curve from the sums of blurred and sharp stripes, and linearise its frames."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -30,7 +30,7 @@ def linear(light: Floats) -> Floats:
 
 
 def srgb(light: Floats) -> Floats:
-    """IEC 61966-2-1."""
+    """The sRGB transfer function, IEC 61966-2-1."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
 
 
@@ -45,7 +45,7 @@ def frames_of(patterns: tuple[Pattern, ...], scene: Scene) -> tuple[Image, ...]:
 
 
 def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE) -> list[Image]:
-    """Frames through a curve, saved as JPEG."""
+    """Apply a tone curve to frames, and save them as JPEG."""
     digits = np.rint(255 * curve(np.linspace(0, 1, 2**16))).astype(np.uint8)
     saved = [
         cv2.imencode(".jpg", digits[frame], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
@@ -110,7 +110,7 @@ def test_light_that_is_switched_is_still_found(curve: Curve) -> None:
 
 @pytest.mark.parametrize("curve", [srgb, steep])
 def test_what_moves_is_still_found(curve: Curve) -> None:
-    """Something dark stands before a part of the picture in some frames."""
+    """A dark object covers part of the picture in some frames."""
     frames = photographs(GRAY, curve)
     for frame in frames[12:16]:
         frame[40:110, 60:110] = 70

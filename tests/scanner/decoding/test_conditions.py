@@ -1,4 +1,4 @@
-"""The same sequence under other light, with other cameras: no false alarm, and the masks and warnings that belong."""
+"""One sequence under different light and with different cameras: the expected masks and warnings, and no others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ STANDARD = sequence_for(SCENE.projector)
 
 @dataclass(frozen=True)
 class Case:
-    """`median`: what the error of a coordinate may be in px."""
+    """`median`: largest median error of a coordinate in px."""
 
     name: str
     scene: Scene
@@ -74,7 +74,7 @@ def test_flicker_is_measured_and_reported() -> None:
         patterns = PRESETS[preset].patterns(SCENE.projector)
         frames = SCENE.frames(patterns)
         steady = decode(patterns, frames, SCENE.projector)
-        # A few groups of frames tell it roughly: within a factor of two, mostly.
+        # Few groups of frames determine it only within a factor of two, mostly.
         found = [decode(patterns, flickering(frames, seed), SCENE.projector) for seed in range(5)]
         assert steady.flicker is not None
         assert steady.flicker < 0.006
@@ -84,7 +84,7 @@ def test_flicker_is_measured_and_reported() -> None:
 
 
 def flickering(frames: Sequence[Image], seed: int) -> list[Image]:
-    """Each frame brighter or darker, by 4 % as a standard deviation."""
+    """Vary the brightness of each frame with a standard deviation of 4 %."""
     rng = np.random.default_rng(seed)
     return [np.rint(np.clip(frame * rng.normal(1, 0.04), 0, 255)).astype(np.uint8) for frame in frames]
 
@@ -176,7 +176,7 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
 
 
 def test_frames_that_are_too_dark_are_called_so() -> None:
-    """At a sixteenth of the light a few grey levels are left, and whatever fails afterwards fails for that."""
+    """At a sixteenth of the light a few grey levels are left, which is the reason to report for any later failure."""
     assert SCENE.decode(STANDARD).darkness is None
     dark = replace(SCENE, exposure=SCENE.exposure / 16).decode(STANDARD).darkness
     assert dark is not None
@@ -187,7 +187,7 @@ def test_frames_that_are_too_dark_are_called_so() -> None:
 @pytest.mark.parametrize("share", [0.01, 0.003, 0.0])
 @pytest.mark.parametrize("preset", PRESETS)
 def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> None:
-    """Frames that are all alike to the last level: whatever divides by their differences must not."""
+    """Frames that are identical to the last level must not cause a division by zero."""
     scene = replace(SCENE, exposure=share * SCENE.exposure, ambient=0.0, read_noise=0.2)
     with pytest.raises(InputError, match=r"no pixel changes clearly .* is the projector on"):
         scene.decode(PRESETS[preset].patterns(SCENE.projector))
@@ -195,7 +195,9 @@ def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> No
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_frames_that_are_exposed_one_by_one_are_no_exchange(preset: PresetName) -> None:
-    """White is a dark frame then: nothing tells that it is not, but that it is the brightest."""
+    """White is exposed from a third up to fully, the pattern frames at random: none may be taken for an exchanged
+    frame.
+    """
     patterns = PRESETS[preset].patterns(SCENE.projector)
     frames = SCENE.frames(patterns)
     rng = np.random.default_rng(11)
@@ -209,7 +211,7 @@ def test_frames_that_are_exposed_one_by_one_are_no_exchange(preset: PresetName) 
 
 @pytest.mark.parametrize(("preset", "periods"), [("concave", 2), ("quick", 1)])
 def test_frames_that_software_has_moved_are_less_certain(preset: PresetName, periods: int) -> None:
-    """Short fringes lag behind long ones where pixels are means of their neighbours; one period alone shows nothing."""
+    """Interpolation shifts short fringes less than long ones; with one period this goes unnoticed."""
     scene = replace(SCENE, read_noise=0.2, electrons_per_level=1000.0, zoom=1.6)
     patterns = PRESETS[preset].patterns(SCENE.projector)
     frames = scene.frames(patterns)

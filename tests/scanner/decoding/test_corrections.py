@@ -1,4 +1,4 @@
-"""Shading and systematic errors on made-up images, whose truth is known to the last digit."""
+"""Shading and systematic errors on synthetic images with exact ground truth."""
 
 import cv2
 import numpy as np
@@ -22,10 +22,10 @@ def seen(
     shaken_px: float = 0.0,
     darkest: float = 0.5,
 ) -> tuple[Floats, Floats, Floats]:
-    """A slanted coordinate through a Gaussian footprint on patchy paint: its true and its seen value, and ln A.
+    """Return true and observed value of a slanted coordinate, and ln A, for a Gaussian footprint on patchy paint.
 
-    `slope`: per column and per row. `shaken_px`: what the camera moves while it looks, down and to the right at once,
-    as a standard deviation of either. `darkest`: of the paint.
+    `slope`: per column and per row. `shaken_px`: standard deviation of a diagonal camera shake during the exposure, in
+    columns and rows. `darkest`: of the paint.
     """
     rng = np.random.default_rng(seed)
     paint = np.kron(rng.uniform(darkest, 1.0, (6, 6)), np.ones((TILE * OVERSAMPLED // 6,) * 2))
@@ -63,7 +63,7 @@ def test_the_footprint_is_measured(sigma_px: float) -> None:
 
 
 def measured(axes: list[list[tuple[Floats, Floats, Floats]]], noise_px: float = 0.02) -> Footprint:
-    """The footprint from noisy tiles of each axis, as of `seen`."""
+    """Estimate the footprint from noisy tiles of each axis, made as in `seen`."""
     rng = np.random.default_rng(0)
     shaded, log_lit = [], np.empty(0, np.float32)
     for tiles in axes:
@@ -145,7 +145,7 @@ def test_what_two_periods_disagree_by_is_found() -> None:
 
 
 def test_longer_fringes_are_brought_to_the_mean_of_the_shortest() -> None:
-    """Interreflection shifts them by the cube of their periods; they still take away noise."""
+    """Interreflection shifts them with the cube of their periods; they still reduce the noise."""
     rng = np.random.default_rng(0)
     periods, shape = (16.0, 9.0, 6.7), (96, 97)
     true = np.linspace(0.0, 0.02, shape[1]) * np.ones(shape)
@@ -166,7 +166,7 @@ def test_longer_fringes_are_brought_to_the_mean_of_the_shortest() -> None:
 
 
 def added(periods: tuple[float, ...], coordinates: list[Floats], noise: list[Floats]) -> Floats:
-    """What is added to the variances (fringes, H, W) of the noise where all pixels are usable."""
+    """Return what is added to the noise variances (fringes, H, W) where all pixels are usable."""
     count, shape = len(periods), noise[0].shape
     variances = np.stack(noise)
     flat = variances.reshape(count, -1)

@@ -1,4 +1,4 @@
-"""Little light costs accuracy, not pixels: what is too faint is a part of what the brightest ones show."""
+"""Dim light costs accuracy, not pixels: the limit of faint pixels is relative to the brightest ones."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,7 +36,7 @@ def test_codes_in_little_light(exposure: float, stored: Callable[[Image], Image]
 
 
 def test_shadows_stay_dark() -> None:
-    """They have light of their own, which has bounced about, by a tenth of what is lit directly."""
+    """Shadows contain interreflection, a tenth of the direct light."""
     scene = replace(SCENE, exposure=50.0)
     decoding = scene.decode(GRAY)
     u, v = np.meshgrid(*(np.arange(float(size)) for size in scene.camera))

@@ -1,4 +1,4 @@
-"""Several exposures of each pattern: what one exposure leaves too dark or saturates, another shows."""
+"""Several exposures of each pattern: where one is too dark or saturated, another is used."""
 
 from collections.abc import Sequence
 from dataclasses import replace

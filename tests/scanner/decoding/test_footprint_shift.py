@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
-from scanner.decoding.fringes.footprint_shift import curvature_kernel, noise_gain2, take_out_bend
+from scanner.decoding.fringes.footprint_shift import correct_curvature_shift, curvature_kernel, noise_gain2
 
 SHAPE = 40, 48
 ROUND = Footprint.round(0.3)
@@ -26,7 +26,7 @@ def test_what_a_bent_surface_is_off_by_is_taken_out(bends: tuple[float, float, f
     true = 100 + 2 * x - y + 0.5 * along_x * x**2 + 0.5 * along_y * y**2 + both * x * y
     shift = 0.5 * (footprint.across_px2 * along_x + footprint.down_px2 * along_y) + footprint.mixed_px2 * both
     value, variance = (true + shift).astype(np.float32), np.full(SHAPE, 1e-4, np.float32)
-    take_out_bend(value, variance, unshaded(), np.ones(SHAPE, np.bool_), footprint)
+    correct_curvature_shift(value, variance, unshaded(), np.ones(SHAPE, np.bool_), footprint)
     np.testing.assert_allclose(value, true, atol=1e-3)  # beside the border as well, where it is that of neighbours
     assert np.all(variance >= 1e-4)
 
@@ -34,7 +34,7 @@ def test_what_a_bent_surface_is_off_by_is_taken_out(bends: tuple[float, float, f
 def test_noise_grows_by_as_much_as_is_said() -> None:
     noise = np.random.default_rng(0).normal(0, 0.02, (400, 400)).astype(np.float32)
     value, variance = 5 + noise, np.full(noise.shape, 0.02**2, np.float32)
-    take_out_bend(value, variance, np.zeros_like(noise), np.ones(noise.shape, np.bool_), ROUND)
+    correct_curvature_shift(value, variance, np.zeros_like(noise), np.ones(noise.shape, np.bool_), ROUND)
     found, gain = np.var(value[2:-2, 2:-2]) / 0.02**2, noise_gain2(curvature_kernel(ROUND))
     assert found == pytest.approx(gain, rel=0.01)
     assert 1.02 < gain < 1.06
@@ -44,7 +44,7 @@ def test_noise_grows_by_as_much_as_is_said() -> None:
 def test_a_step_from_one_surface_to_another_is_no_bend() -> None:
     true = np.where(np.arange(SHAPE[1]) < 20, 10, 30).astype(np.float32) * np.ones(SHAPE, np.float32)
     value = true.copy()
-    take_out_bend(value, np.full(SHAPE, 1e-4, np.float32), unshaded(), np.ones(SHAPE, np.bool_), ROUND)
+    correct_curvature_shift(value, np.full(SHAPE, 1e-4, np.float32), unshaded(), np.ones(SHAPE, np.bool_), ROUND)
     np.testing.assert_array_equal(value, true)
 
 
@@ -54,14 +54,14 @@ def test_shading_at_the_rim_is_taken_from_beside_it() -> None:
     shift = np.full(SHAPE, 0.05, np.float32)
     shift[:, :11] = np.nan
     value, variance = np.zeros(SHAPE, np.float32), np.full(SHAPE, 1e-4, np.float32)
-    take_out_bend(value, variance, shift, surface, ROUND)
+    correct_curvature_shift(value, variance, shift, surface, ROUND)
     np.testing.assert_allclose(value[:, 10], -0.05, atol=0.01)
     assert np.all(variance[:, 10] > 0.04**2)
     np.testing.assert_array_equal(value[:, :10], 0)
 
 
 def test_a_ball_keeps_its_shape() -> None:
-    """Fringes on a ball, lit from where the camera is, averaged over each pixel's footprint."""
+    """Fringes on a ball, lit from the camera's position, averaged over each pixel's footprint."""
     fine, radius, period = 8, 20.0, 12.0
     side = np.arange(-24 * fine, 24 * fine) / fine
     r2 = side[:, None] ** 2 + side**2
@@ -81,7 +81,7 @@ def test_a_ball_keeps_its_shape() -> None:
     shading = shading_shift(value, log_amplitude, surface, ROUND)
     value -= shading
     shading[~surrounded(surface, CROSS)] = np.nan
-    take_out_bend(value, np.full(value.shape, 1e-4, np.float32), shading, surface, ROUND)
+    correct_curvature_shift(value, np.full(value.shape, 1e-4, np.float32), shading, surface, ROUND)
     inner = r2[::fine, ::fine] < (0.8 * radius) ** 2
     assert np.max(np.abs(before[inner])) > 0.01
     assert np.max(np.abs((value - true)[inner])) < 0.003
@@ -92,16 +92,16 @@ def test_a_ball_keeps_its_shape() -> None:
 
 
 def test_what_is_wanted_comes_out_as_in_the_whole() -> None:
-    """As a tile with pixels around it, at a corner of the image and in its middle."""
+    """A tile with a margin, at a corner of the image and in its middle, gives the same result as the whole image."""
     rng = np.random.default_rng(1)
     value, variance = rng.normal(0, 0.02, SHAPE).astype(np.float32), np.full(SHAPE, 1e-4, np.float32)
     surface, shading = rng.random(SHAPE) > 0.1, rng.normal(0, 0.01, SHAPE).astype(np.float32)
     shading[rng.random(SHAPE) < 0.1] = np.nan
     whole = value.copy(), variance.copy()
-    take_out_bend(*whole, shading, surface, ROUND)
+    correct_curvature_shift(*whole, shading, surface, ROUND)
     for wide, wanted in ((np.s_[0:20, 0:30], np.s_[0:14, 0:24]), (np.s_[10:36, 8:40], np.s_[6:20, 6:26])):
         part = value[wide].copy(), variance[wide].copy()
-        take_out_bend(*part, shading[wide].copy(), surface[wide].copy(), ROUND, wanted)
+        correct_curvature_shift(*part, shading[wide].copy(), surface[wide].copy(), ROUND, wanted)
         for found, expected in zip(part, whole, strict=True):
             np.testing.assert_array_equal(found[wanted], expected[wide][wanted])
     assert np.any(whole[0] != value)

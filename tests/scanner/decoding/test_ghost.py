@@ -1,4 +1,4 @@
-"""A share of the picture before in every frame: found, and taken out."""
+"""Ghosting of the previous picture is detected and corrected."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ SEQUENCES = {
 
 
 def ghostly(frames: Sequence[Image], share: float, top: int = 255) -> list[Image]:
-    """Frames that show some of the one before; before the first it was dark."""
+    """Add a share of the previous frame to each frame; dark before the first one."""
     light = [frame.astype(np.float64) for frame in frames]
     dark = np.minimum.reduce(light)
     mixed = [(1 - share) * frame + share * before for frame, before in zip(light, [dark, *light[:-1]], strict=True)]
@@ -76,7 +76,7 @@ def test_a_clipped_pixel_stays_masked() -> None:
 @pytest.mark.parametrize("share", [0.35, 0.5])
 @pytest.mark.parametrize("sequence", ["quick", "gray", "standard"])
 def test_a_single_late_frame_is_found_and_taken_out(sequence: str, share: float) -> None:
-    """Each of the coarse bits in turn, as taken while the projector still showed the picture before."""
+    """Each of the coarse bits in turn, exposed while the projector still showed the previous picture."""
     patterns = SEQUENCES[sequence]
     frames = SCENE.frames(patterns)
     bits = [n for n, pattern in enumerate(patterns) if isinstance(pattern, Gray) and 2 <= pattern.bit <= 4]
@@ -96,7 +96,7 @@ def test_a_single_late_frame_is_found_and_taken_out(sequence: str, share: float)
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_mistakes_are_no_late_frames(sequence: str) -> None:
-    """Frames that were exchanged, repeated or inverted, or one that is brighter, are another's business."""
+    """Exchanged, repeated, inverted or brighter frames are left to other checks."""
     patterns = SEQUENCES[sequence]
     still = SCENE.frames(patterns)
     for place in range(3, len(still), 5):
@@ -117,7 +117,9 @@ FIVE = sequence_for(SCENE.projector, periods=(16.0, 6.7), shifts=5)
 @pytest.mark.parametrize("odd", [0, 1])
 @pytest.mark.parametrize("patterns", [*SEQUENCES.values(), FIVE], ids=[*SEQUENCES, "five steps"])
 def test_half_of_the_rows_may_be_late(patterns: Sequence[Pattern], odd: int) -> None:
-    """Interlaced: every second row still shows a quarter of the picture before; the first stood there for long."""
+    """Interlaced: every second row still shows a quarter of the previous picture; the first picture
+    was shown for long.
+    """
     frames = SCENE.frames(patterns)
     late = [frames[0], *ghostly(frames, 0.25)[1:]]
     for mixed, frame in zip(late, frames, strict=True):

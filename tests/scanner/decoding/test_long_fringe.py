@@ -1,4 +1,4 @@
-"""A single fringe over the whole picture: nothing disagrees with it, and its sigma says so, whatever the response."""
+"""A single fringe over the whole picture: nothing checks it, and its sigma covers the error for any response."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanner.decoding.fringes.unchecked import Response, SeenFringe, response_of
+from scanner.decoding.fringes.unchecked import FringeSample, Response, response_of
 from scanner.decoding.sequence_plan import Fringe
 from scanner.patterns import Pattern, phase_sequence
 from tests.support.synthetic_capture import Scene
@@ -56,7 +56,7 @@ def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, s
     levels = paint * shown**exponent + ambient
     phasor = np.array([1, 1j]) @ (fringe.weights[1:] @ levels)
     phases = np.angle(phasor)
-    found = response_of([SeenFringe(fringe, phases, np.log(np.abs(phasor)), np.log(levels.mean(axis=0)))])
+    found = response_of([FringeSample(fringe, phases, np.log(np.abs(phasor)), np.log(levels.mean(axis=0)))])
     assert 0 < abs(found.exponent - exponent) / found.sigma < 5
     off = np.angle(np.exp(1j * (phases - truth)))
     table = found.straightening(fringe)
@@ -66,7 +66,7 @@ def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, s
 
 def test_of_too_few_pixels_nothing_is_known_but_what_projectors_do() -> None:
     fringe, few = Fringe("x", 300.0, STEPS, (0, 1, 2)), np.linspace(0, 6, 50)
-    found: Response = response_of([SeenFringe(fringe, few, few * 0, few * 0)])
+    found: Response = response_of([FringeSample(fringe, few, few * 0, few * 0)])
     assert 1.5 < found.exponent < 2.0
     assert 0.7 < found.sigma < 0.9
     assert 0.1 < np.abs(found.left(fringe)).max() < 0.3

@@ -1,4 +1,4 @@
-"""Compiled loops over pixels, against the same in NumPy or against a case that is known by heart."""
+"""Compiled loops over pixels, compared with NumPy or with a known case."""
 
 from itertools import pairwise
 
@@ -22,7 +22,7 @@ SHAPE = (3, 4)
 
 
 def gray_fold(images: list[Image], *, half: bool) -> GrayFold:
-    """Of a code of two bits, each brighter in its first image than in its second."""
+    """Fold a code of two bits, each brighter in its first image than in its second."""
     (code,) = plan_sequence([*gray_sequence("x", 4, 1), *gray_sequence("y", 4, 1)], (4, 4)).x.codes
     fold = GrayFold(code, SHAPE, images[0].dtype, contrast=True)
     for bit in range(2):
@@ -45,7 +45,7 @@ def test_a_code_keeps_its_smallest_and_largest_difference(frames: Image, half: b
 
 
 def test_the_shift_is_the_product_of_the_slopes() -> None:
-    # Central differences of these are exact; none of the four slopes is like another, nor constant.
+    # Central differences are exact for these; the four slopes differ and are not constant.
     v, u = np.mgrid[:9, :11].astype(np.float32)
     value, log_amplitude = 0.5 * u * u - 0.3 * v * v, 0.2 * u * v + 0.1 * v * v
     shift = shading_shift(value, log_amplitude, np.ones(u.shape, np.bool_), Footprint(2.0, 3.0, -0.5))
@@ -88,7 +88,9 @@ def test_only_bits_that_stand_out_of_the_noise_are_compared(gain: float, is_cert
 
 
 def test_bits_beyond_the_picture_are_not_compared() -> None:
-    """A row has a fifth of the swing of what is lit, as a camera that maps tones anew in each frame leaves there."""
+    """One row has a fifth of the swing of lit pixels, as a camera with adaptive tone mapping leaves outside the
+    picture.
+    """
     bright, dark = np.full(SHAPE, 60, np.uint8), np.full(SHAPE, 40, np.uint8)
     left = np.arange(SHAPE[1]) < 2
     fold = gray_fold([np.where(left, bright, dark), np.where(left, dark, bright), bright, dark], half=False)

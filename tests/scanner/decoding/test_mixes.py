@@ -1,4 +1,4 @@
-"""Every kind of mix that a capture may hold, on one scene against its truth."""
+"""Every mix of patterns that a capture may hold, on one scene with ground truth."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -43,7 +43,7 @@ def on_base(cell: int, above_finest: int) -> tuple[Pattern, ...]:
 
 
 def shifted(patterns: tuple[Pattern, ...], offset: int, bits: int) -> tuple[Pattern, ...]:
-    """Codes that begin elsewhere, with as many bits as that takes."""
+    """Return codes with an offset, with as many bits as that takes."""
     axes = {p.axis: p for p in patterns if isinstance(p, Gray)}
     return tuple(
         Gray(axis, bit, bits, p.cell, offset, inverted)
@@ -58,7 +58,7 @@ UNEVEN = tuple(Phase(axis, 16.0, shift) for axis in ("x", "y") for shift in (-0.
 
 @dataclass(frozen=True)
 class Case:
-    """`median` and `largest` (99.9 %): what the error of a coordinate may be in px; `kept`: least share of the lit."""
+    """Largest errors of a coordinate in px, `median` and `largest` (99.9 %); `kept`: least share of the lit pixels."""
 
     name: str
     patterns: tuple[Pattern, ...]

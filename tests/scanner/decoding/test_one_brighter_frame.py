@@ -1,4 +1,4 @@
-"""One frame is brighter or darker than the others: a lamp, an exposure, a shutter. No pixel is wrong for that."""
+"""One frame is brighter or darker than the others, by lamp, exposure or shutter: no pixel becomes wrong."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_one_brighter_frame_makes_nothing_wrong(preset: PresetName, number: int,
 
 
 def frame_of_bit(gain: float, dark: float, bright: float, ambient: float) -> tuple[Image, Image, Image, np.ndarray]:
-    """A bit's frame of 60 × 80 pixels, the level half-way between white and black, white, and which pixels are lit."""
+    """Return a bit's frame of 60 × 80 pixels, the half-way level, white, and which pixels are lit."""
     rng = np.random.default_rng(3)
     black = ambient * rng.uniform(0.8, 1.2, (60, 80))
     swing = 100 * rng.uniform(0.4, 1.0, (60, 80))

@@ -1,4 +1,4 @@
-"""Pixels that lack some bits of a Gray code, and codes that stray light makes up."""
+"""Pixels that lack some bits of a Gray code, and false codes in stray light."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The parts of the decoder that have a truth of their own."""
+"""Single parts of the decoder with their own ground truth."""
 
 from dataclasses import replace
 
@@ -43,8 +43,8 @@ def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset:
 def test_codes_that_contradict_each_other_or_the_axis_are_noted() -> None:
     codes = [Gray("x", bit, 6, 8, offset) for offset in (0, 4) for bit in range(6)]
     plan = plan_sequence([*codes, *gray_sequence("y", 8, 1)], (300, 8)).x
-    # Cells 3 (24 to 31) and 3 or 4 (20 to 27, 28 to 35) have pixels in common, cell 6 (44 to 51) has none; cell 40
-    # begins at 320.
+    # Cells 3 (24 to 31) and 3 or 4 (20 to 27, 28 to 35) overlap, cell 6 (44 to 51) overlaps neither; cell 40 begins at
+    # 320.
     cells = np.array([[3, 3, 3, 40], [3, 4, 6, 40]], np.uint32)
     interval = interval_of(plan, list(cells ^ cells >> 1), 4)
     assert interval.contradictory[:3].tolist() == [False, False, True]

@@ -1,4 +1,4 @@
-"""The captures of other people with real devices; what their README states was measured by an independent decoder."""
+"""Captures by others with real devices; the figures in their README come from an independent decoder."""
 
 from functools import lru_cache
 from typing import Any
@@ -77,7 +77,7 @@ def reference() -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(("name", "residual_px"), [(OBJECTS[0], 1.35), (OBJECTS[1], 0.98)])
 def test_the_objects_are_decoded_in_spite_of_their_gamma(name: str, residual_px: float) -> None:
-    """The README's residuals with the brightness curve measured and inverted first; here nobody measures it."""
+    """The README's residuals have the response measured and inverted first; here it is not measured."""
     decoding = decode(name)
     assert 1_300_000 < len(decoding.matches) < 1_500_000
     distance = epipolar_distance_px(decoding)
@@ -86,7 +86,7 @@ def test_the_objects_are_decoded_in_spite_of_their_gamma(name: str, residual_px:
 
 
 def epipolar_distance_px(decoding: Decoding) -> NDArray[np.float64]:
-    """From the best fundamental matrix, in projector pixels."""
+    """Return the distances from the epipolar lines of the best fundamental matrix, in projector pixels."""
     camera, projector = decoding.matches.camera_px, decoding.matches.projector_px
     some = np.random.default_rng(0).choice(len(camera), 20_000, replace=False)
     matrix, _ = cv2.findFundamentalMat(camera[some], projector[some], cv2.USAC_MAGSAC, 3.0, 0.999, 10_000)
@@ -118,7 +118,7 @@ def test_exchanged_frames_are_named_or_do_no_harm(name: str, part: tuple[slice, 
 
 
 def distance_px(right: Decoding, found: Decoding) -> NDArray[np.float64]:
-    """Of the matches that both have, by their camera pixels."""
+    """Return the distances of the matches that both have, by camera pixel."""
     both = []
     for decoding in (right, found):
         coordinates = np.full((*decoding.reasons.shape, 2), np.nan)

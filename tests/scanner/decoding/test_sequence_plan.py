@@ -1,4 +1,4 @@
-"""Which mixes determine both coordinates is known, and said, before the first frame."""
+"""Whether a mix of patterns determines both coordinates is checked before the first frame."""
 
 import numpy as np
 import pytest
@@ -98,7 +98,7 @@ def test_the_xor_code_counts_cells_by_stripes_of_at_most_two(length: int, cell: 
     numbers = np.logical_xor.accumulate(gray, axis=0).T @ (1 << np.arange(len(patterns))[::-1])
     assert np.array_equal(numbers, np.arange(length) // cell)
     edges = [np.flatnonzero(np.diff(row.astype(int))) for row in shown]
-    # Where a bit changes with no change of the base, two stripes of it meet: never more than four cells alike.
+    # Where a bit changes and the base does not, two stripes of it merge: at most four equal cells in a row.
     assert all(np.diff([-1, *edge, length - 1]).max() <= 4 * cell for edge in edges)
 
 

@@ -1,4 +1,4 @@
-"""Frames are kept as they were taken, wherever there is room for them."""
+"""Frames are stored as taken, in memory or in a file."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SHAPE = (3, 4)
 
 @pytest.fixture(params=["in memory", "in a file"])
 def memory(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Of a machine with much of it, or with little."""
+    """Simulate a machine with much or little memory."""
     monkeypatch.setattr(stack, "total_bytes", lambda: 1 << 40 if request.param == "in memory" else 1)
     return str(request.param)
 

@@ -1,4 +1,4 @@
-"""Sequences that stop early, anywhere: what is left decodes, and what is missing is said."""
+"""Sequences that stop early, anywhere: the rest is decoded, and the missing part is reported."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ FRINGES = next(n for n, pattern in enumerate(STANDARD) if isinstance(pattern, Ph
 
 
 def sees_itself(patterns: tuple[Pattern | None, ...], shown: tuple[Pattern, ...]) -> np.ndarray:
-    """How far from the truth a camera decodes that sees what the projector shows; of all its matches, (N, 2)."""
+    """Return the error of each match (N, 2) for a camera that sees exactly the projector's picture."""
     kept = tuple(pattern for pattern in patterns if pattern is not None)
     decoder = Decoder(kept, SIZE)
     noise = np.random.default_rng(0)
@@ -55,9 +55,7 @@ def test_whatever_is_left_is_a_sequence_or_said_to_be_none(name: PresetName, sha
 
 
 def test_more_frames_are_worth_more() -> None:
-    """From cells, each of them one match at the middle of the pixels that see it, by pixels between the edges of two of
-    them, to fringes that each pixel has.
-    """
+    """From one match per cell, by pixels interpolated between stripe edges, to fringes at each pixel."""
     found = []
     for count in (FRINGES - 4, FRINGES, FRINGES + 4, FRINGES + 8, len(STANDARD)):
         off = sees_itself(usable(STANDARD[:count], STANDARD, SIZE).patterns, STANDARD)
@@ -83,7 +81,7 @@ def test_a_calibration_tells_the_coordinate_that_is_cut_short() -> None:
     found = usable(STANDARD[: FRINGES - 4], STANDARD, SIZE, calibrated=True)
     assert "y follows from the calibration" in found.words
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Gray)} == {"x"}
-    # The fringe along y is whole, and that along x is not.
+    # The fringe along y is complete, that along x is not.
     found = usable(STANDARD[: FRINGES + 7], STANDARD, SIZE, calibrated=True)
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Phase)} == {"y"}
     assert "x follows from the calibration" in found.words
@@ -106,7 +104,7 @@ def test_the_finest_bits_of_another_programs_capture_may_be_missing() -> None:
 
 @pytest.mark.parametrize(("preset", "fringes"), [("standard", 16), ("quick", 0)])
 def test_a_bit_that_is_missing_in_the_middle_leaves_those_before_it(preset: PresetName, fringes: int) -> None:
-    """Two periods tell within longer cells, too, which of their cycles it is; one period does not."""
+    """Two periods determine the fringe order within longer cells, too; one period does not."""
     whole = PRESETS[preset].patterns(SIZE)
     left = tuple(p for p in whole if not (isinstance(p, Gray) and (p.axis, p.bit) == ("x", 2)))
     found = usable(left, (), SIZE)

@@ -1,4 +1,4 @@
-"""Edges of stripes between camera pixels: frames of a plane whose map to the projector is known exactly."""
+"""Sub-pixel stripe edges, in frames of a plane with an exactly known map to the projector."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,9 @@ _FINE = 6
 
 @dataclass(frozen=True)
 class Plane:
-    """x = `x` · (column, row, 1), and y likewise; `blur_px`: standard deviation of the lens, in camera pixels.
+    """x = `x` · (column, row, 1), and y likewise; `blur_px`: standard deviation of the lens blur, in camera pixels.
 
-    `curve`: exponent of the camera's response. `shading`: by how much brighter it is per camera pixel to the right.
+    `curve`: exponent of the camera's response. `shading`: relative brightness increase per camera pixel to the right.
     """
 
     x: tuple[float, float, float]
@@ -36,7 +36,7 @@ class Plane:
         return np.stack([a * column + b * row + c for a, b, c in (self.x, self.y)], axis=-1)
 
     def frame(self, pattern: Pattern, number: int) -> Image:
-        """What the camera records: each pixel the mean of points in a square, and of a Gaussian around them."""
+        """Render the camera's frame: each pixel averages a square of points and a Gaussian around them."""
         height, width = SHAPE
         rows, columns = ((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (height, width))
         column, row = np.meshgrid(columns, rows)
@@ -58,7 +58,7 @@ class Plane:
         return decoder.finish()
 
     def errors(self, decoding: Decoding) -> Floats:
-        """(N, 2), of the matches that are four pixels and more from the picture's border."""
+        """Return the errors (N, 2) of the matches at least four pixels from the picture's border."""
         px = self.coordinates(*np.asarray(decoding.matches.camera_px, np.float64).T)
         inner = np.all((px > 4) & (px < np.array(PROJECTOR) - 5), axis=1)
         return (decoding.matches.projector_px - px)[inner]

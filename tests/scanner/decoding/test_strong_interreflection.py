@@ -1,4 +1,4 @@
-"""More light has bounced than comes straight from the projector: certain or masked, never wrong."""
+"""Interreflection exceeds the direct light: pixels are certain or masked, never wrong."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanner.decoding.codes.gray_code import interval_of
-from scanner.decoding.fringes.code_voting import let_fringes_decide
+from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.planning import plan_sequence
@@ -16,7 +16,7 @@ from scanner.patterns.pattern import Code, Xor, gray_sequence, phase_sequence, x
 from scanner.patterns.presets import PRESETS
 from tests.support.synthetic_capture import Scene
 
-# Six times as much bounced light as direct light at most.
+# At most six times as much indirect as direct light.
 SCENE = Scene(camera=(420, 315), projector=(600, 400), indirect=6.0, exposure=50.0)
 CONCAVE = PRESETS["concave"]
 GROSS_PX = 2.0
@@ -35,7 +35,7 @@ TOLERANCES = Tolerances(0.3, (0.05,))
 
 
 def wrong_and_kept(code: Code) -> tuple[float, float]:
-    """Share of the matches that are wrong by a stripe or more, and of the well lit pixels that are matched."""
+    """Return the share of matches wrong by a stripe or more, and the share of well lit pixels that are matched."""
     decoding = SCENE.decode(replace(CONCAVE, code=code).patterns(SCENE.projector))
     errors = np.abs(SCENE.errors(decoding)).max(axis=1)
     return float(np.mean(errors > GROSS_PX)), float(np.mean(decoding.reasons[SCENE.well_lit()] == MaskReason.KEPT))
@@ -71,7 +71,7 @@ def test_the_fringes_choose_between_two_codes(x: float, wrong_code: int, cells_o
     if not interval.contradictory[0]:
         return
     orders = unwrap(PLAN, interval, wrapped, TOLERANCES)
-    let_fringes_decide(PLAN, list(words), wrapped, TOLERANCES, interval, orders)
+    resolve_contradictory_codes(PLAN, list(words), wrapped, TOLERANCES, interval, orders)
     if interval.contradictory[0]:
         # The fringes agree with the wrong cell as well: their beat repeats there.
         near = np.arange(wrong * CELL - 3, (wrong + 1) * CELL + 3, 0.05)
@@ -92,6 +92,6 @@ def test_a_misread_base_of_both_codes_makes_nothing_wrong(x: float) -> None:
     wrapped = Wrapped(positions, np.full((2, 1), 1e-4, np.float32))
     interval = interval_of(PLAN, words, 1)
     orders = unwrap(PLAN, interval, wrapped, TOLERANCES)
-    let_fringes_decide(PLAN, words, wrapped, TOLERANCES, interval, orders)
+    resolve_contradictory_codes(PLAN, words, wrapped, TOLERANCES, interval, orders)
     if not interval.contradictory[0]:
         assert orders.coordinates[:, 0] == pytest.approx(x, abs=0.01)

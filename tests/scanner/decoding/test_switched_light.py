@@ -1,4 +1,4 @@
-"""Light that is switched on or off between two frames: found by the light of fringes, and taken out."""
+"""Ambient light switched on or off between two frames is detected in the sums of fringes, and removed."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=
 
 
 def switched(frames: Sequence[Image], number: int, share: float) -> list[Image]:
-    """From a frame on there is a lamp, or no longer."""
+    """Add a lamp from a frame on, or until then."""
     lamp = share * frames[0].astype(np.float64)
     dark = np.abs(min(share, 0)) * frames[0]
     shown = [frame + dark + (k >= number) * lamp for k, frame in enumerate(frames)]
@@ -30,7 +30,7 @@ def switched(frames: Sequence[Image], number: int, share: float) -> list[Image]:
 
 @pytest.mark.parametrize("number", [9, 10])
 def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(number: int) -> None:
-    """Half of it is in the frame: nothing tells whether it came before it or after it, and both are named."""
+    """Half of the light is in one frame: the change may be before or after it, and both frames are named."""
     frames = SCENE.frames(GRAY)
     after = switched(frames, number, 0.3)
     half = np.rint((frames[number].astype(np.float64) + after[number]) / 2).astype(np.uint8)

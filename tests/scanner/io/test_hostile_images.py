@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from scanner.capture import open_capture
-from scanner.decoding.memory import refuse_more_than_there_is
+from scanner.decoding.memory import require_memory
 from scanner.errors import InputError
 from scanner.io import read_image
 from scanner.photos.photo import read_photos
@@ -122,10 +122,10 @@ def test_a_photo_of_200_megapixels_is_no_bomb(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("codes_alone", "told"), [(False, "70000.0 GB"), (True, "152000.0 GB")])
 def test_frames_that_nothing_could_decode_are_told_before(codes_alone: bool, told: str) -> None:
-    refuse_more_than_there_is((2048, 2448), 50 * 2048 * 2448, codes_alone=codes_alone)
+    require_memory((2048, 2448), 50 * 2048 * 2448, codes_alone=codes_alone)
     if Path("/proc/meminfo").exists():
         with pytest.raises(InputError, match=f"take about {told} of memory to decode"):
-            refuse_more_than_there_is((1_000_000, 1_000_000), 0, codes_alone=codes_alone)
+            require_memory((1_000_000, 1_000_000), 0, codes_alone=codes_alone)
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
