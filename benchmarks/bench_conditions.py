@@ -1,7 +1,7 @@
 """What the program makes of captures in which something is wrong: light, lenses, motion, pictures, files.
 
     python benchmarks/bench_conditions.py --quick            one room, the standard sequence: some minutes
-    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes into docs/conditions.md
+    python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two, into conditions/results.md
     python benchmarks/bench_conditions.py --only flicker --seeds 3 --sequences gray -v
 
 Each capture is taken of a simulated room, written as a capture folder, and replayed through the command line in this
@@ -36,7 +36,7 @@ from conditions.table import confident_and_wrong, markdown, refused_needlessly, 
 from conditions.trial import Outcome, Setup, named, run
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "conditions.md"
+PAGE = ROOT / "benchmarks" / "conditions" / "results.md"
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from calib.refinement import CAMERA, PROJECTOR, SHARED, State
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
-from calib.rooms.likelihood import RoomPrior
+from calib.rooms.priors import RoomPrior
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import SyntheticRoom, random_room
 from calib.synthetic.rooms import RoomOptions
@@ -134,7 +134,7 @@ def lengths(found: RoomEstimate, truth: Room) -> Iterator[tuple[str, Measured, f
 
 
 def _exact(found: RoomEstimate, truth: Room) -> RoomEstimate:
-    return replace(found, fit=replace(found.fit, room=truth))
+    return replace(found, fit=replace(found.fit, layout=truth))
 
 
 def _gap_there(found: RoomEstimate, truth: Room, first: int, second: int) -> float:
@@ -209,7 +209,7 @@ def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
     size = truth.size
     room = replace(found.room, planes=found.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))
-    fit = replace(found.fit, room=room)
+    fit = replace(found.fit, layout=room)
     return replace(found, fit=fit, covariance=found.covariance[:size, :size], patches=patches)
 
 

@@ -13,9 +13,9 @@ from calib.geometry import Matches, Motion
 from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
 from calib.refinement import device_of as rig_device_of
 from calib.rooms import Room
-from calib.rooms.likelihood import RoomPrior
 from calib.rooms.likelihood import evaluate as evaluate_room
-from calib.rooms.patches import Patch, predict_patch
+from calib.rooms.patches import Patch
+from calib.rooms.priors import RoomPrior
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticPhotos
 
@@ -120,9 +120,7 @@ def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise
 
     `patches`: of the same stations, whose cells' sigmas are those of the noise; `prior`: with the truth as its start.
     """
-    exact = [
-        replace(patch, cells=replace(patch.cells, projector_px=predict_patch(truth, patch)[0])) for patch in patches
-    ]
+    exact = [replace(patch, cells=replace(patch.cells, projector_px=patch.predict(truth)[0])) for patch in patches]
     variances = [noise_px**2 * (patch.cells.sigma_px / patch.cells.noise_px) ** 2 for patch in patches]
     fit = evaluate_room(exact, truth, prior, variances)
     seen = np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])

@@ -35,7 +35,13 @@ _UNITS_BY_KEY = {
     "packet_size": "bytes",
     "bit_depth": "bits",
 }
-_TYPES = {"integer": "whole number", "number": "number", "boolean": "true or false", "string": "text"}
+_TYPES = {
+    "integer": "whole number",
+    "number": "number",
+    "boolean": "true or false",
+    "string": "text",
+    "object": "keys by name",
+}
 
 _INTRODUCTION = """\
 # Configuration
@@ -119,6 +125,8 @@ def _one_type(option: dict[str, Any]) -> str:
         return ", ".join(f"`{value}`" for value in option["enum"])
     if option.get("type") == "array":
         return _list_type(option)
+    if option["type"] == "object":
+        return _TYPES["object"]
     return _TYPES[option["type"]] + _range(option)
 
 

@@ -1,4 +1,4 @@
-"""Work in threads of their own, with bounded queues: an iterator that runs on ahead, and what is done beside."""
+"""Background threads with bounded queues: `Ahead` prefetches an iterator, `beside` runs calls in the background."""
 
 import sys
 import time
@@ -13,19 +13,19 @@ from typing import Generic, ParamSpec, TypeVar
 T = TypeVar("T")
 P = ParamSpec("P")
 
-_PUNCTUAL_S = 0.0005  # a thread that keeps time gets its turn so soon, whatever Python code others run
+_PUNCTUAL_S = 0.0005  # a timing thread waits no longer than this for Python's lock
 
 
 class Ahead(Generic[T]):
-    """Items of an iterator, taken up to `most` ahead of who asks for them, from the first time on that somebody asks.
+    """Prefetches up to `most` items of an iterator in a thread, which starts at the first request.
 
-    What the iterator raises is raised in its turn. Can be walked through once; when that ends, or is ended, the
-    iterator has stopped. `waited_s`: how long it stood still because nobody took what was there.
+    Exceptions of the iterator are raised in their place. Can be iterated once; the thread has stopped when that
+    ends. `waited_s`: how long the thread waited because the buffer was full.
     """
 
     def __init__(self, items: Iterator[T], most: int) -> None:
         self._items = items
-        # Both queues are C's: an interruption of the main thread leaves none of their locks taken.
+        # SimpleQueue is written in C: Ctrl-C in the main thread leaves no lock taken.
         self._ready: SimpleQueue[tuple[T] | BaseException | None] = SimpleQueue()
         self._room: SimpleQueue[None] = SimpleQueue()
         for _ in range(most):
@@ -47,9 +47,7 @@ class Ahead(Generic[T]):
                 self.stop()
 
     def stop(self) -> None:
-        """Return when the iterator has stopped, however often that is interrupted: others are about to take away what
-        it works with.
-        """
+        """Stop the thread and wait for it, however often that is interrupted: the caller then closes its devices."""
         self._stopping = True
         self._room.put(None)
         interrupted: BaseException | None = None
@@ -71,10 +69,10 @@ class Ahead(Generic[T]):
             self._ready.put(None)
         finally:
             if isinstance(self._items, Generator):
-                self._items.close()  # here, not wherever it is collected
+                self._items.close()  # in this thread, not in the garbage collector's
 
     def _wait_for_room(self) -> bool:
-        """Whether to go on, when there is room for one more."""
+        """Wait until there is room for one more item; returns whether to go on."""
         try:
             self._room.get_nowait()
         except Empty:
@@ -86,9 +84,9 @@ class Ahead(Generic[T]):
 
 @contextmanager
 def beside(work: Callable[P, object], most: int = 2) -> Iterator[Callable[P, None]]:
-    """Call it in one thread, call after call, while the caller goes on; it waits where `most` calls are to be done.
+    """Run calls of `work` in one background thread, in order. The caller waits when `most` calls are pending.
 
-    All are done when the context ends. What one raises is raised by a later one, or at the end.
+    All are done when the context ends. An exception is raised by a later call, or at the end.
     """
     pending: deque[Future[object]] = deque()
 

@@ -1,4 +1,4 @@
-"""The table of camera backends: what `rig: {backend: …}` may name beside `simulated`. A new one is one more row."""
+"""The table of camera backends: the values of `rig: {backend: …}` other than `simulated`. A new backend is a row."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from hw.settings import CameraRigSettings, SimulatedRigSettings
 
 @dataclass(frozen=True)
 class Backend:
-    """`load` gives the driver. It raises DeviceError, naming what to install, if something that it needs is missing."""
+    """A kind of camera. `load` returns its driver, or raises DeviceError naming what to install."""
 
     name: str
     settings: type[CameraRigSettings]
@@ -32,16 +32,16 @@ BACKENDS = (
 
 
 def backend_of(settings: CameraRigSettings) -> Backend:
-    """The one whose settings these are."""
+    """The backend that these settings belong to."""
     return next(backend for backend in BACKENDS if backend.name == settings.backend)
 
 
 def _with_backend(data: Any) -> Any:
-    """A rig of which nothing is said but its seed is simulated."""
+    """The backend is `simulated` unless the configuration names one."""
     return {"backend": "simulated"} | data if isinstance(data, dict) else data
 
 
-# What `rig:` in a configuration may be.
+# The type of `rig:` in a configuration.
 if TYPE_CHECKING:
     RigSettings = SimulatedRigSettings | CameraRigSettings
 else:

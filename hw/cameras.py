@@ -1,4 +1,4 @@
-"""What is known of cameras before they are opened, and what every backend offers."""
+"""Interfaces of camera drivers, and checks of what a camera made of its settings."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -11,10 +11,10 @@ from hw.rig import Camera
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A camera that was found: `name`, and what it can do as far as it would tell.
+    """A camera that was found: its name and a description.
 
-    `rig`: the lines of a configuration's section `rig` that choose it, none if it cannot be used now; `size` is the
-    (width, height) of its images, None if it is not known.
+    `rig`: lines for a configuration's section `rig` that select it, empty if it cannot be used now. `size`: (width,
+    height) of its images, None if unknown.
     """
 
     name: str
@@ -24,30 +24,30 @@ class CameraInfo:
 
 
 class NamedCamera(Camera, Protocol):
-    """A camera of a rig of real devices: `name` is what errors call it."""
+    """A real camera. `name` is used in error messages."""
 
     name: str
 
 
 class OpenedCamera(NamedCamera, Protocol):
-    """The same as a backend opens it. `identity`: the device and its settings as read back, for recordings; the same
-    whenever it is opened with these settings.
+    """A camera opened by a backend. `identity`: device and settings as read back, for the recording's metadata; equal
+    whenever it is opened with the same settings.
     """
 
     identity: dict[str, str]
 
 
 class CameraDriver(Protocol):
-    """What a backend offers when what it needs is installed."""
+    """The driver of a backend."""
 
     def list_cameras(self) -> Sequence[CameraInfo]:
-        """All cameras that it finds. Takes seconds. Raises DeviceError if it cannot look for any."""
+        """All cameras that it finds. Takes seconds. Raises DeviceError if the search fails."""
 
     def connect(self, settings: Any, size: tuple[int, int], refresh_hz: float) -> AbstractContextManager[OpenedCamera]:
-        """Open the camera of the backend's settings for frames of (width, height).
+        """Open the camera for frames of `size`, (width, height).
 
-        Exposures are whole refresh periods of the projector as far as the camera can make them. Raises DeviceError if
-        there is no such camera, or it cannot be used so.
+        Exposures are rounded to whole refresh periods of the projector where the camera allows it. Raises DeviceError
+        if there is no such camera, or if it does not support the settings.
         """
 
 
@@ -56,7 +56,7 @@ _ADVICE = "Change the configuration to what the camera can do."
 
 
 def differs(wanted: float, found: float, tolerance: float = _STEPS) -> bool:
-    """Whether a number is another one, beyond the camera's steps."""
+    """Whether two values differ by more than the camera's rounding."""
     return abs(found - wanted) > tolerance * abs(wanted)
 
 
@@ -68,7 +68,7 @@ def refuse_other_setting(
     tolerance: float = _STEPS,
     advice: str = _ADVICE,
 ) -> None:
-    """Raise DeviceError if the camera made something else of a setting."""
+    """Raise DeviceError if the camera did not accept a setting as it was given."""
     if isinstance(wanted, str) or isinstance(found, str) or found is None:
         same, told, made = wanted == found, repr(wanted), repr(found)
     else:
@@ -78,7 +78,7 @@ def refuse_other_setting(
 
 
 def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, int]) -> None:
-    """Raise DeviceError if frames have another (width, height) than the configuration says."""
+    """Raise DeviceError if the (width, height) of frames is not the configured one."""
     if found != expected:
         raise DeviceError(
             f"camera {name}: expected frames of {expected[0]} × {expected[1]}, but it delivers {found[0]} × "
@@ -88,7 +88,7 @@ def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, in
 
 
 def not_found(problem: str, there: Sequence[str]) -> str:
-    """What to tell an operator whose camera was not found, but these were."""
+    """The message for a camera that was not found; `there` lists those that were."""
     return (
         f"camera: {problem}. Found: {'; '.join(there) or 'none'}. Check power and cable, that the computer's "
         "network interface is in the camera's subnet, that no firewall is in between, and which camera the rig names; "

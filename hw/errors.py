@@ -6,8 +6,8 @@ class DeviceError(Exception):
 
 
 class OverexposedError(DeviceError):
-    """Everything that the projector lights is clipped in the camera's image, so that nothing can be measured there."""
+    """Every pixel that the projector lights is clipped in the camera's image."""
 
 
 class FrameLostError(Exception):
-    """A frame did not arrive, or not whole. The message says how; taking it again may help."""
+    """A frame did not arrive, or is incomplete. The message says how; a retry may help."""

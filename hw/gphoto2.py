@@ -1,7 +1,7 @@
-"""Tethered photo cameras (DSLR, mirrorless) through python-gphoto2: a frame a second or two, each when it is asked for.
+"""Tethered photo cameras (DSLR, mirrorless) through python-gphoto2, triggered one frame at a time.
 
-Written to libgphoto2's documentation and python-gphoto2's interface. It was never tried on a real camera: tests have a
-fake of that interface.
+Written to libgphoto2's documentation and python-gphoto2's interface. Tested with a fake of that interface only, never
+with a real camera.
 """
 
 import sys
@@ -25,7 +25,7 @@ from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings
 from hw.timing.devices import nothing
 from hw.timing.exposures import whole_periods
 
-# Makers call the same setting differently.
+# Makers have different names for the same setting.
 _SHUTTER, _ISO, _APERTURE = ("shutterspeed", "shutterspeed2"), ("iso",), ("aperture", "f-number")
 _FORMAT, _MODE, _BATTERY = ("imageformat", "imagequality"), ("autoexposuremode", "expprogram"), ("batterylevel",)
 _FOCUS, _TARGET = ("focusmode",), ("capturetarget",)
@@ -67,17 +67,17 @@ class GPhotoRigSettings(CameraRigSettings):
 
     @property
     def has_gain(self) -> bool:
-        """They have iso."""
+        """Photo cameras have `iso` instead."""
         return False
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame in colour."""
+        """Bytes per pixel of a colour frame."""
         return 3 if self.format == "jpeg" else 6
 
 
 def load() -> ModuleType:
-    """This module. Raises DeviceError, naming what to install, if gphoto2 is not there."""
+    """This module. Raises DeviceError, naming what to install, if gphoto2 is missing."""
     _library()
     return sys.modules[__name__]
 
@@ -115,8 +115,8 @@ def connect(settings: GPhotoRigSettings, size: tuple[int, int], refresh_hz: floa
 class GPhotoCamera:
     """A camera from opening to closing (a context manager), with exposures triggered one at a time.
 
-    Nobody knows how long after its trigger it exposes, only that it has when it says so. Raises DeviceError if there is
-    no such camera, or it does not accept a setting.
+    The delay from trigger to exposure is unknown; it is only known when the exposure is over. Raises DeviceError if
+    there is no such camera, or if it does not accept a setting.
     """
 
     late_s = 0.0
@@ -151,17 +151,17 @@ class GPhotoCamera:
 
     @property
     def exposure_us(self) -> float:
-        """The exposure of all frames from now on, as the camera says."""
+        """The exposure in microseconds, as read back from the camera."""
         return 1e6 * self.exposure_s
 
     @property
     def exposure_limits_us(self) -> tuple[float, float]:
-        """The shortest and the longest shutter speed."""
+        """The shortest and the longest shutter speed in microseconds."""
         seconds = self._shutter_speeds.values()
         return 1e6 * min(seconds), 1e6 * max(seconds)
 
     def expose_for(self, exposure_us: float) -> float:
-        """Expose with the shutter speed nearest to whole refresh periods; returns that. Raises DeviceError."""
+        """Choose the shutter speed nearest to whole refresh periods; returns it in µs. Raises DeviceError."""
         wanted_s = whole_periods(exposure_us, self._refresh_hz)[0] / 1e6
         choice = min(self._shutter_speeds, key=lambda each: abs(np.log(self._shutter_speeds[each] / wanted_s)))
         self._set(_SHUTTER, choice)
@@ -169,7 +169,7 @@ class GPhotoCamera:
         return self.exposure_us
 
     def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
-        """Expose one frame; returns, when that is over, the moment of the trigger. Raises DeviceError."""
+        """Expose one frame, and wait until that is over; returns the time of the trigger. Raises DeviceError."""
         meanwhile()
         triggered_s = time.monotonic()
         with self._errors("does not take a picture"):
@@ -177,7 +177,7 @@ class GPhotoCamera:
         return triggered_s
 
     def collect(self) -> Frame:
-        """The frame that was exposed last, which is deleted in the camera. Raises FrameLostError, DeviceError."""
+        """The last exposed frame, which is then deleted in the camera. Raises FrameLostError, DeviceError."""
         path = self._path
         with self._errors("does not send its picture"):
             data = self._camera.file_get(path.folder, path.name, self._gp.GP_FILE_TYPE_NORMAL).get_data_and_size()
@@ -191,7 +191,7 @@ class GPhotoCamera:
         return self.collect()
 
     def close(self) -> None:
-        """Leave the camera to others."""
+        """Release the camera."""
         with suppress(self._gp.GPhoto2Error):  # it may be gone by now
             self._camera.exit()
 
@@ -232,7 +232,7 @@ class GPhotoCamera:
         self.identity["exposure"] = f"{1e3 * self.exposure_s:.4g} ms"
 
     def _choose_format(self) -> None:
-        """Where the camera sends another one, the first of its formats that is nothing but the wanted one."""
+        """Unless the camera already sends JPEG or RAW as wanted, choose its first format that is only that."""
         now = self._get(_FORMAT)
         if now is None or _is_raw(now) == self._raw:
             return
@@ -242,7 +242,7 @@ class GPhotoCamera:
         self._set(_FORMAT, fitting[0])
 
     def _widget(self, names: Sequence[str]) -> tuple[Any, Any] | None:
-        """All settings, and the one of the first name that the camera has."""
+        """The camera's configuration, and its widget with the first of these names that exists; None if none does."""
         with self._errors("does not tell its settings"):
             config = self._camera.get_config()
         for name in names:
@@ -259,7 +259,7 @@ class GPhotoCamera:
         return [] if found is None else [str(choice) for choice in found[1].get_choices()]
 
     def _set(self, names: Sequence[str], value: str) -> None:
-        """Set and read back. Raises DeviceError if the camera makes something else of it."""
+        """Set a value and read it back. Raises DeviceError if the camera sets another one."""
         found = self._widget(names)
         if found is None:
             raise DeviceError(f"camera {self.name}: it has no setting {names[0]}. Set it in the camera's menu.")
@@ -299,7 +299,7 @@ def _is_raw(name: str) -> bool:
 
 
 def _seconds(shutter_speed: str) -> float | None:
-    """Of '1/30', '0.5' or '2s'; None for 'bulb' and the like."""
+    """Seconds of a shutter speed such as '1/30', '0.5' or '2s'; None for 'bulb' and the like."""
     over, _, under = shutter_speed.lower().removesuffix("s").partition("/")
     try:
         return float(over) / float(under or 1) or None
@@ -308,7 +308,7 @@ def _seconds(shutter_speed: str) -> float | None:
 
 
 def _developed(content: bytes) -> Any:
-    """A RAW file's picture, (H, W, 3) in BGR, 16 bit and linear; None if it is none."""
+    """The image of a RAW file, (H, W, 3) in BGR, 16 bit and linear; None if it cannot be decoded."""
     try:
         import rawpy  # only now, for few need it
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Rigs that can move: the simulated one steps aside by itself, any other is moved by a person."""
+"""Moving the rig between captures: a simulated rig moves by itself, any other is moved by a person."""
 
 from hw.backends import RigSettings
 from hw.errors import DeviceError
@@ -11,12 +11,12 @@ def moves_by_itself(settings: RigSettings) -> bool:
 
 
 def turns_by_itself(settings: RigSettings) -> bool:
-    """Whether a thing stands before the rig that is turned where the rig is asked to go to another place."""
+    """Whether the next place turns a simulated thing instead of moving the rig."""
     return isinstance(settings, SimulatedRigSettings) and settings.thing.kind != "none"
 
 
 def at_place_or_last(settings: RigSettings, step: int) -> RigSettings:
-    """As `at_place`; a simulated rig that has no place so far is at its last one."""
+    """As `at_place`, but a simulated rig stops at its last place."""
     match settings:
         case SimulatedRigSettings():
             step = min(step, settings.places - 1 - settings.pose)
@@ -24,7 +24,7 @@ def at_place_or_last(settings: RigSettings, step: int) -> RigSettings:
 
 
 def at_place(settings: RigSettings, step: int) -> RigSettings:
-    """The same rig at its place number `step` after the configured one; a rig that a person moves is always there.
+    """The settings of a simulated rig, `step` places after the configured one; other rigs are returned unchanged.
 
     Raises DeviceError if a simulated rig has no such place.
     """

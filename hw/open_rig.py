@@ -1,4 +1,4 @@
-"""From settings to devices that work."""
+"""Opens the devices of a configuration."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,14 +17,14 @@ from hw.timing.streamed_rig import streamed
 from hw.timing.synchronisation import synchronised
 from hw.timing.timed_rig import TimedRig
 
-# Where a screen does not know its rate, and nobody has said it.
+# If neither screen nor configuration states the rate.
 _USUAL_REFRESH_HZ = 60.0
 
 
 @dataclass(frozen=True)
 class OpenedRig:
-    """A rig, and apart from it what only a simulated one tells, in metres: the true calibration, and its true place,
-    X_world = rotation X_camera + translation. Before a `thing` the world's frame is the thing's.
+    """A rig, and the ground truth of a simulated one in metres: its calibration, and its pose `place`, X_world =
+    rotation X_camera + translation. With a `thing`, the world's frame is the thing's.
     """
 
     rig: Rig
@@ -65,7 +65,7 @@ def _rig_before(room: Scenery) -> Rig:
 def _real(
     settings: CameraRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], devices: ExitStack
 ) -> Rig:
-    driver = backend_of(settings).load()  # what is missing is said before anything is shown
+    driver = backend_of(settings).load()  # first: a missing library is reported before anything is shown
     projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
     known_hz = settings.refresh_hz or projector.screen.refresh_hz
     refresh_hz = known_hz or _USUAL_REFRESH_HZ

@@ -18,8 +18,8 @@ from hw.timing.exposures import whole_periods
 from hw.timing.frame_reader import FrameReader
 
 _OPENING_MS = 5000
-_PROBED = 4  # numbers that are tried where the system has no list
-# What V4L2 calls them: automatic exposure is 1 where it is off (V4L2_EXPOSURE_MANUAL), the others are 0.
+_PROBED = 4  # camera numbers that are tried where the system has no list
+# V4L2's values for "off": 1 for automatic exposure (V4L2_EXPOSURE_MANUAL), 0 for the others.
 _AUTOMATICS = {
     "automatic exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, 1.0),
     "automatic white balance": (cv2.CAP_PROP_AUTO_WB, 0.0),
@@ -59,7 +59,7 @@ class OpenCVRigSettings(CameraRigSettings):
 
     @property
     def has_gain(self) -> bool:
-        """Whether a driver can be asked to set it."""
+        """Whether the driver may accept a gain: webcams only."""
         return isinstance(self.camera, int)
 
     @model_validator(mode="after")
@@ -73,7 +73,7 @@ class OpenCVRigSettings(CameraRigSettings):
 
 
 def load() -> Any:
-    """This module: OpenCV is always there."""
+    """This module: OpenCV is always installed."""
     return sys.modules[__name__]
 
 
@@ -107,9 +107,9 @@ def connect(settings: OpenCVRigSettings, size: tuple[int, int], refresh_hz: floa
 
 
 class OpenCVCamera:
-    """A camera from opening to closing (a context manager), whose frames come by themselves.
+    """A streaming camera from opening to closing (a context manager).
 
-    Raises DeviceError if there is none, or its frames have another size than (width, height).
+    Raises DeviceError if there is none, or if its frames are not of `size`, (width, height).
     """
 
     highest_level = 255
@@ -141,21 +141,21 @@ class OpenCVCamera:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Frames come by themselves; the driver of a webcam may obey, a stream never does."""
+        """Streaming; the exposure of a webcam may be settable, that of a network stream never is."""
         return Capabilities(streaming=True, exposure=self._exposure)
 
     @property
     def exposure_us(self) -> float | None:
-        """The exposure of all frames from now on, as the driver reads it back; None if it is not known."""
+        """The exposure in microseconds, as the driver reads it back; None if unknown."""
         return self._exposure_us
 
     @property
     def exposure_limits_us(self) -> tuple[float, float]:
-        """The shortest and the longest exposure that are tried."""
+        """The shortest and the longest exposure that may be set, in microseconds."""
         return _LIMITS_US
 
     def expose_for(self, exposure_us: float) -> float:
-        """Expose for the nearest whole number of refresh periods; returns how long that is. Raises DeviceError."""
+        """Set the exposure to the nearest whole number of refresh periods; returns it in µs. Raises DeviceError."""
         wanted_us, _ = whole_periods(exposure_us, self._refresh_hz)
         self._capture.set(cv2.CAP_PROP_EXPOSURE, wanted_us / _EXPOSURE_UNIT_US)
         found_us = _EXPOSURE_UNIT_US * self._capture.get(cv2.CAP_PROP_EXPOSURE)
@@ -164,7 +164,7 @@ class OpenCVCamera:
         return found_us
 
     def grab(self) -> Frame:
-        """The next frame that comes. Raises DeviceError."""
+        """The next frame of the stream. Raises DeviceError."""
         arrival = self.reader.following(self.reader.newest)
         return Frame(arrival.image, self.exposure_us, arrival.timestamp_ns)
 
@@ -172,7 +172,7 @@ class OpenCVCamera:
         if isinstance(camera, int):
             capture = cv2.VideoCapture(camera)
         else:
-            # One thread, for decoders with several hold frames back.
+            # One thread: decoders with several delay frames.
             limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPENING_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _OPENING_MS]
             capture = cv2.VideoCapture(camera, cv2.CAP_FFMPEG, [*limits, cv2.CAP_PROP_N_THREADS, 1])
             if not capture.isOpened():
@@ -185,7 +185,7 @@ class OpenCVCamera:
         return capture
 
     def _configure(self, settings: OpenCVRigSettings) -> None:
-        """What a driver can be told; what was not obeyed is measured, for a driver need not say so."""
+        """Set what the driver accepts. Automatics that stay on are found later, by measuring the frames."""
         if not self._local:
             return
         if settings.codec is not None:
@@ -207,7 +207,7 @@ class OpenCVCamera:
             self.identity["gain"] = f"{settings.gain:g}"
 
     def _learn_exposure(self, *, fixed: bool) -> None:
-        """What the driver says of the exposure is true where it is not automatic."""
+        """Read the exposure, and whether it is settable. The driver's value is only valid without automatics."""
         units = self._capture.get(cv2.CAP_PROP_EXPOSURE)
         if not fixed or units <= 0:
             return
@@ -215,7 +215,7 @@ class OpenCVCamera:
         self._exposure, self._exposure_us = "settable" if obeyed else "readable", _EXPOSURE_UNIT_US * units
 
     def _first(self) -> None:
-        """Learn from a frame how they look, and refuse what is not expected."""
+        """Check the first frame, and note whether frames are grey or colour."""
         taken = self._read()
         if taken is None:
             raise DeviceError(
@@ -224,7 +224,7 @@ class OpenCVCamera:
         self.identity["pixels"] = "grey" if taken[0].ndim == 2 else "colour (BGR)"
 
     def _read(self) -> tuple[Image, int | None] | None:
-        """The next frame, which is waited for, with the driver's time stamp; None where the stream ends."""
+        """Wait for the next frame; returns it with the driver's time stamp, or None at the end of the stream."""
         there, taken = self._capture.read()
         if not there:
             return None

@@ -1,8 +1,8 @@
-"""What an installation may lack, and what to type to get it: the one table of the extras of pyproject.toml.
+"""The extras of pyproject.toml, and the command that installs each.
 
-It is down here because devices need it as well as commands. What to type depends on how this program was installed:
-from a checkout whose Makefile made the environment, from a checkout in another environment, or as a package. An
-installation that runs from a checkout stays one: `pip install '.[x]'` would put a copy in its place.
+The table is in `hw` because devices need it as well as commands. The command depends on how this program was
+installed: from a checkout with the Makefile's environment, from a checkout in another one, or as a package. From a
+checkout it is an editable installation, because `pip install '.[x]'` would replace that by a copy.
 """
 
 import shlex
@@ -15,18 +15,18 @@ _FOLDER = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Part:
-    """An extra. Where it needs Debian packages of the system, a target of the Makefile installs both."""
+    """An extra. `system`: Debian packages that it needs. `target`: the Makefile's target that installs both."""
 
     extra: str
     system: tuple[str, ...] = ()
     target: str | None = None
 
     def missing(self, what: str, package: str) -> str:
-        """The sentence that says that `what` needs a package which is not installed, and what to type."""
+        """The message that `what` needs a missing package, with the command that installs it."""
         return f"{what} needs {package}, which is not installed; type: {self.install_command()}"
 
     def install_command(self) -> str:
-        """What to type into a shell in the present folder."""
+        """The shell command, relative to the present folder."""
         own = Path(sys.prefix).resolve() == _FOLDER / ".venv"
         if own and self.target:
             return f"make {self.target}" if _is_here(_FOLDER) else f"make -C {shlex.quote(str(_FOLDER))} {self.target}"
@@ -44,7 +44,7 @@ def _is_here(folder: Path) -> bool:
 
 
 def _from_here(path: Path) -> str:
-    """A path, relative to the present folder if it is in it."""
+    """A path, relative to the present folder if it is inside."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 

@@ -1,4 +1,4 @@
-"""The two interfaces that every rig implements, real or simulated, and nothing about patterns."""
+"""The interfaces of projectors, cameras and rigs, real or simulated. They know nothing of patterns."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,14 +19,14 @@ class Frame:
 
 
 class Projector(Protocol):
-    """Something that throws images onto the scene."""
+    """A device that projects images onto the scene."""
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
 
     def show(self, image: Image) -> None:
-        """Put an (H, W) 8-bit grey image on the scene; returns once it is there.
+        """Project an (H, W) 8-bit grey image; returns once it is visible.
 
         Raises ValueError if the image has another size, DeviceError if the device fails.
         """
@@ -34,11 +34,11 @@ class Projector(Protocol):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a camera can do, by which everything above it is chosen.
+    """What a camera can do; the kind of acquisition follows from it.
 
-    `streaming`: frames come by themselves, one after the other; else each is taken when it is asked for. `exposure`:
-    whether it can be set while the camera is open, can only be read, or is not known at all. `clock`: whether it is
-    known when an exposure began, by time stamps or because the camera obeys at once.
+    `streaming`: frames arrive continuously; otherwise each is triggered. `exposure`: it can be set while the camera
+    is open, can only be read, or is unknown. `clock`: the begin of an exposure is known, from time stamps or because
+    the trigger acts at once.
     """
 
     streaming: bool = False
@@ -47,11 +47,11 @@ class Capabilities:
 
 
 class Camera(Protocol):
-    """Something that takes images of the scene."""
+    """A device that takes images of the scene."""
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do; the same as long as it is open."""
+        """Its capabilities, constant while it is open."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -59,14 +59,14 @@ class Camera(Protocol):
 
     @property
     def highest_level(self) -> int:
-        """The largest number that a pixel can have."""
+        """The largest pixel value."""
 
     def grab(self) -> Frame:
-        """Expose and return one frame of what the projector shows now. Raises DeviceError if the device fails."""
+        """Expose and return one frame of the current scene. Raises DeviceError if the device fails."""
 
 
 class ExposureControl(Protocol):
-    """What a camera also has if its exposure is settable."""
+    """The additional interface of cameras whose exposure is settable."""
 
     @property
     def exposure_us(self) -> float:
@@ -74,21 +74,21 @@ class ExposureControl(Protocol):
 
     @property
     def exposure_limits_us(self) -> tuple[float, float]:
-        """The shortest and the longest exposure that the camera can make."""
+        """The shortest and the longest exposure of the camera, in microseconds."""
 
     def expose_for(self, exposure_us: float) -> float:
-        """Expose all frames from now on so long; returns what it came to, for a camera may round.
+        """Set the exposure of all frames from now on; returns the exposure as the camera rounded it.
 
-        Raises DeviceError if the camera cannot.
+        Raises DeviceError if the camera does not support it.
         """
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A projector and a camera that do not move against each other.
+    """A projector and a camera, fixed relative to each other.
 
-    `identity` names the devices, with their settings as read back, for the recording's metadata. `refresh_hz`: how many
-    pictures the projector builds up in a second; exposures should last for whole ones. None if that does not matter.
+    `identity` names the devices, with their settings as read back, for the recording's metadata. `refresh_hz`: the
+    projector's refresh rate; exposures should be whole periods. None if that does not matter.
     """
 
     projector: Projector
@@ -100,18 +100,18 @@ class Rig:
         self,
         images: Iterable[Image],
         exposures_us: Sequence[float] = (),
-        # Of devices that wait for each other nothing has to be proven.
+        # Devices that wait for each other need no verification.
         level: Sequence[Sequence[int]] = (),  # noqa: ARG002
         unpaired: Sequence[Sequence[int]] = (),  # noqa: ARG002
     ) -> Iterator[Frame]:
-        """Show images one after the other, and yield a frame of each; the frame is taken when it is asked for.
+        """Show images one after the other, and yield a frame of each; each frame is taken on request.
 
-        `level`: the numbers of images that together light every place alike. `unpaired`: those of black and white
-        images of which none is an exclusive or of others, in groups of at least two. Rigs of real devices are faster
-        where they can tell from these that every frame is of its own image.
+        `level`: groups of image numbers whose images sum to uniform light. `unpaired`: groups of two or more binary
+        images of which none is an exclusive or of others. Rigs of real devices use both to verify frames, which
+        allows pipelined acquisition.
 
-        `exposures_us` take turns; without any, the camera's exposure stays as it is. Raises what the devices raise, and
-        DeviceError if there are exposures that the camera cannot change to.
+        `exposures_us` are used cyclically; without any, the exposure is left unchanged. Raises what the devices
+        raise, and DeviceError if the camera's exposure cannot be changed.
         """
         for image, exposure_us in zip(images, cycle(exposures_us or (None,)), strict=False):
             if exposure_us is not None:
@@ -120,17 +120,17 @@ class Rig:
             yield self.camera.grab()
 
     def account(self) -> Mapping[str, object]:
-        """What is worth recording of the frames taken so far, beside the frames themselves."""
+        """Metadata of the frames taken so far, for the recording."""
         return {}
 
 
 def settable_exposure(camera: Camera) -> ExposureControl | None:
-    """The camera, if its exposure can be changed."""
+    """The camera, if its exposure can be changed; otherwise None."""
     return cast(ExposureControl, camera) if camera.capabilities.exposure == "settable" else None
 
 
 def exposure_control(camera: Camera) -> ExposureControl:
-    """The camera, whose exposure can be changed. Raises DeviceError if it cannot."""
+    """The camera, to change its exposure. Raises DeviceError if that is not possible."""
     control = settable_exposure(camera)
     if control is None:
         raise DeviceError(

@@ -157,6 +157,12 @@ class SimulatedRigSettings(BaseModel):
         description="Which of its places the rig stands at, of 8 before a corner, of rig.stations in a whole room; "
         "room and rig stay the same.",
     )
+    projector_pose: int | None = Field(
+        None,
+        ge=0,
+        description="Which of these places the projector stands at, as one of a network, with a lens of its own; left "
+        "out, it stays with the camera.",
+    )
     walls_off_deg: float = Field(
         0.0, ge=0.0, le=10.0, description="Standard deviation of each of the corner's three angles from 90 degrees."
     )

@@ -1,4 +1,4 @@
-"""What an estimate is worth: uncertainty, degenerate views, the verdict of the numbers, the next best view."""
+"""Judges an estimate: uncertainty, degenerate views, acceptance tests, the next best view."""
 
 from calib.diagnostics.acceptance import (
     FROM_ONE_PLACE,

@@ -1,4 +1,4 @@
-"""Acceptance tests: whether a refined solution deserves to be used; what does not is refused with its reason."""
+"""Acceptance tests of a refined solution. An untrustworthy one is refused with its reason."""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,10 +23,10 @@ from calib.refinement import (
 )
 from calib.refusal import RefusalError, Wording
 
-# How the note on captures between which the rig was not moved begins.
+# Begin of the note on captures between which the rig was not moved.
 FROM_ONE_PLACE = "Taken from the same place: captures"
 
-USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley either
+USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley
 _TENSION_SIGMAS = 4.0
 CENTRED = 1e-4  # p1 and p2 of a lens that is hardly decentred: a twentieth of a pixel at the image's corner
 _SIGNIFICANT = 0.9999
@@ -35,7 +35,7 @@ _PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image
 
 
 def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
-    """The refusal where no focal length makes a corner of the faces."""
+    """The refusal if no focal length makes the faces a square corner."""
     return RefusalError(
         "These three faces are not the picture of a square corner for any focal length of the camera"
         + _because([reason for cells in captures for reason in reasons_in_images(cells)]),
@@ -44,7 +44,7 @@ def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
 
 
 def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straightened], words: Wording) -> None:
-    """Raise RefusalError where two faces of a capture lie in one plane, as far as its noise can tell."""
+    """Raise RefusalError if two faces of a capture lie in one plane, within its noise."""
     for i, (cells, straight) in enumerate(zip(captures, straightened, strict=True)):
         of = f" of {words.taken} {i + 1}" if len(captures) > 1 else ""
         if reason := one_plane(cells, straight, words):
@@ -55,7 +55,7 @@ def refuse_degenerate(captures: Sequence[Cells], straightened: Sequence[Straight
 
 
 def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
-    """Raise RefusalError where the solution is not determined, not the only one, or not of a square corner."""
+    """Raise RefusalError if the solution is undetermined, ambiguous, or not that of a square corner."""
     fit, words = refinement.fit, knowledge.words
     sigma = np.sqrt(np.diag(refinement.covariance))
     relative = {"camera": float(sigma[CAMERA.start]), "projector": float(sigma[PROJECTOR.start])}
@@ -81,7 +81,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
 
 
 def _if_centred(refinement: Refinement) -> str:
-    """What would be known of the camera's focal length if the lenses had hardly any decentring, in a sentence."""
+    """A sentence on the sigma of the camera's focal length for centred lenses; empty if it is not much smaller."""
     fit, free = refinement.fit, refinement.prior.free
     sigma = sigma_if(refinement, dict.fromkeys(TANGENTIAL_TERMS, CENTRED))
     if sigma > 0.5 * np.sqrt(covariance_of(fit.information, free)[CAMERA.start, CAMERA.start]):
@@ -90,7 +90,7 @@ def _if_centred(refinement: Refinement) -> str:
 
 
 def sigma_if(refinement: Refinement, known: Mapping[int, float]) -> float:
-    """The relative sigma of the camera's focal length, by curvature, if some columns were known with these sigmas."""
+    """The relative sigma of the camera's focal length, by curvature, with added priors of these sigmas on columns."""
     information = refinement.fit.information.copy()
     for column, sigma in known.items():
         information[column, column] += sigma**-2.0
@@ -98,7 +98,7 @@ def sigma_if(refinement: Refinement, known: Mapping[int, float]) -> float:
 
 
 def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
-    """The focal lengths of a solution, in image widths, that hardly any device has."""
+    """The implausible focal lengths of a solution by device, in image widths."""
     absurd = {}
     for device, parameters, size in (
         ("camera", fit.state.camera, knowledge.camera_size),
@@ -112,7 +112,7 @@ def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
 
 
 def what_else_helps(knowledge: Knowledge) -> str:
-    """Of what a person may know and has not said."""
+    """Advice on prior knowledge that was not given, as a sentence; empty if there is none."""
     unsaid = [
         what
         for what, sigma in (
@@ -195,19 +195,19 @@ def _skewest(refinement: Refinement) -> tuple[Floats, int]:
 
 
 def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:
-    """Whether a corner is farther from square than walls usually are, where they may be at all."""
+    """Whether a corner is farther from square than the prior of its angles expects; False for an exact corner."""
     return bool(np.linalg.norm(_skewest(refinement)[0]) > _TENSION_SIGMAS * knowledge.squareness_deg > 0)
 
 
 def _measured(refinement: Refinement, corner: int, knowledge: Knowledge) -> bool:
-    """Whether the matches tell a corner's angles, better than its walls being usual ones would."""
+    """Whether the matches determine a corner's angles better than the prior does."""
     columns = refinement.fit.state.angle_columns(corner)
     sigma_deg = np.degrees(np.sqrt(np.diag(refinement.covariance)[columns]))
     return bool(np.all(sigma_deg < knowledge.squareness_deg))
 
 
 def _given_centre(knowledge: Knowledge) -> str:
-    """The suspicion that a principal point without a sigma deserves."""
+    """Advice to verify a principal point that was given as exact; empty otherwise."""
     if knowledge.principal_point_sigma_px > 0:
         return ""
     (x, y), (width, height) = knowledge.principal_point_px, knowledge.camera_size
@@ -217,12 +217,12 @@ def _given_centre(knowledge: Knowledge) -> str:
 
 
 def signed(values: Floats) -> str:
-    """Numbers with their signs, for a sentence; none before what is shown as zero."""
+    """Numbers with their signs, for a sentence; no sign before a rounded zero."""
     return ", ".join(f"{value:+z.2f}".replace("+0.00", "0.00").replace("-", "−") for value in values)
 
 
 def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
-    """`sigmas` (4,): in the units of `intrinsic_distance`."""
+    """Raise RefusalError for a second likely minimum. `sigmas` (4,): in the units of `intrinsic_distance`."""
     for other in others:
         apart = intrinsic_distance(other.state, best.state)
         if other.cost - best.cost < CLEARLY_WORSE and np.any(apart > 2 * sigmas):

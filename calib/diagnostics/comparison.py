@@ -1,7 +1,7 @@
-"""Where in the picture, and at what depth, two calibrations of one rig differ, beside what their covariances allow.
+"""Compares two calibrations of one rig over image and depth, with the sigma of their difference.
 
-Points along the first one's rays become matches, which the second triangulates. What a rigid motion makes up for, or a
-scale where a length is not known, is no difference of shape, and is taken out of differences and sigmas alike.
+Points along the rays of the first are projected to matches, which the second triangulates. The best rigid motion is
+removed from differences and sigmas, and the best scale if a length is not known.
 """
 
 from dataclasses import dataclass, replace
@@ -22,13 +22,13 @@ _SAME_RAY = 1e-6  # in focals
 
 @dataclass(frozen=True)
 class Difference:
-    """At camera pixels (N, 2) and depths (N,), in the first calibration's unit, that both devices of the first see.
+    """The difference at camera pixels (N, 2) and depths (N,) that both devices of the first calibration see.
 
-    `length` (N,): how far apart the points are; `px` (N,): how far apart, in the projector's picture, a point so deep
-    in that camera pixel is expected. `length_sigma`, `px_sigma` (N,): what the covariances allow, root mean square; 0
-    where none is known. `chi2`: the squared difference in sigmas, all points together, where `freedom` is expected;
-    `unexplained`: root mean square of what is left of `length` when all that the sigmas speak of is made up for.
-    `scale`: by what the second one's lengths were multiplied; 1 where both have a unit.
+    Lengths are in the first calibration's unit. `length` (N,): distance between the points; `px` (N,): distance between
+    their predicted projector pixels. `length_sigma`, `px_sigma` (N,): standard deviations by the covariances, 0 where
+    none is known. `chi2`: the squared difference in sigmas over all points, with `freedom` degrees of freedom.
+    `unexplained`: root mean square of the part of `length` that no modelled error explains. `scale`: factor on the
+    second calibration's lengths; 1 if both are metric.
     """
 
     camera_px: Floats
@@ -44,7 +44,7 @@ class Difference:
 
     @property
     def limit(self) -> float:
-        """What chance leaves `chi2` below."""
+        """The 99.9 % quantile of `chi2`."""
         return float(chi2.ppf(_SIGNIFICANT, self.freedom)) if self.freedom else 0.0
 
     @property
@@ -55,7 +55,7 @@ class Difference:
 
     @property
     def sigmas(self) -> Floats:
-        """Lengths in their sigmas, (N,); infinite where none is known."""
+        """Lengths over their sigmas, (N,); huge where none is known."""
         sigmas: Floats = self.length / np.maximum(self.length_sigma, 1e-300)
         return sigmas
 
@@ -63,9 +63,9 @@ class Difference:
 def compare(
     first: SystematicErrors, second: SystematicErrors, camera_px: Floats, depths: Floats, *, metric: bool
 ) -> Difference | None:
-    """At camera pixels (N, 2), each at all depths (D,). None where the two see too little in common.
+    """Compare at camera pixels (N, 2), each at all depths (D,). None if the two see too little in common.
 
-    `metric`: both are in one unit of length. Otherwise the second is enlarged as fits best.
+    `metric`: both have the same unit of length. Otherwise the best scale is estimated.
     """
     pixels = np.tile(camera_px, (len(depths), 1))
     depth = np.repeat(depths, len(camera_px))
@@ -115,7 +115,7 @@ def compare(
 
 
 def _transfer(rig: Calibration, pixels: Floats, depth: Floats) -> Floats:
-    """Where points so deep in camera pixels are expected in the projector, (N, 2)."""
+    """Projector pixels (N, 2) of points at given depths along camera pixels."""
     points = depth[:, None] * rig.camera.unproject(pixels)
     return rig.projector.project(points @ rig.rotation.T + rig.translation)
 
@@ -126,10 +126,10 @@ def _seen(rig: Calibration, pixels: Floats, depth: Floats) -> tuple[Floats, Matc
     there = points @ rig.rotation.T + rig.translation
     projected = rig.projector.project(there)
     with np.errstate(invalid="ignore", divide="ignore"):
-        # A lens model that folds back brings what is far outside into the picture again: its rays are none.
+        # A distortion model that folds back maps far points into the picture again; these are not valid.
         off = np.linalg.norm(rig.projector.unproject(projected)[:, :2] - there[:, :2] / there[:, 2:], axis=1)
         inside = np.all((projected >= 0) & (projected <= np.array(rig.projector.size) - 1), axis=1)
-    somewhere = np.where(inside[:, None], projected, 0.0)  # an extreme lens brings points to no place at all
+    somewhere = np.where(inside[:, None], projected, 0.0)  # an extreme lens gives no finite pixel
     return points, Matches(pixels, somewhere), inside & (off < _SAME_RAY) & np.isfinite(points).all(axis=1)
 
 
@@ -148,18 +148,18 @@ def _similarity(points: Floats, onto: Floats, weight: Floats, *, metric: bool) -
 
 
 def _motions(points: Floats, *, metric: bool) -> Floats:
-    """What small turns, shifts and, without a length, a scale do to points (N, 3): (N, 3, 6 or 7)."""
+    """Derivatives of points (N, 3) by a rotation, a shift and, unless metric, a scale: (N, 3, 6 or 7)."""
     turns = cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
     shifts = np.broadcast_to(np.eye(3), turns.shape)
     return np.concatenate([turns, shifts, *([] if metric else [points[:, :, None]])], axis=2)
 
 
 def _in_sigmas(off: Floats, effects: Floats) -> tuple[float, int, Floats]:
-    """The squared length of differences (M,) in sigmas, given what causes of one sigma do, (M, S); how many directions
-    that is a sum of; and what is left that no cause makes.
+    """χ² of differences (M,), given the `effects` (M, S) of error sources of one sigma; its degrees of freedom; and the
+    part of the differences that no source explains.
 
-    Effects are taken as linear. What that leaves out is of second order in what the sigmas allow, and counts as noise;
-    so does a small part of all that they allow: a covariance is not true of directions that hardly count in it.
+    Effects are linear. Second-order effects count as noise. So does a small share of the total, because a
+    covariance is unreliable in its weakest directions.
     """
     left, size, _ = np.linalg.svd(effects, full_matrices=False)
     allowed = float(np.linalg.norm(size))

@@ -1,4 +1,4 @@
-"""Whether captures of a corner and other data can be of one unchanged rig."""
+"""Tests whether captures of a corner and prior knowledge of the rig are consistent with one unchanged rig."""
 
 import numpy as np
 from scipy.stats import chi2
@@ -18,7 +18,7 @@ from calib.refinement import (
 from calib.refusal import RefusalError
 
 _SIGNIFICANT = 0.9999
-_TOLD = 1e-3  # of a variance: corners that lower it by less say nothing along that direction
+_TOLD = 1e-3  # of a variance: corners that reduce it by less carry no information along that direction
 _NAMED = 3
 _ROWS = (
     ("the camera's focal length", (CAMERA.start,), "%"),
@@ -37,12 +37,11 @@ class ContradictionError(RefusalError):
 
 
 def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floats) -> tuple[float, float]:
-    """How much worse the captures fit with what is known of the rig, in −2 log likelihood, and what chance explains.
+    """The increase of −2 log likelihood of the captures by the prior knowledge of the rig, and its limit.
 
-    With true sigmas the first is χ² with as many degrees of freedom as there are directions of which captures and
-    known rig both say something. `systematic` (size, size): the part of the covariance that no residual shows. Where
-    it moves the joint solution, the sum of squares is wider than that: Satterthwaite's approximation (1946, Biometrics
-    Bulletin 2, 110). Raises ContradictionError where it is more than chance explains.
+    With true sigmas the increase is χ², with one degree of freedom for each direction that both determine. `systematic`
+    (size, size): the part of the covariance that no residual shows. It widens the distribution, by Satterthwaite's
+    approximation (1946, Biometrics Bulletin 2, 110). Raises ContradictionError beyond the limit (0.9999).
     """
     apart = refinement.apart
     if apart is None:
@@ -69,7 +68,7 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     both = told > _TOLD
     if not both.any():
         return np.inf
-    # The joint solution's deviation from the known rig has the covariance `told`, and `systematic` beside it.
+    # The joint solution's deviation from the known rig has the covariance `told` plus `systematic`.
     white = (directions[:, both] / np.sqrt(told[both])).T @ inverse
     widths = np.linalg.eigvalsh(np.eye(int(both.sum())) + white @ systematic @ white.T)
     factor = float(np.sum(widths**2) / np.sum(widths))
@@ -77,7 +76,7 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
 
 
 def _differences(apart: Fit, free: Bools, rig: KnownRig) -> str:
-    """What differs most against its sigmas between the captures by themselves and the known rig."""
+    """The largest differences, in sigmas, between the independent fit and the known rig, in words."""
     step = rig.step_to(apart.state)
     variance = rig.covariance.diagonal() + covariance_of(apart.information, free).diagonal()[:SHARED]
     sigmas = np.abs(step) / np.sqrt(np.maximum(variance, 1e-18))

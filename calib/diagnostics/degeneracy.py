@@ -1,7 +1,6 @@
-"""Degenerate configurations: why a view of a corner calibrates badly, each kind recognised and named.
+"""Recognises degenerate configurations: why a view of a corner calibrates badly.
 
-Nothing here decides whether an answer can be trusted; the covariance and the residuals do. Once it cannot, this says
-what a person should change.
+These reasons explain a refusal and what to change. The decision itself rests on covariance and residuals.
 """
 
 import numpy as np
@@ -11,17 +10,17 @@ from calib.refinement import Cells, State, Straightened
 from calib.refusal import Wording
 
 _NAMES = ("first", "second", "third")
-# What an angle or a share must fall below to be named as a reason.
+# Limits below which an angle or a share is named as a reason.
 _GRAZING_DEG = 8.0
 _FORWARD_DEG = 12.0
 _SMALL_EXTENT, _THIN = 0.15, 0.01
 _SHORT_BASELINE = 0.03  # of the distance to the vertex
-# Faces whose common homography leaves no more than this carry no depth that could be measured.
+# Largest residual of two faces under a common homography at which they carry no measurable depth.
 _ONE_PLANE_PX, _ONE_PLANE_SIGMAS = 0.1, 2.0
 
 
 def one_plane(cells: Cells, straightened: Straightened, words: Wording) -> str | None:
-    """Which faces share one homography, within what the cells' noise and a decoder's systematic errors leave."""
+    """A sentence on faces that share one homography, within noise and the decoder's systematic errors; or None."""
     limit_px = _ONE_PLANE_PX + _ONE_PLANE_SIGMAS * float(np.median(cells.sigma_px))
     together = [pair for pair in ((0, 1), (1, 2), (2, 0)) if _off_one_plane(straightened.matches, *pair) < limit_px]
     if len(together) > 1:
@@ -33,7 +32,7 @@ def one_plane(cells: Cells, straightened: Straightened, words: Wording) -> str |
 
 
 def reasons_in_images(cells: Cells) -> list[str]:
-    """What is wrong whatever the devices are: faces that hold too little of the picture."""
+    """Reasons visible in the images alone: faces that cover too little of the picture."""
     reasons = []
     whole = np.linalg.norm(np.ptp(cells.camera_px, axis=0))
     for face in FACES:
@@ -48,7 +47,7 @@ def reasons_in_images(cells: Cells) -> list[str]:
 
 
 def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
-    """What is wrong with the places of corner, camera and projector, as far as a poor solution can tell."""
+    """Reasons in the geometry of corner, camera and projector, according to the present solution."""
     reasons = []
     vertex, motion = state.pose(capture).vertex, state.motion(capture)
     normals = state.normals(capture)

@@ -1,8 +1,7 @@
-"""From what errs (decoder, calibration, scale) to what is measured on points: linear propagation, to first order.
+"""First-order propagation of errors (decoder, calibration, scale) to measurements on points.
 
-JCGM 100:2008 (GUM), section 5, in matrix form as in JCGM 102:2011. Errors that all points share are followed through
-each measurement as signed amounts, so that what they do to two faces, or to both ends of a distance, is correlated as
-it is.
+JCGM 100:2008 (GUM), section 5, in matrix form as in JCGM 102:2011. Errors that all points share are propagated as
+signed amounts, which keeps their correlation between two faces, or between both ends of a distance.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,16 +19,16 @@ from calib.pointcloud import Plane, by_projector_px
 from calib.refusal import NoMeasurementError
 
 _STEP_PX = 0.01  # of a projector pixel, for derivatives
-_MOST_FOLLOWED = 2048  # about so many points, through the errors of a calibration: sigmas are right to 0.2 %
+_MOST_FOLLOWED = 2048  # about how many points errors of a calibration are evaluated at; sigmas are right to 0.2 %
 _RULER = 0.03  # half its length, as a share of its distance
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Standard deviations of one number by what causes them.
+    """The uncertainty budget of one number: standard deviations by source.
 
-    `scatter`: of single matches; `smooth`: errors of the decoder that neighbouring matches share; `calibration`: its
-    covariance, 0 if that is not known; `scale`: of the known length. `sigma` is all of them together.
+    `scatter`: noise of single matches; `smooth`: errors of the decoder that neighbouring matches share; `calibration`:
+    its covariance, 0 if unknown; `scale`: the known length. `sigma` combines them.
     """
 
     scatter: float
@@ -45,10 +44,10 @@ class Budget:
 
 @dataclass(frozen=True)
 class Spread:
-    """Errors of several numbers (P,): covariances (P, P) of what errs at random or smoothly, and what systematic causes
-    of one sigma each do to them, `systematic` (P, S).
+    """Errors of several numbers (P,): covariances (P, P) of random and of smooth errors, and the effects `systematic`
+    (P, S) of systematic sources of one sigma each.
 
-    The last cause is the scale. The last but one is what a pixel averages over; it counts as a smooth error.
+    The last source is the scale. The last but one is the pixel's footprint, which counts as a smooth error.
     """
 
     scatter: Floats
@@ -56,21 +55,21 @@ class Spread:
     systematic: Floats
 
     def through(self, jacobian: Floats) -> "Spread":
-        """Of numbers (Q,) that depend on these by `jacobian` (Q, P)."""
+        """The errors of numbers (Q,) that depend on these by `jacobian` (Q, P)."""
         return Spread(
             jacobian @ self.scatter @ jacobian.T, jacobian @ self.smooth @ jacobian.T, jacobian @ self.systematic
         )
 
     def part(self, which: slice) -> "Spread":
-        """Of some of the numbers, whatever those of the others are."""
+        """The marginal errors of some of the numbers."""
         return Spread(self.scatter[which, which], self.smooth[which, which], self.systematic[which])
 
     def budget(self, index: int = 0) -> Budget:
-        """Of one of the numbers."""
+        """The budget of one of the numbers."""
         return _budget(self.scatter[index, index], self.smooth[index, index], self.systematic[index])
 
     def total(self) -> Budget:
-        """Of the length of all numbers as a vector whose expectation is zero."""
+        """The budget of the norm of all numbers, as a vector of expectation zero."""
         amounts = np.sqrt(np.sum(self.systematic**2, axis=0))
         return _budget(np.trace(self.scatter), np.trace(self.smooth), amounts)
 
@@ -82,12 +81,12 @@ def _budget(scatter: float, smooth: float, systematic: Floats) -> Budget:
 
 
 def _root(variance: float) -> float:
-    """The covariance of too few points that err independently is infinite, and its products are not numbers."""
+    """The square root; infinite for a variance that is not finite, as of too few independent points."""
     return float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else np.inf
 
 
 def stacked(spreads: Sequence[Spread]) -> Spread:
-    """Of the numbers of several measurements that share nothing but the systematic causes."""
+    """The errors of several measurements that share only the systematic sources."""
     return Spread(
         block_diag(*(spread.scatter for spread in spreads)),
         block_diag(*(spread.smooth for spread in spreads)),
@@ -97,11 +96,11 @@ def stacked(spreads: Sequence[Spread]) -> Spread:
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """What all points of a scan share: the calibration, whose covariance may be unknown, and the scale.
+    """Errors that all points of a scan share: of the calibration, whose covariance may be unknown, and of the scale.
 
-    `log_scale` (S,): what each cause of one sigma does to the logarithm of the scale. The causes are states along the
-    curved valley of the likelihood, principal directions of the rest of the covariance, what a pixel averages over, and
-    the scale itself.
+    `log_scale` (S,): the effect of each source of one sigma on the logarithm of the scale. Sources are states along the
+    curved valley of the likelihood, principal directions of the rest of the covariance, the pixel's footprint, and the
+    scale itself.
     """
 
     calibration: Calibration
@@ -115,9 +114,9 @@ class SystematicErrors:
 
     @classmethod
     def of(cls, calibration: Calibration, uncertainty: Uncertainty | None, scale: float = 0.0) -> "SystematicErrors":
-        """`scale`: relative standard deviation of the baseline, which the scale is that of.
+        """Made from a calibration. `scale`: relative standard deviation of the baseline, which defines the scale.
 
-        What of it goes with the calibration's columns is part of these causes.
+        The part that is correlated with the calibration's columns is attributed to those sources.
         """
         if uncertainty is None:
             return cls(calibration, None, np.array([0.0, scale]))
@@ -128,16 +127,16 @@ class SystematicErrors:
         return cls(calibration, uncertainty, np.concatenate([with_causes, [0.0, rest]]))
 
     def anchored(self, distance: Spread, length: float, scale: float) -> "SystematicErrors":
-        """The same where the known length, `scale` its relative sigma, is not the baseline but a measured distance.
+        """The same errors if the known length is a measured distance instead of the baseline.
 
-        `distance`: of that `length` with the baseline known.
+        `distance`: errors of that `length` for a known baseline; `scale`: relative sigma of the known length.
         """
         log_scale = -distance.systematic[0] / length
         log_scale[-1] = scale
         return SystematicErrors(self.calibration, self.uncertainty, log_scale)
 
     def of_points(self, matches: Matches, points: Floats) -> Floats:
-        """What each cause of one sigma does to triangulated points (N, 3): (N, 3, S), in their unit."""
+        """The effect of each source of one sigma on triangulated points (N, 3): (N, 3, S), in their unit."""
         moved = points[:, :, None] * self.log_scale
         for cause, by_calibration in self._by_calibration(matches, points):
             moved[:, :, cause] += by_calibration.T
@@ -152,14 +151,14 @@ class SystematicErrors:
         return moved
 
     def _by_calibration(self, matches: Matches, points: Floats) -> Iterator[tuple[int, Floats]]:
-        """What causes, by number, do to points (3, N) by way of the calibration alone."""
+        """The number of each source of the calibration, and its effect (3, N) on the points, without the scale."""
         for cause, (calibration, root) in enumerate(self._along):
             yield cause, root * (midpoints(matches, calibration) - points.T)
         for cause, (ahead, behind) in enumerate(self._across, start=len(self._along)):
             yield cause, (midpoints(matches, ahead) - midpoints(matches, behind)) / 2
 
     def of_function(self, function: Callable[[Calibration], Floats]) -> Floats:
-        """What each cause of one sigma does to numbers (…) that follow from a calibration: (…, S)."""
+        """The effect of each source of one sigma on numbers (…) computed from a calibration: (…, S)."""
         here = function(self.calibration)
         effects = np.zeros((*here.shape, len(self.log_scale)))
         count = len(self._along)
@@ -186,9 +185,9 @@ class SystematicErrors:
 
     @cached_property
     def _across(self) -> list[tuple[Calibration, Calibration]]:
-        """One sigma to either side along the principal directions of the rest of the covariance.
+        """Calibrations one sigma to either side, along the principal directions of the rest of the covariance.
 
-        Half the difference of what they give is the propagated sigma (GUM, 5.1.3, note 2).
+        Half the difference of their results is the propagated sigma (GUM, 5.1.3, note 2).
         """
         if self.uncertainty is None:
             return []
@@ -204,14 +203,14 @@ def _grown(calibration: Calibration, log_scale: float) -> Calibration:
 
 
 def _directions(uncertainty: Uncertainty) -> Floats:
-    """Steps (21, 21) of one sigma along the principal directions of what of the covariance is no curve."""
+    """Steps (21, 21) of one sigma along the principal directions of the covariance without the curved valley."""
     values, vectors = np.linalg.eigh(uncertainty.covariance - uncertainty.along.covariance)
     steps: Floats = (vectors * np.sqrt(values.clip(0))).T
     return steps
 
 
 def spread_of_points(matches: Matches, errors: SystematicErrors, sigma_px: Floats) -> Spread:
-    """Of the coordinates of triangulated points, point by point (3 N,), matches of `sigma_px` (N,) each."""
+    """Errors of the coordinates of triangulated points, point by point (3 N,); `sigma_px` (N,) of their matches."""
     by_sigma = by_projector_px(matches, errors.calibration, np.full(len(matches), _STEP_PX)) * sigma_px[:, None, None]
     points = intersect(matches, errors.calibration).points
     scatter = block_diag(*np.einsum("nia,nja->nij", by_sigma, by_sigma))
@@ -221,9 +220,10 @@ def spread_of_points(matches: Matches, errors: SystematicErrors, sigma_px: Float
 
 @dataclass(frozen=True)
 class LinearFit:
-    """Parameters (P,) of a surface and how they follow the points: `influence` (P, N) by the distance of each along its
-    `direction` (N, 3). `scatter` (P, P): their covariance as far as the residuals tell it, errors being alike within a
-    `cluster` (N,).
+    """A linearised fit of a surface with parameters (P,).
+
+    `influence` (P, N): derivatives of the parameters by the distance of each point along its `direction` (N, 3).
+    `scatter` (P, P): covariance by the residuals, with errors correlated within each `cluster` (N,).
     """
 
     influence: Floats
@@ -233,7 +233,7 @@ class LinearFit:
 
 
 def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, offsets: Floats | None = None) -> Spread:
-    """Of the parameters (P,) of a surface fitted to matches, which a pixel's footprint sets off by `offsets` (N,)."""
+    """Errors of the parameters (P,) of a surface fitted to matches. `offsets` (N,): shifts by the pixel's footprint."""
     influence, direction = fit.influence, fit.direction
     met = intersect(matches, errors.calibration)
     modes = smooth_modes(matches.camera_px)
@@ -250,10 +250,9 @@ def spread_of_fit(fit: LinearFit, matches: Matches, errors: SystematicErrors, of
 
 
 def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
-    """Some points, which stand for their neighbours in a cluster: their numbers (C,), and the sum of the influence of
-    those that each stands for (P, C).
+    """Representative points: their indices (C,), and the summed influence (P, C) of the neighbours each represents.
 
-    What systematic causes do varies smoothly over a surface, and hardly within a cluster.
+    Systematic effects vary smoothly over a surface, and hardly within a cluster.
     """
     count = influence.shape[1]
     together = -(-count // _MOST_FOLLOWED)
@@ -267,7 +266,7 @@ def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
 
 
 def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tuple[Floats, Spread]:
-    """The point (3,) in which three planes meet, and its errors."""
+    """The intersection (3,) of three planes, and its errors."""
     normals = np.stack([plane.normal for plane in planes])
     vertex: Floats = np.linalg.solve(normals, np.array([plane.offset for plane in planes]))
     rises = [np.append(plane.tangents @ (vertex - plane.centre), 1.0) for plane in planes]
@@ -276,9 +275,9 @@ def spread_of_vertex(planes: Sequence[Plane], spreads: Sequence[Spread]) -> tupl
 
 
 def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
-    """Relative errors of lengths around the median of points (N, 3), root mean square of the three directions.
+    """Relative errors of short lengths at the median of points (N, 3), root mean square of the three directions.
 
-    Of a short ruler, whose ends are seen where the calibration has them. Raises NoMeasurementError if that is nowhere.
+    Raises NoMeasurementError if the calibration projects these points to no pixel.
     """
     middle = np.median(points, axis=0)
     half = _RULER * float(np.linalg.norm(middle))

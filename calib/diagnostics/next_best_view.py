@@ -1,7 +1,7 @@
-"""The next best view: from where one more capture of the same corner should be taken, and what it would gain.
+"""The next best view: where to take one more capture of the same corner, and how much it would help.
 
-The rig is moved around the corner in thought; what it would see there, with the noise of the captures at hand, adds to
-what they say (the information matrices add up), and the covariance of the sum is what the capture would leave.
+Candidate poses of the rig around the corner are tried. The information of a predicted capture, with the noise of the
+existing ones, is added to theirs; the inverse of the sum is the resulting covariance.
 """
 
 from dataclasses import dataclass, replace
@@ -35,9 +35,9 @@ _LEAST_SHARE = 0.03  # of the rays that both devices see, on each face
 
 @dataclass(frozen=True)
 class NextView:
-    """A capture that would help: the rig goes round the corner to the `right_deg` and `up_deg` (negative: left, down)
-    and to `distance` times today's; the relative sigma of the camera's focal length becomes `sigma`. `step` (3,): where
-    the camera goes in its own frame of today (right, down, forward), in baselines.
+    """A capture that would help. The rig moves around the corner by `right_deg` and `up_deg` (negative: left, down), to
+    `distance` times its present distance. The relative sigma of the camera's focal length becomes `sigma`. `step` (3,):
+    displacement of the camera in its present frame (right, down, forward), in baselines.
     """
 
     right_deg: float
@@ -48,7 +48,7 @@ class NextView:
 
     @property
     def words(self) -> str:
-        """Where to go, for a person who stands behind the camera."""
+        """Directions for a person who stands behind the camera."""
         moves = [
             f"{abs(angle):.0f}° to the {ways[angle < 0]}" if name == "right" else f"{abs(angle):.0f}° {ways[angle < 0]}"
             for name, angle, ways in (
@@ -65,12 +65,11 @@ class NextView:
 
 
 def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | None:
-    """The most useful move from the last capture; None if both devices would see all three faces from nowhere."""
+    """The most useful move from the last capture; None if no candidate shows all three faces to both devices."""
     state = refinement.fit.state
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
-    # What a view gains is told from curvature alone; smooth errors of the matches, which further captures have as well,
-    # go with it.
+    # The gain is computed from curvature alone. Smooth errors are a factor, as further captures have them too.
     beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]) / _sigma_by_curvature(refinement))
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
@@ -87,7 +86,7 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
 
 
 def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
-    """The corner's pose after the rig went round it: seen from the rig, the corner turns the other way about itself."""
+    """The corner's pose after the rig moved around it: relative to the rig, the corner turns the other way."""
     turn = _turn(right_deg, up_deg)
     return replace(pose, frame=pose.frame @ turn.T, vertex=distance * pose.vertex, planes=())
 
@@ -99,18 +98,18 @@ def _turn(right_deg: float, up_deg: float) -> Floats:
 
 
 def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Floats:
-    """Where the camera of that move stands in today's frame: X = vertex + turn (X_today − vertex_today) is 0 there."""
+    """The new camera centre in the present frame, the zero of X = vertex + turn (X_now − vertex_now)."""
     step: Floats = pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
     return step
 
 
 def _sigma_by_curvature(refinement: Refinement) -> float:
-    """Relative sigma of the camera's focal length now, without what smooth errors and a curved valley add to it."""
+    """Present relative sigma of the camera's focal length by curvature, without smooth errors and the curved valley."""
     return float(np.sqrt(covariance_of(refinement.fit.information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
 
 
 def _seen(state: State, knowledge: Knowledge) -> Cells | None:
-    """Cells of the last capture's faces that both devices would see; None if a face is hardly among them."""
+    """Predicted cells of the last capture's faces that both devices see; None if a face is hardly visible."""
     capture = len(state.poses) - 1
     width, height = knowledge.camera_size
     rows = max(2, round(_COLUMNS * height / width))
@@ -123,7 +122,7 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     slants = _slants(state, capture)
     if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
         return None  # the rig would stand in a wall, or see a face of the box from within
-    # Seen from inside, the nearest wall hides the others; from outside, the farthest of a box's planes is its face.
+    # From inside, the nearest wall is visible; of a box from outside, it is the farthest plane.
     inside = bool(np.all(slants > 0))
     depths = np.where(depths > 0, depths, np.inf if inside else -np.inf)
     face = (np.argmin(depths, axis=1) if inside else np.argmax(depths, axis=1)).astype(np.int32)
@@ -158,8 +157,7 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information
     kept = np.flatnonzero(prior.free)
     shared = kept[kept < alone.size - PER_POSE]
-    # What is known of the shared columns now, as information: with a second capture the valley is short, so that the
-    # curvature at its lowest point says all.
+    # Present information on the shared columns. With a second capture the valley is short, so curvature suffices.
     known = state.columns(len(refinement.captures) - 1)[shared]
     covariance = covariance_of(refinement.fit.information, refinement.prior.free)[np.ix_(known, known)]
     total = new.copy()

@@ -1,4 +1,4 @@
-"""What a person should know about a refined solution, in sentences."""
+"""Notes on a refined solution, as sentences for the user."""
 
 import numpy as np
 
@@ -6,10 +6,10 @@ from calib.diagnostics.acceptance import far_from_square, on_repeats, sigma_if, 
 from calib.diagnostics.next_best_view import NextView
 from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
 
-# How the note on what a further capture would gain begins.
+# Begin of the note on the gain of a further capture.
 FURTHER_CAPTURE = "A further capture of this corner"
 
-# How the note on walls that are farther off than usual begins.
+# Begin of the note on walls that are farther from square than expected.
 FAR_FROM_SQUARE = "This corner is farther from square"
 
 _LOPSIDED = 0.15  # of the interval's length
@@ -19,7 +19,7 @@ WORTH_A_CAPTURE = 0.7  # of the sigma without it
 
 
 def notes_on(refinement: Refinement, knowledge: Knowledge, further: NextView | None = None) -> tuple[str, ...]:
-    """Assumptions, what the data said about them, what a `further` view would bring, and what stays unexplained."""
+    """Notes on assumptions and whether the data support them, on the gain of a `further` view, and on misfit."""
     return (
         *_on_squareness(refinement, knowledge),
         *on_repeats(refinement),
@@ -57,7 +57,7 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
 
 
 def _on_interval(refinement: Refinement) -> list[str]:
-    """Where the likelihood along the focal length is no parabola."""
+    """A note if the likelihood along the focal length is asymmetric."""
     focal, (low, high) = refinement.fit.state.camera[0], refinement.valley.interval_px
     if abs((high - focal) - (focal - low)) < _LOPSIDED * (high - low):
         return []
@@ -65,7 +65,7 @@ def _on_interval(refinement: Refinement) -> list[str]:
 
 
 def _on_lenses(refinement: Refinement) -> list[str]:
-    """How much of the uncertainty comes from the lenses, where it is most of it."""
+    """A note if the lens terms cause most of the uncertainty."""
     sigma = _focal_sigma(refinement)
     every, lenses = sigma_if(refinement, {}), sigma_if(refinement, dict.fromkeys(WEAK_TERMS, _EXACTLY))
     share = float(np.sqrt(max(1 - (lenses / every) ** 2, 0.0)))
@@ -79,7 +79,7 @@ def _on_lenses(refinement: Refinement) -> list[str]:
 
 
 def _on_next_view(refinement: Refinement, view: NextView | None) -> list[str]:
-    """What a further capture would gain, where there is something to gain."""
+    """A note on the gain of a further capture, if it is worthwhile."""
     sigma = _focal_sigma(refinement)
     if view is None or view.sigma > WORTH_A_CAPTURE * sigma:
         return []

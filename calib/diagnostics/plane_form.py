@@ -1,4 +1,4 @@
-"""How flat a face is: the smooth part of its points' distances from a plane, which single matches' scatter hides."""
+"""Flatness of a face: the smooth part of the distances of its points from a plane."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ _LINEAR = 3
 class PlaneForm:
     """Distances of points from a plane as a sum of modes that are orthonormal in the mean over the points.
 
-    The modes are quadratic and cubic in the image, and orthogonal to any tilt or shift of the plane. `amplitudes` (K,)
-    with their `covariance` (K, K) as far as the scatter goes, and `influence` (K, N): how they follow the points.
+    The modes are quadratic and cubic in the image, and orthogonal to any tilt or shift of the plane. `amplitudes` (K,),
+    their `covariance` (K, K) by scatter alone, and their derivatives by the points' distances, `influence` (K, N).
     """
 
     amplitudes: Floats
@@ -30,7 +30,7 @@ class PlaneForm:
 
 
 def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
-    """Of the points that a plane was fitted to, seen at pixels (N, 2), errors being alike in each `cluster` (N,)."""
+    """The form of the points that a plane was fitted to, at pixels (N, 2); errors correlate in a `cluster` (N,)."""
     terms = monomials(camera_px)[:, _LINEAR:CUBIC]
     basis, _ = np.linalg.qr(np.column_stack([plane.jacobian, terms]))
     # Plane and form are fitted together: under the points' weights they are not quite orthogonal.

@@ -1,7 +1,7 @@
-"""How large a flat sheet with known points on it comes out of a calibration, and how sure that is.
+"""The size of a flat sheet with known points (a ChArUco board) according to a calibration, with its uncertainty.
 
-A plane through the matches on the sheet meets the camera's rays to its points; a similarity then compares them with
-what they are (Umeyama 1991, IEEE PAMI 13, 376).
+The camera's rays to the known points are intersected with the plane through the matches on the sheet. A similarity
+compares the intersections with the known coordinates (Umeyama 1991, IEEE PAMI 13, 376).
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from calib.numerics import Floats, blocks
 from calib.pointcloud import Plane, fit_plane
 from calib.refinement import SHARED
 
-_ALIKE_OF_WIDTH = 1 / 64  # neighbours within this share of the picture err alike
+_ALIKE_OF_WIDTH = 1 / 64  # errors of neighbours within this share of the picture correlate
 _MOST_MATCHES = 20_000
 _STEP = 1e-4  # of the plane's tilts, in radians, and of its distance as a share
 _LEAST_STEP = 1e-6  # of a column
@@ -23,9 +23,9 @@ _LEAST_STEP = 1e-6  # of a column
 
 @dataclass(frozen=True)
 class SheetSize:
-    """The logarithm of the length that one unit of the sheet's own points has in the calibration's unit.
+    """The logarithm of the length of one unit of the sheet's coordinates, in the calibration's unit.
 
-    `noise`: its standard deviation by matches and points; `by_columns` (21,): how it goes with the calibration's.
+    `noise`: its standard deviation by matches and points; `by_columns` (21,): its derivatives by the calibration.
     """
 
     log_length: float
@@ -36,9 +36,9 @@ class SheetSize:
 def size_of_sheet(
     points: Floats, pixels: Floats, matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None
 ) -> SheetSize:
-    """From a sheet's `points` (N, 2), where the camera saw them, `pixels` (N, 2), and the `matches` on it.
+    """Measure a sheet from its `points` (N, 2), their camera `pixels` (N, 2), and the `matches` on it.
 
-    Raises ValueError where the matches are no plane in front of the devices.
+    Raises ValueError if the matches are not a plane in front of the devices.
     """
     part = matches[:: max(1, len(matches) // _MOST_MATCHES)]
     part = part[np.flatnonzero(intersect(part, calibration).in_front)]
@@ -82,7 +82,7 @@ def _moved(plane: Plane, step: Floats) -> tuple[Floats, float]:
 
 
 def _by_plane(points: Floats, pixels: Floats, plane: Plane, calibration: Calibration) -> Floats:
-    """How the logarithm of the length goes with the plane's parameters, (3,)."""
+    """Derivatives (3,) of the logarithm of the length by the plane's parameters."""
     gradient = np.zeros(3)
     for index, size in enumerate((_STEP, _STEP, _STEP * abs(plane.offset))):
         step = np.zeros(3)
@@ -95,7 +95,7 @@ def _by_plane(points: Floats, pixels: Floats, plane: Plane, calibration: Calibra
 
 
 def _on_plane(points: Floats, pixels: Floats, normal: Floats, offset: float, calibration: Calibration) -> SheetSize:
-    """With the noise that the points themselves show around the similarity."""
+    """The size on a given plane, with noise by the points' residuals of the similarity."""
     rays = calibration.camera.unproject(pixels)
     met = rays * (offset / (rays @ normal))[:, None]
     known, found = points - points.mean(axis=0), met - met.mean(axis=0)
@@ -103,6 +103,6 @@ def _on_plane(points: Floats, pixels: Floats, normal: Floats, offset: float, cal
     size = float(np.sum(known**2))
     scale = float(singular.sum()) / size
     left_over = found - scale * known @ left @ right
-    # Four numbers were fitted; each coordinate on the plane errs like the other.
+    # Four parameters were fitted; both coordinates on the plane have the same variance.
     variance = float(np.sum(left_over**2)) / max(2 * len(points) - 4, 1)
     return SheetSize(float(np.log(scale)), float(np.sqrt(variance / size)) / scale, np.zeros(SHARED))

@@ -1,7 +1,7 @@
-"""Errors of matches that vary so slowly over the image that no mean over them gets rid of them.
+"""Smooth errors of matches, which averaging over a surface does not remove.
 
-A decoder errs smoothly: fringes bent by a response, light that has bounced. Across the epipolar lines such errors show
-in the rays' misses; along them, where they would pass for depth, they are taken to be of the same size.
+Response curves and interreflection cause them. Across the epipolar lines they show in the rays' misses; along them,
+where they change the depth, the same size is assumed.
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from calib.numerics import Floats, Ints, biweight, biweight_slope
 from calib.pointcloud import Sphere
 from calib.refinement import CUBIC, monomials
 
-# What a camera's pixel averages over, as a variance along rows and along columns: itself, and a blur of half a pixel.
+# Variance of a camera pixel's footprint along rows and along columns: the pixel, and a blur of half a pixel.
 _FOOTPRINT_PX2 = 1 / 12 + 1 / 4
-# The share of what that does to a sphere that the decoder leaves, for it cannot be seen at the rim; measured.
+# Measured share of the footprint's effect on a sphere that the decoder does not correct.
 _LEFT = 0.4
-_RIM = 0.97  # of the radius squared, beyond which a footprint is as large as what it sees of the sphere
-_ABSORBED = 3  # terms up to the linear ones: what a calibration makes of smooth errors, it makes of these first
+_RIM = 0.97  # limit of r² / R², to stay away from the rim, where the approximation fails
+_ABSORBED = 3  # constant and linear terms, which a calibration absorbs first
 
 
 def smooth_modes(pixel: Floats) -> Floats:
@@ -28,9 +28,9 @@ def smooth_modes(pixel: Floats) -> Floats:
 def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
     """Standard deviation of the amplitude of each mode (N, K) in the rays' misses (N,), in pixels.
 
-    Measured on the quadratic and cubic modes and taken for all: the lower ones are where a calibration hides them. The
-    few amplitudes make it as uncertain as Student's t, whose variance is larger by n / (n − 2). What errors that are
-    alike within a `cluster` (N,) only would leave is taken off.
+    Measured on the quadratic and cubic modes, and assumed for all, because a calibration absorbs the lower ones. With
+    few amplitudes the variance is enlarged by n / (n − 2), as for Student's t. The part of errors that correlate only
+    within a `cluster` (N,) is subtracted.
     """
     finite = np.where(np.isfinite(residual_px), residual_px, 0.0)
     from_median = finite - np.median(finite)
@@ -43,9 +43,9 @@ def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
 
 
 def footprint_offsets(sphere: Sphere, points: Floats, focal_px: float) -> Floats:
-    """How far points (N, 3) of a sphere come out behind its surface, (N,), because a pixel averages over its footprint.
+    """Distances (N,) of points (N, 3) of a sphere behind its surface, because a pixel averages over its footprint.
 
-    Along the ray that would be ½ σ² ∇²z with z = −√(R² − r²), r the ray's distance from the centre.
+    Along the ray the offset is ½ σ² ∇²z with z = −√(R² − r²), r the ray's distance from the centre.
     """
     distance = np.linalg.norm(points, axis=1)
     rays = points / distance[:, None]

@@ -1,4 +1,4 @@
-"""What the covariance means for a person: sigmas by name, the uncertainty of a point, the price of an assumption."""
+"""The covariance of a rig: named sigmas, uncertainty of points, sensitivity to the principal point."""
 
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +18,7 @@ from calib.geometry import (
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, TRANSLATION, Prior, State
 
-# Of the states along the valley, those less probable than this are left to the rest of the covariance.
+# Less probable states along the valley are left to the rest of the covariance.
 _IMPROBABLE = 2e-3
 
 
@@ -26,7 +26,7 @@ _IMPROBABLE = 2e-3
 class Along:
     """The part of a covariance that is not linear: states along the curved valley of the camera's focal length.
 
-    `steps` (K, 21): to them from the best, `probability` (K,); they make up the covariance Σ p s sᵀ.
+    `steps` (K, 21) from the best state, `probability` (K,) of each; their covariance is Σ p s sᵀ.
     """
 
     steps: Floats
@@ -44,12 +44,12 @@ NOWHERE = Along(np.zeros((0, SHARED)), np.zeros(0))
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Of a rig: its state and `covariance` (21, 21) of the columns of devices and motion; lengths in baselines.
+    """A rig's state and `covariance` (21, 21) of the columns of devices and motion; lengths in baselines.
 
-    `by_principal_point` (21, 2): how the columns move with the camera's principal point, per pixel, where that was
-    taken as known; else None. `match_px`: scatter of a match where it states no sigma of its own. `along`: the part of
-    the covariance that is a curve. `with_log_baseline` (21,): the columns' covariance with the logarithm of the
-    baseline, where what fixed the scale is not the baseline itself.
+    `by_principal_point` (21, 2): derivatives of the columns by the camera's principal point, per pixel, if that was
+    assumed as known; otherwise None. `match_px`: standard deviation of a match without a sigma of its own. `along`: the
+    curved part of the covariance. `with_log_baseline` (21,): covariance of the columns with the logarithm of the
+    baseline, if something else than the baseline fixed the scale.
     """
 
     state: State
@@ -61,7 +61,7 @@ class Uncertainty:
 
     @property
     def by_log_baseline(self) -> Floats:
-        """How the baseline's logarithm is expected to go with the columns, (21,)."""
+        """Regression coefficients (21,) of the baseline's logarithm on the columns."""
         scale = np.sqrt(self.covariance.diagonal())
         scale = np.where(scale > 0, scale, 1.0)
         gain: Floats = np.linalg.pinv(self.covariance / np.outer(scale, scale), hermitian=True) @ (
@@ -85,9 +85,9 @@ class Uncertainty:
         return sigma
 
     def point_jacobians(self, matches: Matches) -> tuple[Floats, Floats]:
-        """How triangulated points move, in baselines: by the columns (N, 3, 21), by the projector's pixels (N, 3, 2).
+        """Derivatives of triangulated points, in baselines: by the columns (N, 3, 21), by projector pixels (N, 3, 2).
 
-        A point is where the camera's ray r comes nearest to the projector's, X = r d, so δX = r δd + d δr.
+        A point is where the camera's ray r is nearest to the projector's, X = r d, so δX = r δd + d δr.
         """
         rays, rays_by_camera = unproject(self.state.camera, matches.camera_px)
         directions, directions_by_projector = unproject(self.state.projector, matches.projector_px)
@@ -98,7 +98,7 @@ class Uncertainty:
         by_shared[:, PROJECTOR] = np.einsum("ni,nij->nj", by_direction, directions_by_projector)
         by_shared[:, ROTATION] = cross(turned, by_turned)
         by_shared[:, TRANSLATION] = by_translation @ tangent_basis(self.state.translation)
-        # Moving a pixel to the right is moving the principal point to the left.
+        # Moving a pixel to the right is equivalent to moving the principal point to the left.
         by_match = -by_shared[:, PROJECTOR.start + 1 : PROJECTOR.start + 3]
 
         jacobian = rays[:, :, None] * by_shared[:, None, :]
@@ -149,7 +149,7 @@ def with_pixels_of(found: Intrinsics, device: Intrinsics) -> Intrinsics:
 
 
 def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: Floats) -> Calibration:
-    """A calibration, to which the uncertainty belongs, a step (21,) of the columns away; its baseline stays."""
+    """The calibration of this uncertainty, moved by a step (21,) of the columns; its baseline is kept."""
     there = calibration_of(
         uncertainty.rig.moved(step), calibration.camera.size, calibration.projector.size, calibration.sigma
     )
@@ -163,7 +163,7 @@ def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: 
 
 
 def sigmas_of(state: State, covariance: Floats) -> Sigmas:
-    """Standard deviations from a covariance of the state's columns; corner's angles are those of the first, if any."""
+    """Standard deviations from a covariance of the state's columns; angles are those of the first corner, if any."""
     sigma = np.sqrt(np.diag(covariance))
     rotation, angles = (np.degrees(sigma[columns]) for columns in (ROTATION, state.angle_columns(0)))
     return Sigmas(

@@ -2,59 +2,58 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
-from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Motion, Size, intersect
-from calib.networks.growth import placed, with_labels
-from calib.networks.likelihood import Fit, NetworkPrior, minimise
+from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
+from calib.networks.doubts import PixelShape, Strain, pixel_shapes, refuse_mirrored, standing_alike, strains
+from calib.networks.growth import ROUGH, Grown
+from calib.networks.missing import not_connected
 from calib.networks.network import Device, Network
-from calib.networks.sights import Sight, points_on
-from calib.numerics import Bools, Floats, evenly
-from calib.refinement import (
-    ORDINARY_LENSES,
-    PER_DEVICE,
-    SQUARENESS_DEG,
-    Noise,
-    covariance_of,
-    device_of,
-    into_cells,
-    noise_of,
-    of_any_device,
-)
-from calib.refinement.match_cells import joined
+from calib.networks.overlaps import PairName
+from calib.networks.prior import NetworkKnowledge
+from calib.networks.sights import Sight
+from calib.numerics import Floats, evenly
+from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
-from calib.rooms.planes import plane_through
-from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
+from calib.rooms.flatness import covariance_of_waves
+from calib.rooms.likelihood import CONVERGED, Fit, minimise
+from calib.rooms.noise import measured
+from calib.rooms.smooth_errors import covariance_of_shifts
+from calib.rooms.ties import WRONG_TIE, tie_scores, untied
+from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 
-PairName = tuple[str, str]  # camera, projector
-
-_CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
-_LEAST_ON_PLANE = 100  # matches; fewer may be strays
-_SAMPLE = 3_000
-_ROUGH, _CONVERGED = 0.1, 1e-4  # in cost
-_ROUNDS = 3
+_LEAST_ON_FACE = 100  # matches; fewer may be strays
+_MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
+_METHODS: tuple[Method, ...] = ("refined", "paper")
+_ROUNDS = 4
+_BENT = 4.0  # times the variance of noise: pixels that devices share then tell more than the plane that they are on
+_IN_FRONT = 0.98  # of a sight's cells
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
-    was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length.
+    was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
+    each plane is not flat, root mean square; 0 where nothing shows it. `shapes`: what each device's pixels seem to be.
+    `strains`: of each pair that sees a plane.
     """
 
     names: tuple[str, ...]
     sizes: Mapping[str, Size]
-    fit: Fit
+    fit: Fit[Network]
     covariance: Floats
     noise: Mapping[PairName, Noise]
     seed: PairName
     sights: tuple[Sight, ...]
+    waves: Floats
+    shapes: tuple[PixelShape, ...]
+    strains: Mapping[PairName, Strain]
 
     @property
     def network(self) -> Network:
         """The most likely one."""
-        return self.fit.network
+        return self.fit.layout
 
     def device(self, name: str) -> Device:
         """One of the devices."""
@@ -71,27 +70,45 @@ class NetworkEstimate:
         columns = self.network.device_columns(self.names.index(name))
         return np.sqrt(np.diag(self.covariance)[columns])
 
+    @property
+    def alike(self) -> list[tuple[str, str, float]]:
+        """Devices that stand almost in one place, with their distance over that of what they see."""
+        return standing_alike(self.names, self.sights, self.network)
+
 
 def estimate_network(
     captures: Mapping[PairName, Matches],
     sizes: Mapping[str, Size],
     *,
     squareness_deg: float = SQUARENESS_DEG,
+    lenses: Mapping[str, LensPrior] | None = None,
+    points: Mapping[str, PrincipalPoint] | None = None,
+    shifts: Mapping[PairName, Shifts] | None = None,
 ) -> NetworkEstimate:
     """From the matches of each pair (camera, projector) with light in common, and each device's image size.
 
-    At least one pair sees a corner: its matches have the labels 0, 1, 2 on the faces, and further ones on other planes.
-    All other pairs' labels are found through the devices that they share with it.
+    What is known of `lenses`, and of cameras' principal `points`, by name; a sigma of 0 holds it. `shifts`: by what
+    matches of a pair may be shifted, for the covariance.
 
-    Raises RefusalError if no pair's corner calibrates it, or a device does not connect; ValueError for fewer than two
-    pairs, or a device without a size or with both roles.
+    At least one pair sees a corner: its matches have the labels 0, 1, 2 on the faces, and further ones on other planes.
+    All others follow by what they share with it: planes, whose labels travel along shared pixels, or any surface.
+
+    Raises RefusalError if no pair's corner calibrates it, or a device does not connect or is mirrored; ValueError for
+    fewer than two pairs, or a device without a size or with both roles.
     """
     _refuse_wrong_input(captures, sizes)
-    seed, start = _seed(captures, sizes, squareness_deg)
-    grown = _Grown.from_corner(seed, captures[seed], start, captures, sizes, squareness_deg)
+    refuse_mirrored(captures, sizes)
+    captures = {pair: each[evenly(np.ones(len(each), np.bool_), _MOST)] for pair, each in captures.items()}
+    cameras = frozenset(camera for camera, _ in captures)
+    knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
+    seed, start = _seed(captures, knowledge)
+    grown = Grown.from_corner(seed, captures, start, knowledge)
     while grown.waiting:
-        grown = grown.with_next()
-    return grown.estimate()
+        more = grown.with_next()
+        if more is None:
+            raise not_connected(grown)
+        grown = more
+    return _estimated(grown.labelled_anew(), shifts or {})
 
 
 def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:
@@ -104,204 +121,123 @@ def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str
         raise ValueError(f"'{min(missing)}' has no image size")
 
 
-def _centre(size: Size) -> PrincipalPoint:
-    return PrincipalPoint(((size[0] - 1) / 2, (size[1] - 1) / 2), _CENTRE_SIGMA * size[0])
+def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> tuple[PairName, SelfCalibration]:
+    """The pair whose corner tells most of its camera's focal length, and what it tells.
 
-
-def _seed(
-    captures: Mapping[PairName, Matches], sizes: Mapping[str, Size], squareness_deg: float
-) -> tuple[PairName, SelfCalibration]:
-    """The pair whose corner tells most of its camera's focal length, and what it tells."""
+    Where no corner calibrates a pair alone, as of walls that are not flat, one is taken that has a closed form: all
+    pairs together have to tell whether that leads to anything.
+    """
+    cornered = {
+        pair: matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
+        for pair, matches in captures.items()
+        if matches.face is not None and matches.on_each_face.min() >= _LEAST_ON_FACE
+    }
+    if not cornered:
+        raise RefusalError(
+            "No camera sees three faces of a corner in one projector's light.",
+            "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+        )
     refusals: list[RefusalError] = []
-    found: list[tuple[float, PairName, SelfCalibration]] = []
-    for pair, matches in captures.items():
-        if matches.face is None or matches.on_each_face.min() < _LEAST_ON_PLANE:
-            continue
-        camera, projector = (sizes[name] for name in pair)
-        faces = matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
-        try:
-            calibrated = self_calibrate(
-                faces, camera, projector, principal_point=_centre(camera), squareness_deg=squareness_deg
-            )
-        except RefusalError as refusal:
-            refusals.append(refusal)
-            continue
-        focal_px = calibrated.calibration.sigma.camera.focal_px
-        sigma = np.inf if focal_px is None else focal_px[0] / calibrated.calibration.camera.focal_px[0]
-        found.append((sigma, pair, calibrated))
-    if found:
-        _, pair, calibrated = min(found, key=lambda each: each[0])
-        return pair, calibrated
-    if refusals:
-        raise refusals[0]
-    raise RefusalError(
-        "No camera sees three faces of a corner in one projector's light.",
-        "Turn one projector and one camera towards a corner of the room; the others follow from there.",
+    for method in _METHODS:
+        found: list[tuple[float, PairName, SelfCalibration]] = []
+        for pair, matches in cornered.items():
+            try:
+                calibrated = _calibrated(pair, matches, knowledge, method)
+            except RefusalError as refusal:
+                refusals.append(refusal)
+                continue
+            focal_px = calibrated.calibration.sigma.camera.focal_px
+            sigma = 1 / len(matches) if focal_px is None else focal_px[0] / calibrated.calibration.camera.focal_px[0]
+            found.append((sigma, pair, calibrated))
+        if found:
+            _, pair, calibrated = min(found, key=lambda each: each[0])
+            return pair, calibrated
+    raise refusals[0]
+
+
+def _calibrated(pair: PairName, matches: Matches, knowledge: NetworkKnowledge, method: Method) -> SelfCalibration:
+    camera, projector = pair
+    return self_calibrate(
+        matches,
+        knowledge.sizes[camera],
+        knowledge.sizes[projector],
+        principal_point=knowledge.point(camera),
+        method=method,
+        squareness_deg=knowledge.squareness_deg,
+        lenses=(knowledge.lens(camera), knowledge.lens(projector)),
     )
 
 
-def _prior(names: tuple[str, ...], cameras: set[str], sizes: Mapping[str, Size], squareness_deg: float) -> NetworkPrior:
-    """What holds for any camera or projector of its image size, for each device; the seed's faces are square."""
-    mean, sigma = np.empty((len(names), PER_DEVICE)), np.empty((len(names), PER_DEVICE))
-    for i, name in enumerate(names):
-        mean[i], sigma[i] = of_any_device(sizes[name], ORDINARY_LENSES[0])
-        if name in cameras:
-            sigma[i, 1:3] = _CENTRE_SIGMA * sizes[name][0]
-    pairs = tuple((a, b) for a in FACES for b in FACES if a < b)
-    return NetworkPrior(mean, sigma, pairs, float(np.radians(max(squareness_deg, 1e-3))))
+def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
+    """A first fit; sights that are not on the plane that they were taken for have planes of their own, and those that
+    end behind a device are left out.
+    """
+    prior = grown.knowledge.prior(grown.names)
+    network, sights = _in_front(grown.network, grown.sights)
+    while True:
+        variances = [sight.cells.sigma_px**2 for sight in sights]
+        free, joints = grown.free(network), grown.joints(network)
+        fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
+        network, left = _in_front(fit.layout, sights)
+        if len(left) < len(sights):
+            sights = left
+            continue
+        scores, freedom = tie_scores(sights, fit, variances, free)
+        per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
+        limit = WRONG_TIE * max(float(np.median(per_freedom[freedom > 0])), 1.0) if (freedom > 0).any() else np.inf
+        for plane in range(len(network.planes)):
+            worst = max((i for i, s in enumerate(sights) if s.plane == plane), key=lambda i: float(per_freedom[i]))
+            if per_freedom[worst] > limit:
+                network, sights = untied(network, sights, worst)
+        if len(network.planes) == len(fit.layout.planes):
+            return sights, fit
 
 
-@dataclass(frozen=True, eq=False)
-class _Grown:
-    """As far as devices are placed. `labelled`: matches of pairs that are part of it, with labels of its planes."""
-
-    names: tuple[str, ...]
-    network: Network
-    labelled: Mapping[PairName, Matches]
-    sights: tuple[Sight, ...]
-    labels: tuple[int, ...]
-    captures: Mapping[PairName, Matches]
-    sizes: Mapping[str, Size]
-    squareness_deg: float
-
-    @classmethod
-    def from_corner(
-        cls,
-        seed: PairName,
-        matches: Matches,
-        start: SelfCalibration,
-        captures: Mapping[PairName, Matches],
-        sizes: Mapping[str, Size],
-        squareness_deg: float,
-    ) -> "_Grown":
-        """One pair as calibrated, and the planes through its matches."""
-        rig = start.calibration
-        back = rig.rotation.T
-        devices = (
-            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3))),
-            Device(device_of(rig.projector), Motion(back, -back @ rig.translation)),
-        )
-        count = np.bincount(matches.labels[matches.labels >= 0])
-        labels = tuple(int(label) for label in np.flatnonzero(count >= _LEAST_ON_PLANE))
-        planes = []
-        for label in labels:
-            own = matches[evenly(matches.labels == label, _SAMPLE)]
-            points = intersect(own, rig).points
-            points = points[np.isfinite(points).all(axis=1)]
-            planes.append(plane_through(points, np.ones(len(points))))
-        empty = cls(seed, Network(devices, tuple(planes)), {}, (), labels, captures, sizes, squareness_deg)
-        return empty._with_pair(seed, matches)
-
-    @property
-    def waiting(self) -> tuple[PairName, ...]:
-        """Pairs that are no part of it yet."""
-        return tuple(pair for pair in self.captures if pair not in self.labelled)
-
-    def with_next(self) -> "_Grown":
-        """With one pair more: of two placed devices, or else the one that places a new device by most matches."""
-        best: tuple[int, PairName, Matches] | None = None
-        for pair in self.waiting:
-            there = [name in self.names for name in pair]
-            if not any(there):
-                continue
-            matches = self._labelled(pair)
-            if all(there):
-                return self._with_pair(pair, matches)
-            count = np.bincount(matches.labels[matches.labels >= 0], minlength=1)
-            if np.count_nonzero(count >= _LEAST_ON_PLANE) >= 2 and (best is None or count.sum() > best[0]):
-                best = int(count.sum()), pair, matches
-        if best is not None and (more := self._with_device(*best[1:])) is not None:
-            return more
-        loose = sorted({name for pair in self.waiting for name in pair} - set(self.names))
-        raise RefusalError(
-            f"{', '.join(loose)}: not connected with {', '.join(self.names)}.",
-            "Let them share light on two walls at least: a camera that sees two projectors' light in one place, or a "
-            "projector whose light two cameras see.",
-        )
-
-    def _labelled(self, pair: PairName) -> Matches:
-        camera, projector = pair
-        others = self.labelled.items()
-        return with_labels(
-            self.captures[pair],
-            [matches for (c, _), matches in others if c == camera],
-            [matches for (_, p), matches in others if p == projector],
-        )
-
-    def _with_device(self, pair: PairName, matches: Matches) -> "_Grown | None":
-        """The device of a pair that is not placed yet, by the points that the other one sees on planes."""
-        new = 0 if pair[0] not in self.names else 1
-        pixels = matches.camera_px, matches.projector_px
-        known = self.network.devices[self.names.index(pair[1 - new])]
-        points, seen = [], []
-        for label, plane in zip(self.labels, self.network.planes, strict=True):
-            own = evenly(matches.labels == label, _SAMPLE)
-            points.append(points_on(pixels[1 - new][own], known.lens, known.pose, plane))
-            seen.append(pixels[new][own])
-        device = placed(np.concatenate(points), np.concatenate(seen))
-        if device is None:
-            return None
-        network = Network((*self.network.devices, device), self.network.planes)
-        more = replace(self, names=(*self.names, pair[new]), network=network)._with_pair(pair, matches)
-        alone = np.zeros(network.size, np.bool_)
-        alone[network.device_columns(len(self.names))] = True
-        return more._settled(alone)._settled()
-
-    def _with_pair(self, pair: PairName, matches: Matches) -> "_Grown":
-        count = np.bincount(matches.labels[matches.labels >= 0], minlength=max(self.labels) + 1)
-        labels = [label for label in self.labels if count[label] >= _LEAST_ON_PLANE]
-        cells = into_cells(matches, labels) if labels else None
-        camera, projector = (self.names.index(name) for name in pair)
-        own = (
-            ()
-            if cells is None
-            else tuple(
-                Sight(camera, projector, self.labels.index(label), cells[cells.plane == label]) for label in labels
-            )
-        )
-        return replace(self, labelled={**self.labelled, pair: matches}, sights=(*self.sights, *own))
-
-    @property
-    def _prior(self) -> NetworkPrior:
-        cameras = {camera for camera, _ in self.captures}
-        return _prior(self.names, cameras, self.sizes, self.squareness_deg)
-
-    @property
-    def _free(self) -> Bools:
-        free = np.ones(self.network.size, np.bool_)
-        free[self.network.device_columns(0)[PER_DEVICE:]] = False
-        return free
-
-    def _settled(self, free: Bools | None = None) -> "_Grown":
-        variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        chosen = self._free if free is None else free
-        fit = minimise(self.sights, self.network, self._prior, variances, chosen, _ROUGH)
-        return replace(self, network=fit.network)
-
-    def estimate(self) -> NetworkEstimate:
-        """All of it at once, with the noise that its residuals show."""
-        free, prior = self._free, self._prior
-        variances = [sight.cells.sigma_px**2 for sight in self.sights]
-        fit = minimise(self.sights, self.network, prior, variances, free, _ROUGH)
-        noise: dict[tuple[int, int], Noise] = {}
-        for last in range(_ROUNDS):
-            noise = _noise(self.sights, fit, int(free.sum()))
-            variances = [noise[each.camera, each.projector].variances(each.cells) for each in self.sights]
-            tolerance = _CONVERGED if last == _ROUNDS - 1 else _ROUGH
-            fit = minimise(self.sights, fit.network, prior, variances, free, tolerance)
-        named = {(self.names[camera], self.names[projector]): each for (camera, projector), each in noise.items()}
-        covariance = covariance_of(fit.information, free)
-        return NetworkEstimate(
-            self.names, self.sizes, fit, covariance, named, (self.names[0], self.names[1]), self.sights
-        )
+def _in_front(network: Network, sights: tuple[Sight, ...]) -> tuple[Network, tuple[Sight, ...]]:
+    """Sights that are before both devices, all but strays, and the planes that have one."""
+    kept = [each for each in sights if np.mean((each.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
+    seen = sorted({sight.plane for sight in kept})
+    planes = tuple(network.planes[plane] for plane in seen)
+    return replace(network, planes=planes), tuple(replace(each, plane=seen.index(each.plane)) for each in kept)
 
 
-def _noise(sights: tuple[Sight, ...], fit: Fit, freedom: int) -> dict[tuple[int, int], Noise]:
-    """Of each pair (camera, projector), by number; each absorbs of the parameters what its share of the cells is."""
-    total, found = sum(len(sight.cells) for sight in sights), {}
-    for pair in {(sight.camera, sight.projector) for sight in sights}:
-        own = [i for i, sight in enumerate(sights) if (sight.camera, sight.projector) == pair]
-        cells = reduce(joined, (sights[i].cells for i in own))
-        residual = np.concatenate([fit.residuals[i] for i in own])
-        found[pair] = noise_of(cells, residual, freedom * len(cells) / total)
-    return found
+def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
+    """All of it at once, with the noise that its residuals show."""
+    prior, pairs = grown.knowledge.prior(grown.names), tuple(grown.labelled)
+    sights, fit = _without_wrong_ties(grown)
+    free, variances = grown.free(fit.layout), [sight.cells.sigma_px**2 for sight in sights]
+    shapes: tuple[PixelShape, ...] = ()
+    bent: list[tuple[int, int]] = []
+    for last in range(_ROUNDS):
+        levels = measured(sights, fit, variances, free, [1] * len(pairs), one_rig=False)
+        variances, joints = levels.variances(sights), grown.joints(fit.layout, bent)
+        tolerance = CONVERGED if last == _ROUNDS - 1 else ROUGH
+        fit = minimise(sights, fit.layout, prior, variances, free, joints=joints, tolerance=tolerance)
+        if not shapes:  # while planes hold all pairs, so that what contradicts them shows
+            shapes = tuple(pixel_shapes(sights, fit, covariance_of(fit.information, free), variances))
+        bent = [
+            (sight.capture, int(sight.cells.plane[0]))
+            for sight, variance in zip(sights, variances, strict=True)
+            if np.median(variance / sight.cells.sigma_px**2) > _BENT
+        ]
+    of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
+    of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
+    covariance = covariance_of(fit.information, free) + of_waves
+    covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
+    on_planes = {sight.capture for sight in sights}
+    noise = {
+        pair: level if i in on_planes else Noise(grown.overlaps.match_px(pair), 0.0, 0.0, 1.0)
+        for i, (pair, level) in enumerate(zip(pairs, levels.stations, strict=True))
+    }
+    return NetworkEstimate(
+        grown.names,
+        grown.knowledge.sizes,
+        fit,
+        covariance,
+        noise,
+        (grown.names[0], grown.names[1]),
+        sights,
+        waves,
+        shapes,
+        {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
+    )

@@ -1,76 +1,220 @@
-"""Devices that are not placed yet, from the light that they share with placed ones.
+"""A network grows from one pair that is calibrated by a corner: device after device is placed by points known so far.
 
-Which plane of the room a match is on is told by its neighbours: a projector's pixel lights one point, whichever camera
-sees it, and a camera's pixel sees one point, whichever projector lights it. A device all of whose matches have labels
-sees known points: its start is the direct linear transform (Hartley & Zisserman, section 7.1), and the joint estimate
-takes it from there.
+Points are known on planes, which labels tell, and where a placed device shares pixels with two others. Each new device
+starts from the direct linear transform, and the joint estimate takes it from there.
 """
 
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
-from scipy.spatial import cKDTree
 
-from calib.closed_form import decompose
-from calib.geometry import NO_FACE, Matches, Motion, homogeneous, normalisation
-from calib.networks.network import Device
-from calib.numerics import Floats, Ints
+from calib.geometry import NO_FACE, Matches, Motion
+from calib.networks.labels import label_map, read
+from calib.networks.network import Device, Network
+from calib.networks.overlaps import Overlaps, PairName, pixels_of
+from calib.networks.placement import placed, triangulated
+from calib.networks.prior import NetworkKnowledge
+from calib.networks.shared_points import SharedPoints
+from calib.networks.sights import Sight, points_on
+from calib.numerics import Bools, Floats, evenly
+from calib.refinement import PER_DEVICE, device_of, into_cells
+from calib.rooms.likelihood import minimise
+from calib.rooms.planes import RoomPlane, plane_through
+from calib.self_calibration import SelfCalibration
 
-_NEIGHBOURS = 4
-_WITHIN = 3.0  # typical distances between neighbours: further away nothing is told
-_SAMPLE = 5_000
-_TOLD = 1e-9  # of the largest eigenvalue: less, and points on one plane leave the device open
+ROUGH = 0.1  # tolerance in cost
+_LEAST_ON_PLANE = 100  # matches; fewer may be strays
+_NEARLY_ALL = 0.9  # of a pair's matches on a plane that have labels: the others have the same
+_PARALLEL, _ON_PLANE = float(np.cos(np.radians(3.0))), 0.01  # the latter of the distance
+_SAMPLE = 3_000
+_ROUNDS = 2
+_FOLLOWS_PX = 20.0  # median: a device that sees known points further off was not placed by them
 
 
-def labels_across(pixels: Floats, known_px: Floats, known: Ints) -> Ints:
-    """Labels (N,) of a device's pixels (N, 2) from those of others of its pixels (M, 2), which have labels (M,).
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """As far as devices are placed. `labelled`: matches of pairs that are part of it, labelled by number of the plane.
 
-    All neighbours on different sides of an edge agree on nothing: NO_FACE, as where there are none near.
+    `sights`: in the order of these pairs.
     """
-    if len(known_px) <= _NEIGHBOURS:
-        return np.full(len(pixels), NO_FACE, np.int32)
-    tree = cKDTree(known_px)
-    some = known_px[:: max(1, len(known_px) // _SAMPLE)]
-    typical = float(np.median(_nearest(tree, some, 2)[0][:, 1]))
-    distance, nearest = _nearest(tree, pixels, _NEIGHBOURS)
-    around = known[nearest]
-    agreed = (around == around[:, :1]).all(axis=1) & (distance[:, -1] <= _WITHIN * max(typical, 1.0))
-    labels: Ints = np.where(agreed, around[:, 0], NO_FACE).astype(np.int32)
-    return labels
 
+    names: tuple[str, ...]
+    network: Network
+    labelled: Mapping[PairName, Matches]
+    sights: tuple[Sight, ...]
+    captures: Mapping[PairName, Matches]
+    overlaps: Overlaps
+    knowledge: NetworkKnowledge
 
-def _nearest(tree: "cKDTree[None]", pixels: Floats, count: int) -> tuple[Floats, Ints]:
-    """Distances and indices (N, count) of the nearest pixels."""
-    distance, nearest = tree.query(pixels, k=count)
-    return np.asarray(distance), np.asarray(nearest)
+    @classmethod
+    def from_corner(
+        cls,
+        seed: PairName,
+        captures: Mapping[PairName, Matches],
+        start: SelfCalibration,
+        knowledge: NetworkKnowledge,
+    ) -> "Grown":
+        """One pair as calibrated, and the planes through its matches."""
+        rig = start.calibration
+        back = rig.rotation.T
+        devices = (
+            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3))),
+            Device(device_of(rig.projector), Motion(back, -back @ rig.translation)),
+        )
+        overlaps = Overlaps.of(captures, knowledge.sizes)
+        return cls(seed, Network(devices, ()), {}, (), captures, overlaps, knowledge)._with_pair(seed)
 
+    @property
+    def waiting(self) -> tuple[PairName, ...]:
+        """Pairs that are no part of it yet."""
+        return tuple(pair for pair in self.captures if pair not in self.labelled)
 
-def with_labels(matches: Matches, by_camera: list[Matches], by_projector: list[Matches]) -> Matches:
-    """Matches with what others' labels tell of them: of the same camera, and of the same projector."""
-    label = np.full(len(matches), NO_FACE, np.int32)
-    for others, axis in ((by_camera, "camera_px"), (by_projector, "projector_px")):
-        for other in others:
-            told = labels_across(getattr(matches, axis), getattr(other, axis), other.labels)
-            label = np.where(label == NO_FACE, told, label)
-    return matches.with_faces(label)
-
-
-def placed(points: Floats, pixels: Floats) -> Device | None:
-    """A device, without lens terms, that sees points (N, 3) at pixels (N, 2); None of points on one plane."""
-    scale, centre = normalisation(pixels), points.mean(axis=0)
-    spread = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1))))
-    ideal = homogeneous(pixels) @ scale.T
-    solid = homogeneous((points - centre) / spread)
-    rows = np.zeros((2 * len(points), 12))
-    rows[0::2, 0:4], rows[0::2, 8:12] = solid, -ideal[:, :1] * solid
-    rows[1::2, 4:8], rows[1::2, 8:12] = solid, -ideal[:, 1:2] * solid
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    if values[1] < _TOLD * values[-1]:
+    def with_next(self) -> "Grown | None":
+        """With one pair more: of two placed devices, or else the one that places a new device by most points; None if
+        no device can be placed.
+        """
+        candidates: list[tuple[PairName, Floats, Floats]] = []
+        for pair in self.waiting:
+            there = [name in self.names for name in pair]
+            if all(there):
+                return self._with_pair(pair)
+            if any(there):
+                candidates.append((pair, *self._known_points(pair)))
+        for pair, points, pixels in sorted(candidates, key=lambda each: -len(each[1])):
+            if (more := self._with_device(pair, points, pixels)) is not None:
+                return more
         return None
-    motion = np.linalg.inv(scale) @ vectors[:, 0].reshape(3, 4)
-    matrix, rotation, translation = (each[0] for each in decompose(motion[None]))
-    if not (np.isfinite(matrix).all() and np.isfinite(rotation).all()):
-        return None
-    lens = np.array([np.sqrt(matrix[0, 0] * matrix[1, 1]), *matrix[:2, 2], 0.0, 0.0, 0.0, 0.0, 0.0])
-    back = rotation.T
-    device = Device(lens, Motion(back, centre - spread * (back @ translation)))
-    ahead = (points - device.pose.translation) @ back[:, 2]
-    return device if np.median(ahead) > 0 else None
+
+    def free(self, network: Network) -> Bools:
+        """Columns that are estimated, (size,): all but the first device's pose and what is exactly known."""
+        free = np.ones(network.size, np.bool_)
+        free[network.device_columns(0)][PER_DEVICE:] = False
+        for i, sigma in enumerate(self.knowledge.prior(self.names).sigma):
+            free[network.device_columns(i)][:PER_DEVICE] = sigma > 0
+        return free
+
+    def joints(self, network: Network, bent: Collection[tuple[int, int]] = ()) -> tuple[SharedPoints, ...]:
+        """What ties devices where matches are on no plane, or on one that is `bent`: number of the pair, label."""
+        labelled = {
+            pair: matches.with_faces(
+                np.where(np.isin(matches.labels, [k for p, k in bent if p == i]), NO_FACE, matches.labels)
+            )
+            for i, (pair, matches) in enumerate(self.labelled.items())
+        }
+        return tuple(self.overlaps.joints(network, self.names, labelled))
+
+    def labelled_anew(self) -> "Grown":
+        """With labels of planes that were met later."""
+        matches = {pair: self._labels(pair) for pair in self.labelled}
+        again = replace(self, labelled={}, sights=())
+        for pair, each in matches.items():
+            again = again._with(pair, each)
+        return again
+
+    def _known_points(self, pair: PairName) -> tuple[Floats, Floats]:
+        """Of a pair with a placed device: points (N, 3), and the other device's pixels (N, 2)."""
+        new = 0 if pair[0] not in self.names else 1
+        known, matches = pair[1 - new], self._labels(pair)
+        device = self.network.devices[self.names.index(known)]
+        pixels = pixels_of(matches, 0), pixels_of(matches, 1)
+        points, seen = [], []
+        for label, plane in enumerate(self.network.planes):
+            own = evenly(matches.labels == label, _SAMPLE)
+            if len(own) >= _LEAST_ON_PLANE:
+                points.append(points_on(pixels[1 - new][own], device.lens, device.pose, plane))
+                seen.append(pixels[new][own])
+        if len(points) < 2:
+            devices = dict(zip(self.names, self.network.devices, strict=True))
+            loose, at = self.overlaps.known_points(devices, known, pair[new], self.labelled)
+            some = evenly(np.ones(len(loose), np.bool_), _SAMPLE)
+            points.append(loose[some])
+            seen.append(at[some])
+        return np.concatenate(points), np.concatenate(seen)
+
+    def _labels(self, pair: PairName) -> Matches:
+        """Its matches, with what others tell of those without a label."""
+        matches = self.labelled.get(pair, replace(self.captures[pair], face=None))
+        label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face.copy()
+        for role, name in enumerate(pair):
+            others = [each for other, each in self.labelled.items() if other != pair and other[role] == name]
+            if not others or not (label == NO_FACE).any():
+                continue
+            raster, unlabelled = self.overlaps.rasters[name], np.flatnonzero(label == NO_FACE)
+            told = label_map(raster, [(pixels_of(each, role), each.labels) for each in others])
+            label[unlabelled] = read(raster, told, pixels_of(matches, role)[unlabelled])
+        return matches.with_faces(label)
+
+    def _with_device(self, pair: PairName, points: Floats, pixels: Floats) -> "Grown | None":
+        """The device of a pair that is not placed yet, by points that it sees."""
+        found = placed(points, pixels) if len(points) else None
+        if found is None:
+            return None
+        new = pair[0] if pair[0] not in self.names else pair[1]
+        network = replace(self.network, devices=(*self.network.devices, self.knowledge.held(new, found)))
+        more = replace(self, names=(*self.names, new), network=network)._with_pair(pair)
+        alone = np.zeros(more.network.size, np.bool_)
+        alone[more.network.device_columns(len(self.names))] = True
+        return more._settled(alone & more.free(more.network))._settled(more.free(more.network))
+
+    def _with_pair(self, pair: PairName) -> "Grown":
+        """Of two placed devices, with labels as others tell them, and with planes that no other pair has seen."""
+        matches = self._labels(pair)
+        label, own = matches.labels.copy(), self.captures[pair].face
+        planes = list(self.network.planes)
+        devices = [self.network.devices[self.names.index(name)] for name in pair]
+        for number in np.unique(own[own >= 0]).tolist() if own is not None else ():
+            on, new = own == number, (own == number) & (label == NO_FACE)
+            told = np.bincount(label[on & ~new], minlength=1)
+            if told.sum() >= _LEAST_ON_PLANE:
+                if told.max() > _NEARLY_ALL * told.sum():
+                    label[new] = told.argmax()
+                continue
+            if np.count_nonzero(new) < _LEAST_ON_PLANE:
+                continue
+            some = matches[evenly(new, _SAMPLE)]
+            points = triangulated(devices[0], devices[1], some.camera_px, some.projector_px)
+            points = points[np.isfinite(points).all(axis=1)]
+            found = plane_through(points, np.ones(len(points)), devices[0].pose.translation)
+            if not _in_front(found, devices[0], devices[1], some.camera_px):
+                continue
+            same = [k for k, plane in enumerate(planes) if _alike(plane, found, points, devices[0].pose.translation)]
+            label[new] = same[0] if same else len(planes)
+            planes += () if same else (found,)
+        network = replace(self.network, planes=tuple(planes))
+        return replace(self, network=network)._with(pair, matches.with_faces(label))
+
+    def _with(self, pair: PairName, matches: Matches) -> "Grown":
+        count = np.bincount(matches.labels[matches.labels >= 0], minlength=len(self.network.planes))
+        labels = np.flatnonzero(count >= _LEAST_ON_PLANE).tolist()
+        camera, projector = (self.names.index(name) for name in pair)
+        cells = into_cells(matches, labels) if labels else None
+        own = [
+            Sight(len(self.labelled), camera, projector, label, cells[cells.plane == label])
+            for label in labels
+            if cells is not None
+        ]
+        return replace(self, labelled={**self.labelled, pair: matches}, sights=(*self.sights, *own))
+
+    def _settled(self, free: Bools) -> "Grown":
+        variances = [sight.cells.sigma_px**2 for sight in self.sights]
+        network, prior = self.network, self.knowledge.prior(self.names)
+        for _ in range(_ROUNDS):
+            joints = self.joints(network)
+            network = minimise(self.sights, network, prior, variances, free, joints=joints, tolerance=ROUGH).layout
+            if not joints:
+                break
+        return replace(self, network=network)
+
+
+def _in_front(plane: RoomPlane, camera: Device, projector: Device, camera_px: Floats) -> bool:
+    """Whether nearly all of what a camera sees of a plane is before it and before a projector."""
+    points = points_on(camera_px, camera.lens, camera.pose, plane)
+    ahead = [(points - device.pose.translation) @ device.pose.rotation[:, 2] > 0 for device in (camera, projector)]
+    return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
+
+
+def _alike(plane: RoomPlane, found: RoomPlane, points: Floats, eye: Floats) -> bool:
+    """Whether a plane that was found through points (N, 3) may be one that is known; wrong ties are found later."""
+    off = np.abs(points @ plane.normal - plane.offset) / np.linalg.norm(points - eye, axis=1)
+    return bool(abs(plane.normal @ found.normal) > _PARALLEL and np.median(off) < _ON_PLANE)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion
-from calib.numerics import Floats, Ints
+from calib.geometry import Motion, cross
+from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
-from calib.rooms.planes import RoomPlane
-from calib.rooms.room import PER_PLACE, PER_PLANE, moved_place, moved_plane
+from calib.rooms.planes import PER_PLANE, RoomPlane
+from calib.rooms.room import PER_PLACE, moved_place, moved_plane
 
 PER_NODE = PER_DEVICE + PER_PLACE
 
@@ -47,14 +47,14 @@ class Network:
         """Number of columns."""
         return PER_NODE * len(self.devices) + PER_PLANE * len(self.planes)
 
-    def device_columns(self, device: int) -> Ints:
-        """Columns of a device, (14,)."""
-        return np.arange(PER_NODE * device, PER_NODE * (device + 1), dtype=np.int32)
+    def device_columns(self, device: int) -> slice:
+        """Columns of a device, 14 of them."""
+        return slice(PER_NODE * device, PER_NODE * (device + 1))
 
-    def plane_columns(self, plane: int) -> Ints:
-        """Columns of a plane, (3,)."""
+    def plane_columns(self, plane: int) -> slice:
+        """Columns of a plane, 3 of them."""
         start = PER_NODE * len(self.devices) + PER_PLANE * plane
-        return np.arange(start, start + PER_PLANE, dtype=np.int32)
+        return slice(start, start + PER_PLANE)
 
     def moved(self, step: Floats) -> "Network":
         """The network after a step (size,) in the columns' coordinates."""
@@ -62,3 +62,9 @@ class Network:
             tuple(device.moved(step[self.device_columns(i)]) for i, device in enumerate(self.devices)),
             tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
+
+
+def turned_by(points: Floats) -> Floats:
+    """How points (N, 3) follow a turn about the axes: ω × X for each axis ω, (N, 3, 3), components by rows."""
+    turned: Floats = np.swapaxes(cross(np.eye(3)[None], points[:, None]), 1, 2)
+    return turned

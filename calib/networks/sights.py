@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion, cross, project, tangent_basis, unproject
-from calib.networks.network import PER_NODE, Network
+from calib.geometry import Motion, project, tangent_basis, unproject
+from calib.networks.network import PER_NODE, Network, turned_by
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
-from calib.rooms.planes import RoomPlane
-from calib.rooms.room import PER_PLANE
+from calib.rooms.planes import PER_PLANE, RoomPlane
 
 PER_SIGHT = 2 * PER_NODE + PER_PLANE
 _AXES = np.eye(3)
@@ -17,8 +16,12 @@ _AXES = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The `cells` of one plane that `camera` sees in the light of `projector`; all by number in the network."""
+    """The `cells` of one plane that `camera` sees in the light of `projector`; all by number in the network.
 
+    `capture`: number of the pair.
+    """
+
+    capture: int
     camera: int
     projector: int
     plane: int
@@ -26,22 +29,32 @@ class Sight:
 
     def columns(self, network: Network) -> Ints:
         """The network's columns that it depends on, (31,): the camera's, the projector's, the plane's."""
+        every = np.arange(network.size, dtype=np.int32)
         return np.concatenate(
             [
-                network.device_columns(self.camera),
-                network.device_columns(self.projector),
-                network.plane_columns(self.plane),
+                every[network.device_columns(self.camera)],
+                every[network.device_columns(self.projector)],
+                every[network.plane_columns(self.plane)],
             ]
         )
 
-    def predict(self, network: Network) -> tuple[Floats, Floats, Floats]:
-        """Projector pixels (N, 2), their Jacobian (N, 2, 31) and depths (N, 2) before both devices.
+    def carried(self, _: Network) -> Floats:
+        """Its own columns are those of the network, (31, 31)."""
+        return np.eye(PER_SIGHT)
+
+    def points(self, network: Network) -> Floats:
+        """Where the rays of its cells meet the plane, (M, 3) in the network's frame."""
+        camera = network.devices[self.camera]
+        return points_on(self.cells.camera_px, camera.lens, camera.pose, network.planes[self.plane])
+
+    def predict(self, network: Network, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, 31), and depths (N, 2).
 
         A point stays on the plane: moved by v it slides back along its ray u, n · u = 1, by u (n · v).
         """
         camera, projector = network.devices[self.camera], network.devices[self.projector]
         plane = network.planes[self.plane]
-        rays, by_camera = unproject(camera.lens, self.cells.camera_px)
+        rays, by_camera = unproject(camera.lens, self.cells.camera_px if camera_px is None else camera_px)
         along, depth = _meet(rays, camera.pose, plane)
         off = along * (plane.offset - float(plane.normal @ camera.pose.translation))
         points = off + camera.pose.translation
@@ -50,10 +63,10 @@ class Sight:
         moved = np.concatenate(
             [
                 depth[:, None, None] * (onto @ (camera.pose.rotation @ by_camera)),
-                onto @ _turned(off),
+                onto @ turned_by(off),
                 onto,
                 np.zeros((len(rays), 3, PER_DEVICE)),
-                -_turned(points - projector.pose.translation),
+                -turned_by(points - projector.pose.translation),
                 np.broadcast_to(-_AXES, onto.shape),
                 tilts,
                 along[:, :, None],
@@ -80,9 +93,3 @@ def _meet(rays: Floats, pose: Motion, plane: RoomPlane) -> tuple[Floats, Floats]
     turned = rays @ pose.rotation.T
     facing = turned @ plane.normal
     return turned / facing[:, None], (plane.offset - float(plane.normal @ pose.translation)) / facing
-
-
-def _turned(points: Floats) -> Floats:
-    """ω × X for each axis ω, (N, 3, 3): components by rows, axes by columns."""
-    turned: Floats = np.swapaxes(cross(_AXES[None], points[:, None]), 1, 2)
-    return turned

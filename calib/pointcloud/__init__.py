@@ -1,4 +1,4 @@
-"""Points in space, on the grid of the camera's image or without order: surfaces, planes, spheres, registration."""
+"""Point clouds, organised on the camera's pixel grid or unordered: surfaces, planes, spheres, registration."""
 
 from calib.pointcloud.corner_registration import Order, find_order
 from calib.pointcloud.corner_view import View

@@ -1,9 +1,8 @@
-"""Registration of several views of one corner: which of its three legs is which.
+"""Registration of several views of one corner: the correspondence of its three legs.
 
-A corner's faces are numbered alike up to a cyclic order, which angles of exactly 90 degrees do not tell: turned by a
-third about its diagonal, a square corner is the same. What else the views saw tells the orders apart: where one view
-looked through the air there is nothing that another could have seen; what is painted on the walls is the same in both;
-and a rig is seldom moved and turned on its side at once.
+The faces of two views correspond up to a cyclic order. A square corner has a threefold symmetry about its diagonal, so
+its angles do not determine the order. Three kinds of evidence do: free space that one view looked through cannot
+contain another's surface; the texture of the walls is the same; and a rig is rarely turned on its side between views.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,18 +17,18 @@ from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud.corner_view import View, cells_of
 
 _TURNS = (0, 1, 2)
-# Of the distance: neighbouring points are one patch, one piece of evidence; depths that differ by less are the same.
+# Shares of the distance: size of a patch of points, and the largest difference of equal depths.
 _PATCH, _SAME_DEPTH = 0.02, 0.01
-# A patch in the other's line of sight is a mistake of the decoder or a thing that was moved, else a refutation. Patches
-# are not independent, so each counts for far less than it would alone.
+# Cost of a patch in the other view's line of sight. Decoder errors and moved things cause some, and patches are not
+# independent, so each counts far less than it would alone.
 _NATS_PER_PATCH = 0.5
-# Of the distance: pixels of the pictures of the walls that are compared; what is dark here and there for want of light
-# is evened out over a window of so many.
+# Pixel size of the wall textures that are compared, as a share of the distance; window in pixels over which
+# illumination is removed.
 _WALL_PIXEL, _WINDOW = 0.005, 15
-# Of the pixels of these pictures, as many as this one are worth one that is independent of the others.
+# How many correlated texture pixels count as one independent pixel.
 _ALIKE_NEIGHBOURS = 50.0
 _UPRIGHT_SIGMA = np.radians(45.0)
-# One order has to be 1000 times as likely as the next.
+# The best order must be 1000 times as likely as the next.
 _DECIDED_NATS = float(np.log(1000.0))
 _MOST_REFUTED = 0.5
 _MOST_BEGUN = 3**6
@@ -37,11 +36,11 @@ _MOST_BEGUN = 3**6
 
 @dataclass(frozen=True)
 class Order:
-    """How the axes of several views' corners belong together.
+    """The correspondence of the axes of several views' corners.
 
-    `turns`: for each view, what `View.in_corner` is to be given. `nats`: log of how much likelier this order is than
-    the next. `refuted`: share of the patches off the walls, where both views could see, that the other view looked
-    through; with the right order of one unchanged scene it is small.
+    `turns`: for each view the argument of `View.in_corner`. `nats`: log likelihood ratio to the next best order.
+    `refuted`: share of the patches off the walls, visible to both views, that the other view looked through; small for
+    the right order of an unchanged scene.
     """
 
     turns: tuple[int, ...]
@@ -55,13 +54,13 @@ class Order:
 
     @property
     def contradictory(self) -> bool:
-        """Whether even in this order the views do not show one unchanged scene."""
+        """Whether the views contradict each other even in this order."""
         return self.refuted > _MOST_REFUTED
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Patches of one view as another one saw them: `refuted` of all; of those off the walls also `confirmed`."""
+    """Counts of one view's patches as seen by another: refuted ones, and confirmed ones off the walls."""
 
     refuted: int
     refuted_off_walls: int
@@ -69,9 +68,9 @@ class _Seen:
 
 
 def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
-    """The likeliest order of the axes of two or more views, and how sure it is.
+    """The likeliest order of the axes of two or more views, with its log likelihood ratio.
 
-    `angles_nats`: by how much the angles of the corner favour the order in which the views come.
+    `angles_nats`: log likelihood ratio by which the corner's angles favour the given order.
     """
     patches = [_patches(view) for view in views]
     pixel = _WALL_PIXEL * float(np.median([view.distance for view in views]))
@@ -98,7 +97,7 @@ def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
 def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[tuple[tuple[int, ...], float]]:
     """Turns of `count` views, the first being 0, with the sums of their pairs' costs, cheapest first.
 
-    View by view, of which only the most promising are continued: all of them for up to seven views.
+    A beam search, view by view; exhaustive for up to seven views.
     """
     begun: list[tuple[tuple[int, ...], float]] = [((0,), 0.0)]
     for j in range(1, count):
@@ -112,7 +111,7 @@ def _cheapest(costs: Mapping[tuple[int, int, int], float], count: int) -> list[t
 
 
 def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
-    """The same order, numbered so that the last axis is the one that is most upright in the cameras' images."""
+    """The same order, renumbered so that the last axis is the most upright one in the cameras' images."""
     up = np.mean([_up(view, turn) for view, turn in zip(views, turns, strict=True)], axis=0)
     shift = 2 - int(np.argmax(np.abs(up)))
     return tuple((turn + shift) % 3 for turn in turns)
@@ -145,7 +144,7 @@ def _patches(view: View) -> _Patches:
 
 
 def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
-    """`turn`: that of the patches' corner relative to the view's."""
+    """Classify patches by what the view saw there; `turn`: of the patches' corner relative to the view's."""
     points = view.in_camera(np.roll(patches.points, turn, axis=1))
     nearest, farthest, sees = view.depths_around(points)
     z = points[:, 2]
@@ -157,9 +156,9 @@ def _seen_by(view: View, patches: _Patches, turn: int) -> _Seen:
 
 @dataclass(frozen=True)
 class _Wall:
-    """What is painted on a face, as a picture over its two other axes: logarithms of the brightness, (h, w), without
-    what varies slowly, for that is the light. `known` (h, w): where a point was; `origin` (2,): the first pixel's
-    place.
+    """The texture of a face over its two other axes: log brightness (h, w), high-pass filtered to remove illumination.
+
+    `known` (h, w): pixels with a point; `origin` (2,): position of the first pixel.
     """
 
     paint: Floats
@@ -167,13 +166,13 @@ class _Wall:
     origin: Ints
 
     def within(self, low: Ints, high: Ints) -> tuple[Floats, Bools]:
-        """Paint, and where it is known, from place `low` (2,) up to `high` (2,), which the picture contains."""
+        """The texture and its validity from position `low` (2,) up to `high` (2,), which must be inside."""
         rows, columns = (slice(*ends) for ends in zip(low - self.origin, high - self.origin, strict=True))
         return self.paint[rows, columns], self.known[rows, columns]
 
 
 def _pictures_of_walls(view: View, pixel: float) -> list[_Wall] | None:
-    """One for each face; None where the brightness is not known."""
+    """The textures of the three faces; None if the brightness is unknown."""
     if view.brightness is None or not view.there.any() or pixel == 0:
         return None
     points = view.in_corner(view.points[view.there].astype(np.float64))
@@ -187,7 +186,7 @@ def _pictures_of_walls(view: View, pixel: float) -> list[_Wall] | None:
 
 
 def _picture_of_wall(places: Ints, light: Floats) -> _Wall:
-    """From whole-numbered places (N, 2) and the logarithm of the brightness there, (N,)."""
+    """The texture from integer positions (N, 2) and log brightness (N,)."""
     origin = places.min(axis=0, initial=0)
     height, width = places.max(axis=0, initial=0) - origin + 1
     flat = (places[:, 0] - origin[0]) * width + places[:, 1] - origin[1]
@@ -200,7 +199,7 @@ def _picture_of_wall(places: Ints, light: Floats) -> _Wall:
 
 
 def _cost_of_paint(a: list[_Wall] | None, b: list[_Wall] | None, turn: int) -> float:
-    """−log likelihood of the correlation r of the walls' pictures: ½ n log(1 − r²), if r is positive."""
+    """−log likelihood of the correlation r of the walls' textures: ½ n log(1 − r²), if r is positive."""
     if a is None or b is None:
         return 0.0
     products, count = np.zeros(3), 0

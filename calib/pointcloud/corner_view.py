@@ -1,4 +1,4 @@
-"""What one capture saw of a corner, and its points in the corner's frame and in the camera's."""
+"""One capture of a corner, with its points in the corner's frame and in the camera's."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from calib.numerics import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class View:
-    """What one capture saw of a corner.
+    """One capture of a corner.
 
     `points` (H, W, 3) in the camera's frame on its pixel grid, NaN where there is none; `brightness` (H, W), or None;
     `corner` in the same frame and unit.
@@ -49,9 +49,8 @@ class View:
         return points_in_camera
 
     def depths_around(self, points: Floats) -> tuple[Floats, Floats, Bools]:
-        """Least and greatest depth in the 3 × 3 pixels around the images of points (N, 3) of the camera's frame.
-
-        And whether there is any, (N,).
+        """Smallest and largest depth (N,) in the 3 × 3 pixels around the images of points (N, 3) in the camera's
+        frame, and whether there is any (N,).
         """
         pixels = self.camera.project(points)
         with np.errstate(invalid="ignore"):
@@ -73,7 +72,7 @@ class View:
 
 
 def cells_of(points: Floats, size: float) -> Ints:
-    """A number for the cube of a grid with edges of `size` that each point (N, 3) is in, (N,)."""
+    """The index (N,) of the voxel, with edges of `size`, that contains each point (N, 3)."""
     cell = np.floor(points / size).astype(np.int64) if len(points) else np.zeros((0, 3), np.int64)
     cell -= cell.min(axis=0, initial=0)
     extent = cell.max(axis=0, initial=0) + 1

@@ -1,9 +1,8 @@
-"""Meshing of an organised cloud: triangles between neighbours in the image, cut where one surface hides another.
+"""Meshing of an organised cloud: triangles between neighbours in the image, cut at occlusion edges.
 
-Neighbouring pixels see neighbouring points of one surface unless an occlusion edge runs between them. There, the point
-of the one pixel lies far off the tangent plane at the other's; on a smooth surface it lies in it, however obliquely the
-surface is seen. At a crease it lies off by less than the distance of the two, which is a few footprints: the footprint
-is the step of one pixel at the point's depth on a surface that faces the camera.
+At an occlusion edge, the point of one pixel is far from the tangent plane at its neighbour's. On a smooth surface it is
+near that plane, however oblique the view. At a crease its distance is less than that between both points, a few
+footprints. A footprint is the step of one pixel at the point's depth, on a surface that faces the camera.
 """
 
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from scipy.spatial import Delaunay, QhullError
 
 from calib.numerics import Floats, Ints, compiled, in_slices, robust_sigma
 
-# Off the tangent plane by more than this many footprints per pixel between the two, or so many sigmas of the usual.
+# Largest distance from the tangent plane, in footprints per pixel of separation, and in sigmas of the usual distance.
 _LARGEST_STEP, _LARGEST_STEP_SIGMAS = 6.0, 6.0
-# Among scattered pixels, an edge longer than this many times the median edge spans a place without points.
+# Among scattered pixels, an edge longer than this multiple of the median spans a hole.
 _LONGEST_EDGE = 3.0
 _STRIP_ROWS = 128
 
@@ -26,10 +25,7 @@ Floats32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """`pixel` (N, 2): where the camera sees the points. `points` (N, 3) in its frame, `normals` (N, 3) of unit length.
-
-    `focal_px` is the camera's.
-    """
+    """`points` (N, 3) in the camera's frame, their `pixel` (N, 2) and unit `normals` (N, 3); camera's `focal_px`."""
 
     pixel: Floats
     points: Floats
@@ -38,12 +34,11 @@ class SeenPoints:
 
 
 def image_triangles(seen: SeenPoints, index: Ints) -> Ints:
-    """Triangles (T, 3) of indices of points, their corners counter-clockwise as seen by the camera.
+    """Triangles (T, 3) of point indices, counter-clockwise as seen by the camera.
 
-    `index` (H, W): which point each pixel has, as of `pixel_index`. Where nearly every pixel has one, each square
-    of four neighbours gives two triangles, or one if three of its pixels have points. Where there is one point for
-    several pixels, as when the projector's pixels are larger than the camera's, they are Delaunay's triangles in the
-    image.
+    `index` (H, W): the point of each pixel, as in `pixel_index`. In a dense grid, each square of four neighbours gives
+    two triangles, or one if three of its pixels have points. Sparse points, as when the projector's pixels are larger
+    than the camera's, are joined by a Delaunay triangulation of the image.
     """
     surface = _Surface(
         seen.pixel.astype(np.float32, order="C"),
@@ -56,7 +51,7 @@ def image_triangles(seen: SeenPoints, index: Ints) -> Ints:
 
 
 class _Surface(NamedTuple):
-    """As of `SeenPoints`, and each point's footprint (N,); in single precision, for there may be many."""
+    """As `SeenPoints`, with each point's footprint (N,), in single precision to save memory."""
 
     pixel: Floats32
     points: Floats32
@@ -65,7 +60,7 @@ class _Surface(NamedTuple):
 
 
 def _limit(steps: Floats32) -> float:
-    """How large a step may be, given many, of which few are across occlusion edges."""
+    """The largest step on a surface, from many steps of which few cross occlusion edges."""
     return max(_LARGEST_STEP, _LARGEST_STEP_SIGMAS * robust_sigma(steps[np.isfinite(steps)].astype(np.float64)))
 
 
@@ -88,9 +83,9 @@ def _grid_triangles(surface: _Surface, index: Ints) -> Ints:
 
 @compiled
 def _step(surface: _Surface, a: int, b: int) -> np.float32:
-    """How far each of two points lies off the other's tangent plane: the larger, in footprints per pixel.
+    """The larger distance of two points from each other's tangent plane, in footprints per pixel.
 
-    Infinite where one of them is none, and its index negative.
+    Infinite if an index is negative, for a missing point.
     """
     if a < 0 or b < 0:
         return np.float32(np.inf)
@@ -116,7 +111,7 @@ def _steps(surface: _Surface, p: Ints, q: Ints, steps: Floats32) -> None:
 
 @compiled
 def _strip_triangles(surface: _Surface, index: Ints, limit: float, triangles: Ints) -> int:
-    """Fill in the triangles of a strip's squares (a, b over c, d) without a step beyond the limit: how many?"""
+    """Write the triangles of a strip's squares (a, b over c, d) without steps beyond the limit; returns their count."""
     count = 0
     for row in range(len(index) - 1):
         for column in range(index.shape[1] - 1):

@@ -1,8 +1,7 @@
 """Least-squares planes through the window around every pixel of a grid of points.
 
-A plane n·X = 1 is affine in the image, 1/z = n_x x/z + n_y y/z + n_z, and there the noise is uniform. All that a fit
-needs are sums over the window: of 1, x/z, y/z, 1/z, and of their products with each other. The sums slide down the
-image with the rows, and along each row.
+In inverse depth a plane n·X = 1 is affine, 1/z = n_x x/z + n_y y/z + n_z, and the noise is uniform. A fit needs the
+window's sums of 1, x/z, y/z, 1/z, and of their products. They are updated as running sums along columns and rows.
 """
 
 from dataclasses import dataclass
@@ -14,11 +13,11 @@ from calib.numerics import Floats, compiled, in_slices
 
 Floats32 = NDArray[np.float32]
 
-LARGEST_WINDOW = 15  # its points can be counted in a byte
+LARGEST_WINDOW = 15  # the count of its points fits into a byte
 FEWEST_NEIGHBOURS = 4
 # Spread of a window's pixels along its narrow side, in px²; a full window has 4, a single row 0.
 _NARROWEST = 0.5
-# What a strip of a tile's width needs stays in the processor's cache.
+# The data of a tile fit into the processor's cache.
 _STRIP_ROWS, _TILE_COLUMNS = 64, 256
 
 
@@ -26,7 +25,7 @@ _STRIP_ROWS, _TILE_COLUMNS = 64, 256
 class WindowPlanes:
     """`normals` (H, W, 3) and `roughness` (H, W) in footprints, NaN where no plane could be fitted.
 
-    `count` (H, W): how many points the window of a point has, itself included; 0 where there is no point.
+    `count` (H, W): number of points in the window of a point, itself included; 0 where there is no point.
     """
 
     normals: Floats32
@@ -63,7 +62,7 @@ def _fit_tile(
     roughness: Floats32,
     count: NDArray[np.uint8],
 ) -> None:
-    """Fill in what `WindowPlanes` has of rows from `top` to `bottom`, columns from `left` to `right`."""
+    """Compute the arrays of `WindowPlanes` for rows from `top` to `bottom`, columns from `left` to `right`."""
     window, width = 2 * half + 1, right - left
     terms = np.zeros((window + 1, 4, width + 2 * half))  # of as many rows, in turn; the last stays zero
     sums, totals = np.zeros((10, width + 2 * half)), np.empty((10, width))
@@ -92,7 +91,7 @@ def _fit_tile(
 
 @compiled
 def _see(row: Floats32, left: int, focal_px: float, terms: Floats) -> None:
-    """Fill in 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero where there is none."""
+    """Compute 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero for missing points."""
     for i in range(max(0, -left), min(terms.shape[1], len(row) - left)):
         inverse = 1.0 / np.float64(row[left + i, 2])
         there = np.abs(inverse) < np.inf
@@ -104,7 +103,7 @@ def _see(row: Floats32, left: int, focal_px: float, terms: Floats) -> None:
 
 @compiled
 def _slide(sums: Floats, entering: Floats, leaving: Floats) -> None:
-    """Let the terms (4, N) of one row enter the sums (10, N) of their products, and those of another leave."""
+    """Add the products of one row's terms (4, N) to the sums (10, N), and subtract those of another."""
     number = 0
     for j in range(4):
         for k in range(j, 4):
@@ -116,8 +115,8 @@ def _slide(sums: Floats, entering: Floats, leaving: Floats) -> None:
 
 @compiled
 def _add_along(sums: Floats, totals: Floats, window: int) -> None:
-    """Sums over so many neighbours (10, N + window − 1) → (10, N)."""
-    for number in range(0, len(sums), 2):  # two at a time, for each addition waits for the one before
+    """Running sums over `window` neighbours: (10, N + window − 1) → (10, N)."""
+    for number in range(0, len(sums), 2):  # two at a time, because each addition depends on the previous one
         one, other = sums[number], sums[number + 1]
         total, another = 0.0, 0.0
         for i in range(window - 1):
@@ -136,7 +135,7 @@ def _add_along(sums: Floats, totals: Floats, window: int) -> None:
 def _solve(
     totals: Floats, there: Floats, inverse_depth: Floats, focal_px: float, normal: Floats, roughness: Floats
 ) -> None:
-    """Normals (3, N) of planes from windows' sums (10, N), and from which pixels are `there` (N,)."""
+    """Normals (3, N) and roughness (N,) of planes from windows' sums (10, N); `there` (N,): pixels with a point."""
     normal_x, normal_y, normal_z = normal[0], normal[1], normal[2]
     sum_1, sum_x, sum_y, sum_w, sum_xx = totals[0], totals[1], totals[2], totals[3], totals[4]
     sum_xy, sum_xw, sum_yy, sum_yw, sum_ww = totals[5], totals[6], totals[7], totals[8], totals[9]

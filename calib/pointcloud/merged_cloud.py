@@ -1,4 +1,4 @@
-"""Clouds of several captures in one frame, that of the corner which all of them see."""
+"""Merges the clouds of several captures in the frame of their common corner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from calib.pointcloud.voxel_grid import nearest_in_voxels
 class MergedCloud:
     """Points in the corner's frame: origin at the vertex, axes along the legs, z along the most upright one.
 
-    `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: at
-    most one point in each cube with this edge. `turns`: for each capture, as of `View.in_corner`; `from_cameras`: for
-    each the pose (3, 4) that takes points of its camera's frame there.
+    `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: edge
+    of the voxels, which hold at most one point each. `turns`: for each capture, as in `View.in_corner`; `from_cameras`:
+    for each the pose (3, 4) from its camera's frame.
     """
 
     points: NDArray[np.float32]
@@ -31,7 +31,7 @@ class MergedCloud:
 
 
 def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...]) -> MergedCloud:
-    """All clouds in the corner's frame; of points in one cube of the grid the one that is nearest to its camera.
+    """Merge clouds in the corner's frame. Of the points in a voxel the one nearest to its camera is kept.
 
     The grid's edge is the distance between neighbouring camera pixels at the captures' median distance.
     """
@@ -60,7 +60,7 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
 
 
 def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, distance: Floats) -> None:
-    """Fill in the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
+    """Write the points (N, 3) of a cloud's pixels (N,) in the corner's frame, and their distances (N,)."""
     seen = cloud.points.reshape(-1, 3)
 
     def fill(at: slice) -> None:
@@ -74,7 +74,7 @@ def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, dis
 def _dress(
     cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
 ) -> None:
-    """Fill in the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
+    """Write the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""
     seen, painted = cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)
 
     def fill(at: slice) -> None:

@@ -1,11 +1,10 @@
-"""Normals of an organised cloud by local plane fits, and its isolated points, which lie on no surface at all.
+"""Normals of an organised cloud by local plane fits, and its isolated points.
 
-Almost everywhere a plane is fitted through a pixel's window, in inverse depth. Where the window crosses an occlusion
-edge, or holds too few points, the nearest neighbours in space are used instead: they lie on the pixel's own side of the
-edge.
+Usually a plane is fitted through a pixel's window, in inverse depth. Where the window crosses an occlusion edge, or
+holds too few points, the nearest neighbours in space are used instead; they lie on the same side of the edge.
 
-Lengths are judged in footprints: the distance that one pixel's step covers at the point's depth on a surface facing
-the camera. That makes them independent of the unit and of the scene's size.
+Lengths are in footprints: the step of one pixel at the point's depth, on a surface facing the camera. That makes limits
+independent of the unit and of the scene's size.
 """
 
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from calib.pointcloud.local_plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, 
 _SMALLEST_WINDOW = 7
 _WANTED_NORMAL_RAD = 0.05
 _NEIGHBOURS = 12
-# A surface seen at more than 85° from its normal cannot be told from an occlusion edge.
+# A surface seen at more than 85° from its normal cannot be distinguished from an occlusion edge.
 _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
 _SAMPLE = 200_000
@@ -65,7 +64,7 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
 
 
 def scattered_surface(points: NDArray[np.float32]) -> Surface:
-    """The same of points that are too far apart for windows: every one counts, normals come from its neighbours."""
+    """Normals of points (H, W, 3) too sparse for windows, from their nearest neighbours; none counts as isolated."""
     there = np.isfinite(points[..., 2])
     normals = np.full_like(points, np.nan)
     if there.any():
@@ -75,7 +74,7 @@ def scattered_surface(points: NDArray[np.float32]) -> Surface:
 
 
 def _typical(planes: WindowPlanes) -> tuple[float, float]:
-    """The roughness of an ordinary window, in footprints, and how many points it has; of some of the windows."""
+    """The median roughness of windows, in footprints, and their median number of points, from a sample."""
     counts = planes.count.ravel()
     places = np.arange(0, len(counts), max(1, int(np.count_nonzero(counts)) // _SAMPLE))
     places = places[counts[places] > 0]
@@ -85,7 +84,7 @@ def _typical(planes: WindowPlanes) -> tuple[float, float]:
 
 
 def _window_for(noise: float, count: float) -> int:
-    """The window, odd, in which points this rough give normals good to `_WANTED_NORMAL_RAD`.
+    """The odd window size at which points this rough give normals accurate to `_WANTED_NORMAL_RAD`.
 
     A line through n points spread evenly over w px has a slope that errs by noise √12 / (w √n); `count` is that of the
     smallest window, n grows with w².
@@ -98,7 +97,7 @@ def _window_for(noise: float, count: float) -> int:
 def _neighbour_planes(
     points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
 ) -> tuple[NDArray[np.float32], Bools]:
-    """Normals (M, 3) of `points` (M, 3) from their nearest neighbours in `cloud`, and which of them have too few.
+    """Normals (M, 3) of `points` (M, 3) from their nearest neighbours in `cloud`, and which points have too few (M,).
 
     Neighbours farther than `reach` (M,) are on another surface.
     """
@@ -107,11 +106,11 @@ def _neighbour_planes(
     near = (distance <= reach[:, None]).astype(np.float64)
     offsets: Floats = cloud[np.minimum(index, len(cloud) - 1)].astype(np.float64) - points[:, None]
     weight: Floats = near.sum(axis=1)
-    mean = np.einsum("mk,mki->mi", near, offsets) / np.maximum(weight, 1.0)[:, None]  # not even itself: no reach
+    mean = np.einsum("mk,mki->mi", near, offsets) / np.maximum(weight, 1.0)[:, None]  # no neighbours within reach
     centred = (offsets - mean[:, None]) * near[..., None]
     spread, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred))
     toward_camera = -points.astype(np.float64) / np.linalg.norm(points, axis=1, keepdims=True)
-    # Points on a line, or alone, have no normal of their own.
+    # Points on a line, or single ones, have no normal; they get the direction to the camera.
     normals: Floats = np.where((spread[:, 1] > 0.01 * spread[:, 2])[:, None], axes[:, :, 0], toward_camera)
     normals *= np.where(np.sum(normals * toward_camera, axis=1) < 0, -1.0, 1.0)[:, None]
     isolated: Bools = weight < FEWEST_NEIGHBOURS + 1

@@ -1,4 +1,4 @@
-"""Matches and a calibration → an organised point cloud: one point for every camera pixel that earned one."""
+"""Triangulates matches to an organised point cloud, with at most one point for each camera pixel."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +18,7 @@ _WHITE_PERCENTILE = 99.9
 
 @dataclass(frozen=True)
 class CloudStatistics:
-    """What became of the matches: `matched` is the sum of `kept` and everything that was dropped.
+    """Counts of matches: `matched` is the sum of `kept` and all that were dropped.
 
     `outside_image`: off the camera's grid; `behind`: not in front of both devices; `disagreeing`: the rays miss each
     other by more than `limit_px`; `shared_pixel`: another match of the same camera pixel fitted better; `isolated`: no
@@ -63,10 +63,10 @@ class Cloud:
 
 
 def build_cloud(matches: Matches, texture: Image | None, calibration: Calibration, *, scattered: bool = False) -> Cloud:
-    """Triangulate every match, drop those that cannot be points of a surface, add colours and normals.
+    """Triangulate every match, drop those that are not points of a surface, add colours and normals.
 
     `texture`: the camera's image of the lit scene, (H, W) grey or (H, W, 3) BGR; without it the cloud is grey.
-    `scattered`: the matches are few and far between, so none is dropped for having no neighbours.
+    `scattered`: matches are sparse, so points without neighbours are kept.
 
     Raises ValueError if the texture's size is not the camera's.
     """
@@ -108,8 +108,8 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
 
 
 def colours_of(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
-    """RGB (H, W, 3) of a camera's image, (H, W) or (H, W, 3) BGR, black where there is no point; 16-bit images are
-    scaled to their brightest level, glints apart.
+    """RGB (H, W, 3) of a camera's image, (H, W) or (H, W, 3) BGR; black where there is no point. 16-bit images are
+    scaled to their 99.9 % percentile.
     """
     if texture is None:
         bright = np.full(there.shape, _NO_TEXTURE_GREY, dtype=np.uint8)

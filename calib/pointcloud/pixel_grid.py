@@ -1,4 +1,4 @@
-"""Matches → points on the camera's pixel grid: of those that share a pixel, the one whose rays meet best."""
+"""Triangulates matches on the camera's pixel grid. Of those that share a pixel, the smallest ray miss is kept."""
 
 from dataclasses import dataclass
 
@@ -11,19 +11,19 @@ from calib.pointcloud.ray_residuals import Misses, expected_misses
 
 _SAMPLE = 100_000
 _STRIP_ROWS = 64
-_IN_TURN = 1 << 16  # matches at a time where they must not be placed side by side
-# Places in the array of counts.
+_IN_TURN = 1 << 16  # matches at a time, if they must not be placed in parallel
+# Indices into the array of counts.
 _OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
 class Organised:
-    """What became of matches: all of them are kept, or counted by why they were not.
+    """Triangulated matches on the grid, and counts of those that were dropped.
 
-    `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): that of the point, or of
-    one that was dropped for it, NaN where no rays met; `match` (H, W): the number of each point's match.
-    `outside_image`, `behind`, `disagreeing`, `shared_pixel`: as of `CloudStatistics`. `misses`: what was expected;
-    `trend_px`: root mean square of their smooth part.
+    `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): ray miss of the point, or
+    of one dropped for it, NaN where no rays met; `match` (H, W): index of each point's match. `outside_image`,
+    `behind`, `disagreeing`, `shared_pixel`: as in `CloudStatistics`. `misses`: model of the ray misses; `trend_px`: root
+    mean square of their smooth part.
     """
 
     points: NDArray[np.float32]
@@ -38,7 +38,7 @@ class Organised:
 
 
 def organise(matches: Matches, calibration: Calibration) -> Organised:
-    """Triangulate every match, judge whether its rays meet, and put its point at the camera's pixel."""
+    """Triangulate every match, test whether its rays meet, and store its point at the camera's pixel."""
     count, shape = len(matches), (calibration.camera.height, calibration.camera.width)
     misses = _expected_misses(matches, calibration)
     points, residual_px = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32)
@@ -67,7 +67,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
         return fates, squared_trend
 
     in_slices(shape[0], _STRIP_ROWS, clear)
-    # Otherwise two threads could put two points at one pixel at the same time.
+    # In parallel only if no two threads can write to the same pixel.
     side_by_side = _row_by_row(matches, calibration.camera.width)
     placed = in_pieces(count, place) if side_by_side else [place(at) for at in slices_of(count, _IN_TURN)]
     fates = np.stack([fates for fates, _ in placed]).sum(axis=0)
@@ -87,7 +87,7 @@ def organise(matches: Matches, calibration: Calibration) -> Organised:
 
 
 def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
-    """From a sample: of millions of matches, so many say as much."""
+    """The model of ray misses, from a sample of the matches."""
     step = max(1, len(matches) // _SAMPLE)
     camera_px = by_columns(matches.camera_px[::step])
     met = intersect_rays(camera_px, matches.projector_px[::step], calibration)
@@ -96,7 +96,7 @@ def _expected_misses(matches: Matches, calibration: Calibration) -> Misses:
 
 
 def _row_by_row(matches: Matches, width: int) -> bool:
-    """Whether matches are in the order of their camera's pixels, one for each, as a decoder gives them."""
+    """Whether matches are in the order of the camera's pixels, at most one for each, as a decoder returns them."""
 
     def in_order(at: slice) -> bool:
         return _increase(matches.camera_px[max(0, at.start - 1) : at.stop], width)
@@ -106,7 +106,7 @@ def _row_by_row(matches: Matches, width: int) -> bool:
 
 @compiled
 def _increase(camera_px: Floats, width: int) -> bool:
-    """Whether the numbers of pixels (N, 2) increase."""
+    """Whether the row-major indices of pixels (N, 2) increase."""
     last, wrong = -np.inf, 0
     for i in range(len(camera_px)):
         number = np.rint(camera_px[i, 1]) * width + np.rint(camera_px[i, 0])
@@ -128,9 +128,9 @@ def _place(
     grid_match: NDArray[np.int32],
     fates: Ints,
 ) -> float:
-    """Put points (3, N) of camera pixels (2, N) on the grid, count those that are not kept; `first` is the first match.
+    """Store points (3, N) of camera pixels (2, N) on the grid, and count dropped ones; `first`: index of match 0.
 
-    Returns the sum of the squared trends of those that agree.
+    Returns the sum of squared trends of the agreeing ones.
     """
     height, width = grid_residual_px.shape
     squared_trend = 0.0
@@ -143,7 +143,7 @@ def _place(
         else:
             x, y = int(column), int(row)
             taken = not np.isnan(grid[y, x, 2])
-            # Where few matches hold the trend it may stray; rays that meet without its help are never dropped.
+            # The trend may be wrong where few matches determine it; rays that meet without it are never dropped.
             agrees = min(abs(residual - trend_px[i]), abs(residual)) <= limit_px
             if agrees:
                 squared_trend += trend_px[i] * trend_px[i]

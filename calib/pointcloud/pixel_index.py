@@ -1,7 +1,7 @@
-"""Which point does a pixel have? An index grid (H, W), `NONE` for none, and what to do where points are sparse.
+"""Index grids (H, W): the point of each pixel, `NONE` for none; and filling gaps between sparse points.
 
-Points are sparse in the camera's image where the projector's pixels are larger than the camera's and a decoder gives
-one match for each of them.
+Points are sparse in the camera's image if the projector's pixels are larger than the camera's and a decoder returns one
+match for each.
 """
 
 import cv2
@@ -11,7 +11,7 @@ from calib.numerics import Ints
 
 NONE = -1
 _WINDOW_PX = 15
-# From a pixel among points that are spread unevenly, the next one is rarely farther than this many spacings.
+# Among unevenly spaced points, the next one is rarely farther than this many spacings.
 _REACH_OF_SPACING = 1.5
 
 
@@ -33,7 +33,7 @@ def density(index: Ints) -> float:
 
 
 def without_gaps(index: Ints) -> Ints:
-    """The same grid, in which pixels between sparse points have the nearest of these; holes stay holes."""
+    """The same grid with pixels between sparse points assigned to the nearest point; holes stay holes."""
     spacing = 1 / np.sqrt(max(density(index), 1 / _WINDOW_PX**2))
     empty = (index == NONE).astype(np.uint8)
     if spacing < 1.1 or empty.all():

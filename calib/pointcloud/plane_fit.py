@@ -1,4 +1,4 @@
-"""A plane through points: least squares of the distances that outliers do not sway, with its covariance."""
+"""Robust least-squares plane through points, with its covariance."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ _CONVERGED = 1e-10
 class Plane:
     """The points X with `normal` · X = `offset`; `normal` (3,) has unit length and faces the origin, so offset < 0.
 
-    Its parameters are two tilts and a shift around `centre` (3,): it moves to the normal `normal` − tilt · `tangents`
-    (2, 3), and by the shift along it. `covariance` (3, 3) is theirs, and `jacobian` (N, 3) how the distance of each
-    point's foot grows with them. `residual` (N,): signed distance of each point, positive on the origin's side.
+    Its parameters are two tilts and a shift around `centre` (3,): the normal becomes `normal` − tilt · `tangents`
+    (2, 3), and the plane moves by the shift along it. `covariance` (3, 3) is theirs; `jacobian` (N, 3): derivatives of
+    the plane's height at each point. `residual` (N,): signed distance of each point, positive on the origin's side.
     """
 
     normal: Floats
@@ -30,15 +30,15 @@ class Plane:
 
     @property
     def influence(self) -> Floats:
-        """How the parameters follow the points' distances, (3, N)."""
+        """Derivatives (3, N) of the parameters by the points' distances."""
         return influence_on(self.jacobian, self.residual)
 
 
 def fit_plane(points: Floats, cluster: Ints) -> Plane:
     """Minimise the points' (N, 3) distances from the plane with Tukey's weights.
 
-    `cluster` (N,): labels from 0 of points whose errors may be alike. Raises ValueError for fewer than three points, or
-    if they are in a line.
+    `cluster` (N,): labels from 0 of points whose errors may correlate. Raises ValueError for fewer than three points,
+    or if they are collinear.
     """
     if len(points) < 3:
         raise ValueError(f"a plane needs three points, found {len(points)}")
@@ -54,7 +54,7 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
         weight = biweight(residual)
         if 1 - abs(previous @ normal) < _CONVERGED**2:
             break
-    # In the plane's own axes the distance is off by a turn about either of them, or by a shift.
+    # In the plane's own axes the height changes by a tilt about either of them, or by a shift.
     jacobian = np.column_stack([from_centre @ axes[:, 1:], np.ones(len(points))])
     covariance = robust_covariance(jacobian, residual, cluster)
     offset = float(normal @ centre)
@@ -65,7 +65,7 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
 def dihedral_angle_rad(first: Plane, second: Plane) -> tuple[float, float]:
     """The angle between two faces, on the side of the origin, and its standard deviation, in radians.
 
-    In a room that is the angle of its corner; of a box seen from outside, its own angle is the full turn's rest.
+    In a room that is the angle of its corner; the angle of a box seen from outside is 2π minus this.
     """
     variance = sum(
         gradient @ plane.covariance @ gradient

@@ -1,4 +1,4 @@
-"""How the decoder's noise becomes a point's."""
+"""Propagates the decoder's noise to triangulated points."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from calib.numerics import Floats
 def point_covariances(matches: Matches, calibration: Calibration) -> Floats:
     """Covariance (N, 3, 3) of each triangulated point from `sigma_px` of its match, in the calibration's unit squared.
 
-    Errors of the calibration are not in it: they move neighbouring points alike. Raises ValueError if the matches have
+    Errors of the calibration, which neighbouring points share, are not included. Raises ValueError if the matches have
     no sigma.
     """
     if matches.sigma_px is None:
@@ -22,7 +22,7 @@ def point_covariances(matches: Matches, calibration: Calibration) -> Floats:
 
 
 def by_projector_px(matches: Matches, calibration: Calibration, step_px: Floats) -> Floats:
-    """How triangulated points move with the projector's pixels, (N, 3, 2): central differences over `step_px` (N,)."""
+    """Derivatives (N, 3, 2) of triangulated points by projector pixels: central differences over `step_px` (N,)."""
     derivative = np.empty((len(matches), 3, 2))
     for axis in (0, 1):
         step = step_px[:, None] * np.eye(2)[axis]

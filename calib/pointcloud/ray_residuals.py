@@ -1,8 +1,8 @@
-"""Residuals of triangulation: do the two rays of a match meet, and is it the decoder's or the calibration's error?
+"""Residuals of triangulation: separates the calibration's smooth error from the decoder's.
 
-A miss has two causes. What the calibration leaves unexplained (mostly its lens model) varies smoothly over both
-images; what the decoder got wrong does not. Only the second is a reason to drop a point, so the smooth part is
-estimated from the matches themselves and taken off before judging.
+The rays of a match miss each other for two reasons. Errors of the calibration, mostly of its lens model, vary smoothly
+over both images; errors of the decoder do not. Only the latter are a reason to drop a point, so the smooth part is
+estimated from the matches and subtracted first.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ _TREND_SAMPLE = 5_000
 _TREND_ITERATIONS = 10
 # Of normally distributed misses one in 500 million lies beyond six standard deviations.
 _OUTLIER_SIGMAS = 6.0
-# A wrong bit or fringe order moves a match by whole projector pixels; below one pixel it is noise, never a mistake.
+# A wrong bit or fringe order moves a match by whole projector pixels; smaller deviations are noise.
 _FINEST_MISTAKE_PX = 1.0
 
 
 @dataclass(frozen=True)
 class Misses:
-    """What misses are to be expected: a smooth trend over both images, the calibration's, and noise, the decoder's.
+    """The model of ray misses: a smooth trend over both images (calibration) and noise (decoder), in projector pixels.
 
-    `trend` (_TREND_TERMS,): coefficients of the cubics; `noise_px`: standard deviation of what remains; `limit_px`:
-    beyond it the rays of a match disagree. In projector pixels.
+    `trend` (_TREND_TERMS,): coefficients of the cubics; `noise_px`: standard deviation of the rest; `limit_px`: largest
+    miss of an agreeing match.
     """
 
     trend: Floats
@@ -39,7 +39,7 @@ class Misses:
 
 
 def expected_misses(camera_px: Floats, foot_px: Floats, residual_px: Floats, calibration: Calibration) -> Misses:
-    """Tell the decoder's noise from the calibration's smooth error.
+    """Separate the decoder's noise from the calibration's smooth error.
 
     `camera_px`, `foot_px` (N, 2) and `residual_px` (N,) of points in front of both devices, a sample from all over the
     image. The scale is the median absolute deviation from the trend, so the limit follows the capture and needs no
@@ -61,7 +61,7 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     camera_px, foot_px, observed = camera_px[sample], foot_px[sample], residual_px[sample]
     one_term_each = np.eye(_TREND_TERMS)
     basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
-    # On a single plane the two images are one homography apart and the terms nearly dependent: minimum norm then.
+    # On a single plane a homography relates both images, and terms are nearly dependent: use the minimum norm.
     return reweighted(basis, observed, _huber, _huber(observed - np.median(observed)), _TREND_ITERATIONS)
 
 
@@ -84,7 +84,7 @@ def _trend(coefficients: Floats, camera_px: Floats, foot_px: Floats, calibration
 def _cubics(
     camera_px: Floats, foot_px: Floats, scale: tuple[float, ...], coefficients: tuple[float, ...], trend: Floats
 ) -> None:
-    """Fill in a constant, then x^i y^j up to degree 3, at pixels (2, N) of the camera, and of the projector."""
+    """Evaluate a constant, and x^i y^j up to degree 3 at pixels (2, N) of the camera and of the projector."""
     constant, ax, ay, axx, axy, ayy, axxx, axxy, axyy, ayyy, bx, by, bxx, bxy, byy, bxxx, bxxy, bxyy, byyy = (
         coefficients
     )

@@ -1,4 +1,4 @@
-"""A sphere through points: geometric least squares that outliers do not sway, with its covariance."""
+"""Robust geometric least-squares sphere through points, with its covariance."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from calib.numerics.robust_statistics import influence_on
 
 _STEPS = 50
 _CONVERGED = 1e-10
-_STEEPEST = 0.17  # cosine of the angle, 80°, from which on it depends on noise whether a ray meets the sphere at all
+_STEEPEST = 0.17  # cosine of 80°; at steeper angles, noise decides whether a ray meets the sphere
 
 
 @dataclass(frozen=True)
@@ -17,8 +17,8 @@ class Sphere:
     """`centre` (3,) and `radius`, in the unit of the points.
 
     `covariance` (4, 4) of centre and radius; the radius's row and column are 0 if it was held fixed. `residual` (N,):
-    signed distance of each point from the surface, positive outside. `jacobian` (N, 4): how the surface moves outwards
-    at each point with centre and radius.
+    signed distance of each point from the surface, positive outside. `jacobian` (N, 4): derivatives of the surface's
+    outward displacement at each point, by centre and radius.
     """
 
     centre: Floats
@@ -29,7 +29,7 @@ class Sphere:
 
     @property
     def influence(self) -> Floats:
-        """How centre and radius, both free, follow the points' distances, (4, N)."""
+        """Derivatives (4, N) of centre and radius, both free, by the points' distances."""
         return influence_on(self.jacobian, self.residual)
 
     @property
@@ -55,10 +55,10 @@ def fit_sphere(
 ) -> Sphere:
     """Minimise the points' (N, 3) distances from the surface by Gauss and Newton's method with Tukey's weights.
 
-    Starts at `centre` (3,) and `radius`. `cluster` (N,): labels from 0 of points whose errors may be alike. `rays`
-    (N, 3): unit vectors from the cameras, along which the points err. Then distances are those of the tangent planes
-    where the rays meet the sphere: nearest points would follow the noise, which makes spheres smaller, by its variance
-    over the radius. Raises ValueError for fewer than four points.
+    Starts at `centre` (3,) and `radius`. `cluster` (N,): labels from 0 of points whose errors may correlate. `rays`
+    (N, 3): unit vectors from the cameras, along which the points err. Distances are then measured to the tangent planes
+    where the rays meet the sphere; nearest points would bias the radius by the noise variance over the radius. Raises
+    ValueError for fewer than four points.
     """
     if len(points) < 4:
         raise ValueError(f"a sphere needs four points, found {len(points)}")

@@ -1,9 +1,8 @@
-"""Where in a cloud on the camera's pixel grid is a sphere of known radius?
+"""Finds a sphere of known radius in an organised cloud by random sample consensus (Fischler and Bolles 1981).
 
-Random sample consensus (Fischler and Bolles 1981), with samples spread over the image: around seeds that are less than
-half the sphere's image apart, three points of a ring, through which there is one sphere of that radius that bulges
-towards the camera. Its score is the share of the sphere's image, sampled evenly, in which there is a point on it. Of a
-plane that is a quarter.
+Seeds are spread over the image, less than half the sphere's image apart. Three points of a ring around a seed define
+one sphere of that radius that bulges towards the camera. Its score is the share of evenly spaced samples of the
+sphere's image whose points lie on the sphere. A plane scores a quarter.
 """
 
 from dataclasses import dataclass
@@ -14,20 +13,20 @@ from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Ints, robust_sigma
 from calib.pointcloud.pixel_index import NONE, without_gaps
 
-# A smaller image has too few points for a shape.
+# A smaller image has too few points.
 _SMALLEST_IMAGE_PX = 4.0
 _RING, _SAMPLES_PER_SEED = 0.6, 8
-# The outer part of the image is left out: there points are missing, or err most.
+# The rim of the image is left out, where points are missing or least accurate.
 _SCORED, _SCORED_POINTS = 0.85, 80
 _LEAST_SHARE = 0.6
-# Points count as on the sphere within this share of its radius: a scale that is some per cent wrong shall not hide it.
+# Tolerance as a share of the radius, so that a scale error of some per cent does not hide the sphere.
 _TOLERANCE, _TOLERANCE_SIGMAS, _LARGEST_TOLERANCE = 0.05, 3.0, 0.2
 _BATCH = 8192
 
 
 @dataclass(frozen=True)
 class OrganisedPoints:
-    """`points` (N, 3) in the camera's frame; `index` (H, W): which of them each pixel has, `NONE` for none."""
+    """`points` (N, 3) in the camera's frame; `index` (H, W): the point of each pixel, `NONE` for none."""
 
     points: Floats
     index: Ints
@@ -42,9 +41,9 @@ class OrganisedPoints:
 
 
 def find_sphere(cloud: OrganisedPoints, radius: float, free: Bools, rng: np.random.Generator) -> Floats | None:
-    """The centre (3,) of the sphere of this radius that the most of its image agrees with, or None if there is none.
+    """The centre (3,) of the sphere of this radius with the best score, or None if there is none.
 
-    Only points that are `free` (N,) take part.
+    Only the points marked in `free` (N,) are used.
     """
     index = np.where((cloud.index != NONE) & free[cloud.index], cloud.index, NONE)
     noise = _depth_noise(OrganisedPoints(cloud.points, index, cloud.camera))
@@ -64,7 +63,7 @@ def image_radius_px(camera: Intrinsics, depth: Floats, radius: float) -> Floats:
 
 
 def _depth_noise(cloud: OrganisedPoints) -> float:
-    """Standard deviation of depth at a depth of 1 from second differences along the rows; it grows with the square."""
+    """Standard deviation of depth at depth 1, from second differences along rows; it grows with the depth squared."""
     left, middle, right = cloud.index[:, :-2], cloud.index[:, 1:-1], cloud.index[:, 2:]
     there = (left != NONE) & (middle != NONE) & (right != NONE)
     z = cloud.points[:, 2]
@@ -73,7 +72,7 @@ def _depth_noise(cloud: OrganisedPoints) -> float:
 
 
 def _seeds(cloud: OrganisedPoints, radius: float) -> Ints:
-    """Points on lattices whose step is a quarter to half of what the sphere's image would measure there, (S,)."""
+    """Points (S,) on lattices whose step is a quarter to half of the radius of the sphere's image there."""
     row, column = np.nonzero(cloud.index != NONE)
     seed = cloud.index[row, column]
     image = image_radius_px(cloud.camera, cloud.points[seed, 2], radius)
@@ -99,8 +98,8 @@ def _candidates(cloud: OrganisedPoints, radius: float, rng: np.random.Generator)
 
 
 def _centres(triples: Floats, radius: float) -> Floats:
-    """Centres of spheres through triples (M, 3, 3) of points, behind them as seen from the origin; fewer if some are
-    too far apart."""
+    """Centres of spheres through triples (M, 3, 3) of points, behind them as seen from the origin. Triples that are too
+    far apart are left out."""
     a, b, c = np.moveaxis(triples, 1, 0)
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)
@@ -116,7 +115,7 @@ def _centres(triples: Floats, radius: float) -> Floats:
 
 
 def _shares(cloud: OrganisedPoints, centres: Floats, radius: float, noise: float) -> Floats:
-    """The share of each sphere's image in which there is a point on the sphere, (M,)."""
+    """The scores (M,): share of the samples of each sphere's image whose points lie on the sphere."""
     count = np.arange(_SCORED_POINTS) + 0.5
     spiral = np.sqrt(count / _SCORED_POINTS), np.pi * (1 + np.sqrt(5)) * count  # evenly over a disc (Vogel 1979)
     disc = _SCORED * spiral[0][:, None] * np.stack([np.cos(spiral[1]), np.sin(spiral[1])], axis=-1)

@@ -1,4 +1,4 @@
-"""Downsampling by a voxel grid: of the points in one cube a single one."""
+"""Downsampling by a voxel grid: one point is kept in each voxel."""
 
 import numpy as np
 
@@ -12,9 +12,9 @@ _GOLDEN = -7046029254386353131
 
 
 def nearest_in_voxels(points: Floats, distance: Floats, size: float) -> Ints:
-    """Of finite points (N, 3) in each cube of a grid with edges of `size`, the one with the least `distance` (N,).
+    """The sorted indices (M,) of the points with the least `distance` (N,) in each voxel with edges of `size`.
 
-    Their indices in order, (M,); of several that are equally near it is the first. Up to 2³² points.
+    Points (N, 3) must be finite, at most 2³². Of equally near ones the first is kept.
     """
     slots = np.zeros(1 << int(np.ceil(np.log2(1.5 * len(points) + 1))), np.int64)
     _enter(points, distance, size, slots)
@@ -25,7 +25,7 @@ def nearest_in_voxels(points: Floats, distance: Floats, size: float) -> Ints:
 
 @compiled
 def _enter(points: Floats, distance: Floats, size: float, slots: Ints) -> None:
-    """Enter points into a hash table with open addressing: in each slot a tag and a point's index from 1, or 0."""
+    """Insert points into a hash table with open addressing. A slot holds a tag and a point's index from 1, or 0."""
     last = len(slots) - 1
     for i in range(len(points)):
         x, y, z = np.floor(points[i, 0] / size), np.floor(points[i, 1] / size), np.floor(points[i, 2] / size)

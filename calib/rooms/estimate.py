@@ -16,10 +16,11 @@ from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, 
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.followed import Sight, find_tracks
-from calib.rooms.likelihood import Fit, RigPrior, RoomPrior, minimise, rig_of
+from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.noise import Levels, measured, rough_levels
-from calib.rooms.patches import Patch, patches_of, predict_patch
+from calib.rooms.patches import Patch, patches_of
 from calib.rooms.planes import RoomPlane
+from calib.rooms.priors import RigPrior, RoomPrior, rig_of
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
 from calib.rooms.smooth_errors import covariance_of_shifts
@@ -59,7 +60,7 @@ class RoomEstimate:
     `tracks`: of points on planes that two pictures show.
     """
 
-    fit: Fit
+    fit: Fit[Room]
     covariance: Floats
     levels: Levels
     patches: tuple[Patch, ...]
@@ -73,7 +74,7 @@ class RoomEstimate:
     @property
     def room(self) -> Room:
         """The most likely one."""
-        return self.fit.room
+        return self.fit.layout
 
     @property
     def rig(self) -> State:
@@ -145,32 +146,32 @@ def estimate_room(
     known = RoomPrior.of(prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
     known = replace(known, rig=prior)
-    free = known.free(seen(fit.room, patches))
+    free = known.free(seen(fit.layout, patches))
     for _ in range(_ROUNDS):
-        levels = measured(patches, fit, variances, free, _repeats(fit.room, reach))
+        levels = measured(patches, fit, variances, free, _repeats(fit.layout, reach))
         variances = levels.variances(patches)
-        fit = minimise(patches, fit.room, known, variances, free, tolerance=_ROUGH)
-    fit = minimise(patches, fit.room, known, variances, free)
+        fit = minimise(patches, fit.layout, known, variances, free, tolerance=_ROUGH)
+    fit = minimise(patches, fit.layout, known, variances, free)
     tracks: tuple[Track, ...] = ()
     for _ in range(_FOLLOWED) if sights else ():
-        tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.room)
-        fit = minimise(patches, fit.room, known, variances, free, joints=tracks)
+        tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.layout)
+        fit = minimise(patches, fit.layout, known, variances, free, joints=tracks)
     contacts: tuple[Contact, ...] = ()
     for share in NEAR if loose else ():
-        contacts = find_contacts(loose, fit.room, [noise.match_px for noise in levels.stations], share * reach)
-        fit = minimise(patches, fit.room, known, variances, free, joints=(*contacts, *tracks))
+        contacts = find_contacts(loose, fit.layout, [noise.match_px for noise in levels.stations], share * reach)
+        fit = minimise(patches, fit.layout, known, variances, free, joints=(*contacts, *tracks))
 
     of_waves, waves = covariance_of_waves(patches, fit, variances, free, levels)
     covariance = levels.alike * (covariance_of(fit.information, free) + of_waves)
     covariance += covariance_of_shifts(patches, fit, variances, free, levels, shifts)
-    for plane in range(len(fit.room.planes)):
-        columns = fit.room.plane_columns(plane)
+    for plane in range(len(fit.layout.planes)):
+        columns = fit.layout.plane_columns(plane)
         if not free[columns].any():
             covariance[columns], covariance[:, columns] = np.nan, np.nan
     residual_px = np.full(len(stations), np.nan)
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
-    undetermined = undetermined_in(fit.room, covariance, reach)
+    undetermined = undetermined_in(fit.layout, covariance, reach)
     return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts, tracks)
 
 
@@ -184,7 +185,7 @@ def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]
 
 def _reach(room: Room, patches: Sequence[Patch]) -> float:
     """Median distance of cells from their camera, in baselines."""
-    return float(np.median(np.concatenate([predict_patch(room, patch)[2][:, 0] for patch in patches])))
+    return float(np.median(np.concatenate([patch.predict(room)[2][:, 0] for patch in patches])))
 
 
 def _repeats(room: Room, reach: float) -> list[int]:

@@ -6,36 +6,36 @@ order, as shifts of the matches do. Stations that see one wall see the same wave
 """
 
 from collections.abc import Sequence
+from typing import Generic
 
 import numpy as np
 
 from calib.geometry import tangent_basis
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import CUBIC, monomials
-from calib.rooms.likelihood import Fit
+from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
-from calib.rooms.patches import OWN, Patch, carried, columns_of, points_of, predict_patch
 
 _ORDERS = 6  # half-waves along either side of what was seen of a plane
 _LEAST_LEFT = 1e-3  # of the waves, by the fit; less than that in the residuals tells nothing of their heights
 
 
 def covariance_of_waves(
-    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, levels: Levels
+    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools, levels: Levels
 ) -> tuple[Floats, Floats]:
     """The covariance (size, size) that the waves of planes which are not flat give the room.
 
     With it their root mean square heights (P,) in baselines; 0 for planes that may be flat.
     """
     columns = np.flatnonzero(free)
-    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.room.planes))
+    covariance, heights = np.zeros_like(fit.information), np.zeros(len(fit.layout.planes))
     for plane in np.flatnonzero(levels.planes > 1).tolist():
         on_plane = [
             _Waves(fit, patch, residual, variance)
             for patch, residual, variance in zip(patches, fit.residuals, variances, strict=True)
             if patch.plane == plane
         ]
-        modes = _modes([points_of(fit.room, waves.patch) for waves in on_plane], fit.room.planes[plane].normal)
+        modes = _modes([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
         moved = np.zeros_like(pull)
         moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
@@ -54,23 +54,23 @@ def covariance_of_waves(
     return covariance, heights
 
 
-class _Waves:
+class _Waves(Generic[AnyLayout]):
     """One patch of a plane, and what heights (M,) of the plane under its cells do."""
 
-    def __init__(self, fit: Fit, patch: Patch, residual: Floats, variance: Floats) -> None:
+    def __init__(self, fit: Fit[AnyLayout], patch: Part[AnyLayout], residual: Floats, variance: Floats) -> None:
         self.fit, self.patch = fit, patch
-        _, self.jacobian, _ = predict_patch(fit.room, patch)
-        self.by_height = self.jacobian[:, :, OWN.stop - 1]
+        _, self.jacobian, _ = patch.predict(fit.layout)
+        self.by_height = self.jacobian[:, :, -1]
         self.root = np.linalg.norm(self.by_height, axis=1) / np.sqrt(variance)
         self.variance, self.residual = variance, residual
         self.low, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC] * self.root[:, None])
-        self.columns: Ints = columns_of(fit.room, patch)
+        self.columns: Ints = patch.columns(fit.layout)
 
     def pull(self, modes: Floats) -> Floats:
         """Σ Jᵀ s / v of the shifts s by modes (M, K), (size, K)."""
         weighted = np.einsum("nac,na->nc", self.jacobian, self.by_height / self.variance[:, None])
-        pull = np.zeros((self.fit.room.size, modes.shape[1]))
-        pull[self.columns] = carried(self.fit.room, self.patch).T @ (weighted.T @ modes)
+        pull = np.zeros((self.fit.layout.size, modes.shape[1]))
+        pull[self.columns] = self.patch.carried(self.fit.layout).T @ (weighted.T @ modes)
         return pull
 
     def energy(self) -> float:
@@ -79,7 +79,7 @@ class _Waves:
 
     def energy_left(self, modes: Floats, moved: Floats) -> float:
         """The same for modes (M, K), all together, where the fit has followed them by steps (size, K)."""
-        own = carried(self.fit.room, self.patch) @ moved[self.columns]
+        own = self.patch.carried(self.fit.layout) @ moved[self.columns]
         return self._in_long_waves(self.by_height[:, :, None] * modes[:, None, :] - self.jacobian @ own)
 
     def _in_long_waves(self, shifts: Floats) -> float:

@@ -13,7 +13,6 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, SHARED
 from calib.refinement.further_planes import depths
 from calib.rooms.estimate import RoomEstimate
-from calib.rooms.patches import points_of
 
 _PARALLEL = 1e-4  # sine of an angle too small to have a direction
 
@@ -139,7 +138,7 @@ def sigmas_of_point(estimate: RoomEstimate, point: RoomPoint) -> Floats:
 
 def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
     """The middle (3,) of what the stations saw of a plane, by cells; NaN where none did."""
-    points = [points_of(estimate.room, patch) for patch in estimate.patches if patch.plane == plane]
+    points = [patch.points(estimate.room) for patch in estimate.patches if patch.plane == plane]
     centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
     return centre
 

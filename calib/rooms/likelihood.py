@@ -1,229 +1,186 @@
-"""The likelihood of all stations for a room, with derivatives; and the prior: what is known before any match is seen.
+"""The likelihood of what was seen of planes, with derivatives: of a room's stations, or of a network's pairs.
 
 Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.likelihood`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calib.geometry import tangent_basis
-from calib.numerics import Bools, Damping, Floats, Quadratic, descend
-from calib.refinement import (
-    SHARED,
-    TRANSLATION,
-    Knowledge,
-    KnownRig,
-    Pose,
-    State,
-    inverse_of,
-    misfit,
-)
-from calib.rooms.contacts import Contact
-from calib.rooms.patches import PER_PATCH, Patch, carried, columns_of, predict_patch
-from calib.rooms.room import Room
-from calib.rooms.tracks import Track
+from calib.numerics import Bools, Damping, Floats, Ints, Quadratic, descend
+from calib.refinement import Cells, misfit
+from calib.rooms.planes import PER_PLANE, RoomPlane
 
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
-_DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
-_EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
-_BEHIND = 100.0  # the cost of a cell of a patch behind a device, like one ten sigmas off
+DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
+PLANE = slice(-PER_PLANE, None)  # of a part's own columns
+_BEHIND = 100.0  # the cost of a cell of a part behind a device, like one ten sigmas off
 
 
-@dataclass(frozen=True, eq=False)
-class RigPrior:
-    """Gaussian prior on the rig: its `mean`, the `precision` (21, 21) of the step from there, and which columns (21,)
-    are `known`, that is, held where the start has them.
+class Layout(Protocol):
+    """Devices, where they stand, and planes: a `Room`, or a network. Steps are (size,)."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        ...
+
+    @property
+    def planes(self) -> tuple[RoomPlane, ...]:
+        """All planes."""
+        ...
+
+    def plane_columns(self, plane: int) -> slice:
+        """Columns of a plane: two tilts and the offset."""
+        ...
+
+    def moved(self, step: Floats) -> Self:
+        """After a step."""
+        ...
+
+
+AnyLayout = TypeVar("AnyLayout", bound=Layout)
+Seen = TypeVar("Seen", bound=Layout, contravariant=True)
+
+
+class Part(Protocol[Seen]):
+    """The `cells` of one `plane`, by number in the layout, that one `capture` shows.
+
+    Derivatives are by P own columns, the last three of them tilts and offset of the plane as it is seen, or by the
+    layout's `columns` (Q,), which the own ones follow by `carried` (P, Q).
     """
 
-    mean: State
-    precision: Floats
-    known: Bools
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
-    @classmethod
-    def from_knowledge(cls, knowledge: Knowledge, start: State) -> "RigPrior":
-        """What is known of any rig of its image sizes, and of this one's principal point: the prior for stations from
-        whose own matches the start was calibrated, which must not count twice.
+    @property
+    def capture(self) -> int:
+        """Number of the station, or of the pair of camera and projector."""
+        ...
+
+    @property
+    def plane(self) -> int:
+        """Number of the plane."""
+        ...
+
+    @property
+    def cells(self) -> Cells:
+        """Means of matches, (M,)."""
+        ...
+
+    def predict(self, layout: Seen, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, P), and depths (N, 2).
+
+        Depths are those before both devices, not positive where the prediction means nothing.
         """
-        pose = Pose(np.eye(3), np.zeros(3))
-        layout = State(start.camera, start.projector, start.rotation, start.translation, np.zeros((1, 3)), (pose,))
-        prior = knowledge.prior(layout)
-        mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
-        precision = np.diag(prior.root_precision[:SHARED] ** 2)
-        return cls(mean, precision, prior.sigma[:SHARED] == 0)
+        ...
 
-    @classmethod
-    def from_calibration(cls, calibrated: State, covariance: Floats) -> "RigPrior":
-        """A calibration from other matches than the stations', with its `covariance` (21 or more columns, square);
-        a column without variance is known.
-        """
-        of_rig = covariance[:SHARED, :SHARED]
-        known = np.diag(of_rig) <= 0
-        precision = np.zeros((SHARED, SHARED))
-        safe = KnownRig(calibrated, of_rig).safe_covariance
-        precision[np.ix_(~known, ~known)] = inverse_of(safe[np.ix_(~known, ~known)])
-        return cls(rig_of(calibrated), precision, known)
+    def points(self, layout: Seen) -> Floats:
+        """Where the rays of its cells meet the plane, (M, 3) in the layout's frame."""
+        ...
 
-    @classmethod
-    def exactly(cls, calibrated: State) -> "RigPrior":
-        """The rig as it was calibrated, all of it held."""
-        return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
+    def columns(self, layout: Seen) -> Ints:
+        """The layout's columns that it depends on, (Q,)."""
+        ...
 
-    def holding(self, columns: Sequence[int]) -> "RigPrior":
-        """The same with some columns held where the start has them."""
-        known, precision = self.known.copy(), self.precision.copy()
-        known[list(columns)] = True
-        precision[list(columns)] = precision[:, list(columns)] = 0.0
-        return replace(self, precision=precision, known=known)
-
-    def cost(self, rig: State) -> tuple[float, Floats, Floats]:
-        """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""
-        by_step = np.eye(SHARED)
-        by_step[TRANSLATION, TRANSLATION] = tangent_basis(self.mean.translation).T @ tangent_basis(rig.translation)
-        deviation = self.mean.step_to(rig)
-        pull = self.precision @ deviation
-        return float(deviation @ pull), by_step.T @ pull, by_step.T @ self.precision @ by_step
+    def carried(self, layout: Seen) -> Floats:
+        """How its own columns follow those, (P, Q)."""
+        ...
 
 
-def rig_of(state: State) -> State:
-    """A state's rig, without corners."""
-    return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
+AnyPart = TypeVar("AnyPart", bound=Part[Any])
 
 
-def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
-    """The step (21,) to the mean of what has a prior; nothing else moves."""
-    told = np.isfinite(sigma) & (sigma > 0)
-    return np.where(told, mean - rig_of(start).additive(), 0.0)
+class Joint(Protocol[Seen]):
+    """What ties devices or stations other than by a plane."""
+
+    def columns(self, layout: Seen) -> Ints:
+        """The layout's columns that it depends on, (Q,)."""
+        ...
+
+    def misfit(self, layout: Seen) -> tuple[float, Floats, Floats]:
+        """Cost, half its gradient (Q,) and half its Gauss–Newton Hessian (Q, Q)."""
+        ...
+
+
+class Prior(Protocol[Seen]):
+    """What is known before any match is seen."""
+
+    def cost(self, layout: Seen) -> tuple[float, Floats, Floats]:
+        """With half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
-class RoomPrior:
-    """What is known of a room before its matches are seen.
+class Fit(Quadratic, Generic[AnyLayout]):
+    """A layout with its cost, and each part's `residuals` (M, 2) in projector px."""
 
-    `square`: pairs of planes that are perpendicular, with a standard deviation of `square_sigma` radians each. `start`:
-    stations are where it has them but for `place_sigma`, of a turn in radians and of a shift in baselines, which holds
-    what no plane determines.
-    """
-
-    rig: RigPrior
-    square: tuple[tuple[int, int], ...]
-    square_sigma: float
-    start: Room
-    place_sigma: tuple[float, float]
-
-    @classmethod
-    def of(
-        cls,
-        rig: RigPrior,
-        square: Sequence[tuple[int, int]],
-        squareness_deg: float,
-        start: Room,
-        place_sigma: tuple[float, float],
-    ) -> "RoomPrior":
-        """With angles in degrees; 0 is as good as exactly square."""
-        pairs = tuple(sorted({(min(pair), max(pair)) for pair in square}))
-        return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
-
-    def free(self, seen: Bools) -> Bools:
-        """Which columns are estimated, (size,): not what is known of the rig, the first place, planes not `seen`."""
-        free = np.ones(self.start.size, np.bool_)
-        free[:SHARED] = ~self.rig.known
-        free[self.start.place_columns(0)] = False
-        for plane in np.flatnonzero(~seen):
-            free[self.start.plane_columns(int(plane))] = False
-        return free
-
-    def cost(self, room: Room) -> tuple[float, Floats, Floats]:
-        """Of a room, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
-        gradient, information = np.zeros(room.size), np.zeros((room.size, room.size))
-        cost, gradient[:SHARED], information[:SHARED, :SHARED] = self.rig.cost(room.rig)
-        sigma = np.repeat(self.place_sigma, 3)
-        step = self.start.step_to(room)
-        for station in range(1, len(room.places)):
-            columns = room.place_columns(station)
-            deviation = step[columns] / sigma
-            cost += float(deviation @ deviation)
-            gradient[columns] += deviation / sigma
-            information[columns, columns] += np.diag(sigma**-2.0)
-        for pair in self.square:
-            normals = [room.planes[plane].normal for plane in pair]
-            slope = np.zeros(room.size)
-            for plane, own, other in zip(pair, normals, normals[::-1], strict=True):
-                columns = room.plane_columns(plane)
-                slope[columns.start : columns.start + 2] += tangent_basis(own).T @ other / self.square_sigma
-            deviation = float(normals[0] @ normals[1]) / self.square_sigma
-            cost += deviation**2
-            gradient += slope * deviation
-            information += np.outer(slope, slope)
-        return cost, gradient, information
-
-
-@dataclass(frozen=True, eq=False)
-class Fit(Quadratic):
-    """A room with its cost, and each patch's `residuals` (M, 2) in projector px."""
-
-    room: Room
+    layout: AnyLayout
     residuals: tuple[Floats, ...]
 
 
 def evaluate(
-    patches: Sequence[Patch],
-    room: Room,
-    prior: RoomPrior,
+    parts: Sequence[Part[AnyLayout]],
+    layout: AnyLayout,
+    prior: Prior[AnyLayout],
     variances: Sequence[Floats],
-    joints: Sequence[Contact | Track] = (),
-) -> Fit:
-    """The cost of a room with its derivatives.
+    joints: Sequence[Joint[AnyLayout]] = (),
+) -> Fit[AnyLayout]:
+    """The cost of a layout with its derivatives.
 
-    `variances`: (M,) for each patch, of each coordinate of each cell. A patch of which more than strays fall behind a
+    `variances`: (M,) for each part, of each coordinate of each cell. A part of which more than strays fall behind a
     device costs the same wherever it is, and pulls at nothing.
     """
-    cost, gradient, information = prior.cost(room)
-    own_columns, residuals = np.arange(PER_PATCH, dtype=np.int32), []
-    for patch, variance in zip(patches, variances, strict=True):
-        predicted, jacobian, depths = predict_patch(room, patch)
-        residual, seen = np.empty_like(predicted), np.ascontiguousarray(patch.cells.projector_px)
-        slope, curvature = np.zeros(PER_PATCH), np.zeros((PER_PATCH, PER_PATCH))
+    cost, gradient, information = prior.cost(layout)
+    residuals = []
+    for part, variance in zip(parts, variances, strict=True):
+        predicted, jacobian, depths = part.predict(layout)
+        residual, seen = np.empty_like(predicted), np.ascontiguousarray(part.cells.projector_px)
+        own_columns = np.arange(jacobian.shape[2], dtype=np.int32)
+        slope, curvature = np.zeros(len(own_columns)), np.zeros((len(own_columns), len(own_columns)))
         own = misfit(predicted, seen, jacobian, depths, variance, own_columns, residual, slope, curvature)
         residuals.append(residual)
         if not np.isfinite(own):
             cost += _BEHIND * len(seen)
             continue
         cost += own
-        columns, by_room = columns_of(room, patch), carried(room, patch)
-        gradient[columns] += by_room.T @ slope
-        information[np.ix_(columns, columns)] += by_room.T @ curvature @ by_room
+        columns, by_layout = part.columns(layout), part.carried(layout)
+        gradient[columns] += by_layout.T @ slope
+        information[np.ix_(columns, columns)] += by_layout.T @ curvature @ by_layout
     for joint in joints:
-        own, slope, curvature = joint.misfit(room)
-        columns = joint.columns(room)
+        own, slope, curvature = joint.misfit(layout)
+        columns = joint.columns(layout)
         cost += own
         gradient[columns] += slope
         information[np.ix_(columns, columns)] += curvature
-    return Fit(cost, gradient, information, room, tuple(residuals))
+    return Fit(cost, gradient, information, layout, tuple(residuals))
 
 
 def minimise(
-    patches: Sequence[Patch],
-    room: Room,
-    prior: RoomPrior,
+    parts: Sequence[Part[AnyLayout]],
+    layout: AnyLayout,
+    prior: Prior[AnyLayout],
     variances: Sequence[Floats],
     free: Bools,
     *,
-    joints: Sequence[Contact | Track] = (),
+    joints: Sequence[Joint[AnyLayout]] = (),
     tolerance: float = CONVERGED,
-) -> Fit:
+    damping: Damping = DAMPING,
+) -> Fit[AnyLayout]:
     """The nearest minimum over the `free` columns (size,), by Levenberg and Marquardt.
 
     Ends when a further step promises to lower the cost by less than `tolerance`.
     """
 
-    def moved(fit: Fit, step: Floats) -> Fit:
-        return evaluate(patches, fit.room.moved(step), prior, variances, joints)
+    def moved(fit: Fit[AnyLayout], step: Floats) -> Fit[AnyLayout]:
+        return evaluate(parts, fit.layout.moved(step), prior, variances, joints)
 
     def enough(_: float, decrement: float) -> bool:
         return decrement < tolerance
 
-    start = evaluate(patches, room, prior, variances, joints)
-    return descend(start, moved, enough, _DAMPING, _STEPS, free=np.flatnonzero(free))
+    start = evaluate(parts, layout, prior, variances, joints)
+    return descend(start, moved, enough, damping, _STEPS, free=np.flatnonzero(free))

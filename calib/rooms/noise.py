@@ -10,9 +10,7 @@ from calib.numerics import MEDIAN_LENGTH, Bools, Floats, median
 from calib.refinement import CUBIC, Cells, Noise, long_waves, monomials, noise_of, overdispersion
 from calib.refinement.image_polynomial import TERMS
 from calib.refinement.match_cells import joined
-from calib.rooms.likelihood import Fit
-from calib.rooms.patches import OWN, Patch, predict_patch
-from calib.rooms.room import Room
+from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.ties import plane_scores
 
 _LEAST_PX = 1e-3
@@ -33,14 +31,14 @@ class Levels:
     planes: Floats
     alike: float
 
-    def variances(self, patches: Sequence[Patch]) -> list[Floats]:
+    def variances(self, patches: Sequence[Part[AnyLayout]]) -> list[Floats]:
         """Of each coordinate of each cell, (M,) for each patch."""
-        return [self.planes[patch.plane] * self.stations[patch.station].variances(patch.cells) for patch in patches]
+        return [self.planes[patch.plane] * self.stations[patch.capture].variances(patch.cells) for patch in patches]
 
 
-def rough_levels(patches: Sequence[Patch], residuals: Sequence[Floats]) -> Floats:
+def rough_levels(patches: Sequence[Part[AnyLayout]], residuals: Sequence[Floats]) -> Floats:
     """One variance for all cells of each patch, that of its station's residuals, robustly, (patches,)."""
-    stations = np.array([patch.station for patch in patches])
+    stations = np.array([patch.capture for patch in patches])
     levels = np.empty(len(patches))
     for station in np.unique(stations):
         own = np.flatnonzero(stations == station).tolist()
@@ -50,9 +48,16 @@ def rough_levels(patches: Sequence[Patch], residuals: Sequence[Floats]) -> Float
 
 
 def measured(
-    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, repeats: Sequence[int]
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    variances: Sequence[Floats],
+    free: Bools,
+    repeats: Sequence[int],
+    *,
+    one_rig: bool = True,
 ) -> Levels:
-    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands.
+    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands. `one_rig`:
+    whether all captures are of the same two devices.
 
     Long waves tell of smooth errors of a station, which all its patches show, and of planes that are not flat, which
     all stations that see them show: a station's overdispersion is measured without the patches that are out of line.
@@ -63,14 +68,15 @@ def measured(
     waves = np.full(len(patches), np.nan)
     stations = []
     for station, times in enumerate(repeats):
-        own = [i for i, patch in enumerate(patches) if patch.station == station]
+        own = [i for i, patch in enumerate(patches) if patch.capture == station]
         seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
         noise, waves[own] = _of_station(seen, residuals, absorbed) if own else (_UNKNOWN, np.nan)
         stations.append(replace(noise, repeats=times))
-    alike = 1 + _coherence(patches, fit, stations) * (len({patch.station for patch in patches}) - 1)
-    flat = Levels(tuple(stations), np.ones(len(fit.room.planes)), alike)
-    of_stations = np.array([stations[patch.station].inflation for patch in patches])
-    by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.room)
+    others = len({patch.capture for patch in patches}) - 1 if one_rig else 0
+    alike = 1 + (_coherence(patches, fit, stations) * others if others else 0.0)
+    flat = Levels(tuple(stations), np.ones(len(fit.layout.planes)), alike)
+    of_stations = np.array([stations[patch.capture].inflation for patch in patches])
+    by_waves = _of_planes(patches, waves / of_stations, np.full(len(patches), 2 * CUBIC - absorbed), fit.layout)
     scores, freedom = plane_scores(patches, fit, variances, free, flat.variances(patches))
     by_ties = _overdispersions(scores.tolist(), freedom.tolist())
     return replace(flat, planes=np.maximum(by_waves, by_ties))
@@ -92,7 +98,7 @@ def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: fl
     return replace(noise, inflation=inflation), waves
 
 
-def _coherence(patches: Sequence[Patch], fit: Fit, stations: Sequence[Noise]) -> float:
+def _coherence(patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], stations: Sequence[Noise]) -> float:
     """From 0 to 1, how far smooth errors across the epipolar lines are the same at all stations, all over the image.
 
     Across them no plane's place can hide an error, and none that is not flat makes one. The share of what polynomials
@@ -101,14 +107,14 @@ def _coherence(patches: Sequence[Patch], fit: Fit, stations: Sequence[Noise]) ->
     scale = normalisation(np.concatenate([patch.cells.camera_px for patch in patches]))
     information, pull = np.zeros((len(stations), TERMS, TERMS)), np.zeros((len(stations), TERMS))
     for patch, residual in zip(patches, fit.residuals, strict=True):
-        along = predict_patch(fit.room, patch)[1][:, :, OWN.stop - 1]
+        along = patch.predict(fit.layout)[1][:, :, -1]
         across = along[:, 1] * residual[:, 0] - along[:, 0] * residual[:, 1]
         across /= np.linalg.norm(along, axis=1)
-        weight = 1 / replace(stations[patch.station], inflation=1.0, repeats=1).variances(patch.cells)
+        weight = 1 / replace(stations[patch.capture], inflation=1.0, repeats=1).variances(patch.cells)
         weight *= np.minimum(1.0, _LOUD / np.maximum(np.abs(across) * np.sqrt(weight), 1e-12))
         terms = monomials(patch.cells.camera_px, scale)
-        information[patch.station] += (terms * weight[:, None]).T @ terms
-        pull[patch.station] += terms.T @ (weight * across)
+        information[patch.capture] += (terms * weight[:, None]).T @ terms
+        pull[patch.capture] += terms.T @ (weight * across)
     told = np.array([_explained(*each) for each in zip(information, pull, strict=True)])
     if overdispersion(float(told.sum()), float(TERMS * np.count_nonzero(told)), _BENT) == 1.0:
         return 0.0
@@ -122,11 +128,11 @@ def _explained(information: Floats, pull: Floats) -> float:
     return float(pull @ np.linalg.pinv(information, hermitian=True) @ pull)
 
 
-def _of_planes(patches: Sequence[Patch], totals: Floats, freedom: Floats, room: Room) -> Floats:
+def _of_planes(patches: Sequence[Part[AnyLayout]], totals: Floats, freedom: Floats, layout: AnyLayout) -> Floats:
     """By what factor each plane's patches vary more than their stations tell, (planes,), from χ² and its freedom."""
     planes = np.array([patch.plane for patch in patches])
     told = np.isfinite(totals)
-    sums, free = (np.bincount(planes[told], each[told], len(room.planes)) for each in (totals, freedom))
+    sums, free = (np.bincount(planes[told], each[told], len(layout.planes)) for each in (totals, freedom))
     return _overdispersions(sums.tolist(), free.tolist())
 
 

@@ -13,7 +13,8 @@ from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
 from calib.refinement import SHARED, Cells, Pose, State, predict
 from calib.refinement.parameters import PER_CORNER, PER_POSE, FurtherPlane
-from calib.rooms.room import PER_PLACE, PER_PLANE, Room
+from calib.rooms.planes import PER_PLANE
+from calib.rooms.room import PER_PLACE, Room
 
 OWN = slice(SHARED, SHARED + PER_PLANE)  # of a patch's columns, those of its plane before the camera
 PER_PATCH = OWN.stop
@@ -31,6 +32,60 @@ class Patch:
     plane: int
     cells: Cells
 
+    @property
+    def capture(self) -> int:
+        """The station, whose capture it is of."""
+        return self.station
+
+    def predict(self, room: Room, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, 24), and depths (N, 2).
+
+        Depths are those before both devices, not positive where the prediction means nothing.
+        """
+        place, plane = room.places[self.station], room.planes[self.plane]
+        pixels = self.cells.camera_px if camera_px is None else camera_px
+        axes = np.stack([plane.normal, *tangent_basis(plane.normal).T]) @ place.rotation
+        height = plane.offset - float(plane.normal @ place.translation)
+        free = (np.inf, np.inf)
+        pose = Pose(np.eye(3), np.zeros(3), planes=(FurtherPlane(axes, np.zeros(2), height, free),))
+        rig = room.rig
+        state = State(rig.camera, rig.projector, rig.rotation, rig.translation, np.zeros((1, PER_CORNER)), (pose,))
+        predicted, jacobian, depths = predict(state, pixels, np.full(len(pixels), _FURTHER, np.int32))
+        return predicted, np.ascontiguousarray(jacobian[:, :, _OF_PLANE]), depths
+
+    def points(self, room: Room) -> Floats:
+        """Where the rays of its cells meet the plane, (M, 3) in the room's frame."""
+        rays, _ = unproject(room.rig.camera, self.cells.camera_px)
+        _, _, depths = self.predict(room)
+        place = room.places[self.station]
+        points: Floats = (rays * depths[:, :1]) @ place.rotation.T + place.translation
+        return points
+
+    def columns(self, room: Room) -> Ints:
+        """The room's columns that it depends on, (30,): those of the rig, its station's place and its plane."""
+        every = np.arange(room.size, dtype=np.int32)
+        return np.concatenate(
+            [every[:SHARED], every[room.place_columns(self.station)], every[room.plane_columns(self.plane)]]
+        )
+
+    def carried(self, room: Room) -> Floats:
+        """How its own columns follow `columns`, (24, 30).
+
+        Before the camera the plane n · X = d is Rᵀn · X = d − n · t. A turn ω of the place tilts it by eₖ · (n × ω)
+        along each eₖ of the normal's tangent basis, a tilt a of the plane moves it by −a eₖ · t, too.
+        """
+        place, plane = room.places[self.station], room.planes[self.plane]
+        basis = tangent_basis(plane.normal).T
+        by_room = np.zeros((PER_PATCH, SHARED + PER_PLACE + PER_PLANE))
+        by_room[:SHARED, :SHARED] = np.eye(SHARED)
+        tilts, offset = slice(OWN.start, OWN.start + 2), OWN.start + 2
+        turn, shift = slice(SHARED, SHARED + 3), slice(SHARED + 3, SHARED + PER_PLACE)
+        by_room[tilts, turn] = cross(basis, plane.normal)
+        by_room[offset, shift] = -plane.normal
+        by_room[OWN, SHARED + PER_PLACE :] = np.eye(PER_PLANE)
+        by_room[offset, SHARED + PER_PLACE : SHARED + PER_PLACE + 2] = -basis @ place.translation
+        return by_room
+
 
 def patches_of(stations: Sequence[Cells], plane_of: Sequence[Sequence[int]]) -> tuple[Patch, ...]:
     """The patches of all stations; `plane_of`: for each station, which plane of the room a label is, −1 for none."""
@@ -40,56 +95,3 @@ def patches_of(stations: Sequence[Cells], plane_of: Sequence[Sequence[int]]) -> 
         for label in np.unique(cells.plane)
         if 0 <= label < len(plane_of[station]) and plane_of[station][label] >= 0
     )
-
-
-def predict_patch(room: Room, patch: Patch, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-    """Projector pixels (N, 2) of its cells, or of camera pixels (N, 2), their Jacobian (N, 2, 24), and depths (N, 2).
-
-    Depths are those before both devices, not positive where the prediction means nothing.
-    """
-    place, plane = room.places[patch.station], room.planes[patch.plane]
-    pixels = patch.cells.camera_px if camera_px is None else camera_px
-    axes = np.stack([plane.normal, *tangent_basis(plane.normal).T]) @ place.rotation
-    height = plane.offset - float(plane.normal @ place.translation)
-    free = (np.inf, np.inf)
-    pose = Pose(np.eye(3), np.zeros(3), planes=(FurtherPlane(axes, np.zeros(2), height, free),))
-    rig = room.rig
-    state = State(rig.camera, rig.projector, rig.rotation, rig.translation, np.zeros((1, PER_CORNER)), (pose,))
-    predicted, jacobian, depths = predict(state, pixels, np.full(len(pixels), _FURTHER, np.int32))
-    return predicted, np.ascontiguousarray(jacobian[:, :, _OF_PLANE]), depths
-
-
-def points_of(room: Room, patch: Patch) -> Floats:
-    """Where the rays of a patch's cells meet its plane, (M, 3) in the room's frame."""
-    rays, _ = unproject(room.rig.camera, patch.cells.camera_px)
-    _, _, depths = predict_patch(room, patch)
-    place = room.places[patch.station]
-    points: Floats = (rays * depths[:, :1]) @ place.rotation.T + place.translation
-    return points
-
-
-def columns_of(room: Room, patch: Patch) -> Ints:
-    """The room's columns that a patch depends on, (30,): those of the rig, its station's place and its plane."""
-    every = np.arange(room.size, dtype=np.int32)
-    return np.concatenate(
-        [every[:SHARED], every[room.place_columns(patch.station)], every[room.plane_columns(patch.plane)]]
-    )
-
-
-def carried(room: Room, patch: Patch) -> Floats:
-    """How the patch's columns follow `columns_of`, (24, 30).
-
-    Before the camera the plane n · X = d is Rᵀn · X = d − n · t. A turn ω of the place tilts it by eₖ · (n × ω) along
-    each eₖ of the normal's tangent basis, a tilt a of the plane moves it by −a eₖ · t, too.
-    """
-    place, plane = room.places[patch.station], room.planes[patch.plane]
-    basis = tangent_basis(plane.normal).T
-    by_room = np.zeros((PER_PATCH, SHARED + PER_PLACE + PER_PLANE))
-    by_room[:SHARED, :SHARED] = np.eye(SHARED)
-    tilts, offset = slice(OWN.start, OWN.start + 2), OWN.start + 2
-    turn, shift = slice(SHARED, SHARED + 3), slice(SHARED + 3, SHARED + PER_PLACE)
-    by_room[tilts, turn] = cross(basis, plane.normal)
-    by_room[offset, shift] = -plane.normal
-    by_room[OWN, SHARED + PER_PLACE :] = np.eye(PER_PLANE)
-    by_room[offset, SHARED + PER_PLACE : SHARED + PER_PLACE + 2] = -basis @ place.translation
-    return by_room

@@ -6,6 +6,8 @@ import numpy as np
 
 from calib.numerics import Floats
 
+PER_PLANE = 3  # columns: two tilts, along `tangent_basis` of its normal, and the offset
+
 
 @dataclass(frozen=True, eq=False)
 class RoomPlane:

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Motion, rotation_about, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import SHARED, State
-from calib.rooms.planes import RoomPlane
+from calib.rooms.planes import PER_PLANE, RoomPlane
 
-PER_PLACE, PER_PLANE = 6, 3
+PER_PLACE = 6
 
 
 @dataclass(frozen=True, eq=False)

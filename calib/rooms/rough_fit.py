@@ -7,18 +7,19 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
-from calib.rooms.likelihood import Fit, RoomPrior, evaluate, minimise
+from calib.rooms.likelihood import Fit, evaluate, minimise
 from calib.rooms.noise import rough_levels
-from calib.rooms.patches import Patch, predict_patch
+from calib.rooms.patches import Patch
+from calib.rooms.priors import RoomPrior
 from calib.rooms.room import Room
-from calib.rooms.ties import tie_scores, untied
+from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 
 _ROUNDS = 10
 _SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
 _LEAST_IN_FRONT = 0.98
-_WRONG, _MOST_WRONG = 30.0, 0.25  # of a tie's score, over the usual one; of the patches
+_MOST_WRONG = 0.25  # of the patches
 
-Rough = tuple[tuple[Patch, ...], RoomPrior, Fit, list[Floats]]
+Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
 
 
 def fit_roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> Rough:
@@ -30,7 +31,7 @@ def fit_roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> Rou
         levels = _levels(patches, room, prior)
         variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
         fit = minimise(patches, room, prior, variances, free)
-        room, left = fit.room, in_front(fit.room, patches)
+        room, left = fit.layout, in_front(fit.layout, patches)
         if len(left) == len(patches) and np.mean(_levels(left, room, prior)) > _SETTLED * np.mean(levels):
             break
     return patches, prior, fit, variances
@@ -42,17 +43,17 @@ def _levels(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> Floats:
     return rough_levels(patches, evaluate(patches, room, prior, ones).residuals)
 
 
-def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit, variances: list[Floats]) -> Rough:
+def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Room], variances: list[Floats]) -> Rough:
     """The same where patches that are not on the plane that they were taken for have planes of their own."""
     for _ in range(int(_MOST_WRONG * len(patches))):
-        scores, freedom = tie_scores(patches, fit, variances, prior.free(seen(fit.room, patches)))
+        scores, freedom = tie_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
         per_freedom = scores / np.maximum(freedom, 1)
         tied = freedom > 0
         worst = int(np.argmax(per_freedom))
-        if not tied.any() or per_freedom[worst] < _WRONG * max(float(np.median(per_freedom[tied])), 1.0):
+        if not tied.any() or per_freedom[worst] < WRONG_TIE * max(float(np.median(per_freedom[tied])), 1.0):
             break
         start, _ = untied(prior.start, patches, worst)
-        room, patches = untied(fit.room, patches, worst)
+        room, patches = untied(fit.layout, patches, worst)
         patches, prior, fit, variances = fit_roughly(patches, room, replace(prior, start=start))
     return patches, prior, fit, variances
 
@@ -64,9 +65,7 @@ def seen(room: Room, patches: Sequence[Patch]) -> Bools:
 
 def in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
     """The patches that are before both devices, all but strays. Raises RefusalError if that is less than half."""
-    chosen = tuple(
-        patch for patch in patches if np.mean((predict_patch(room, patch)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT
-    )
+    chosen = tuple(patch for patch in patches if np.mean((patch.predict(room)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT)
     if len(chosen) < len(patches) / 2 or not chosen:
         raise RefusalError(
             f"{len(patches) - len(chosen)} of {len(patches)} views of a plane are behind the camera or the projector "

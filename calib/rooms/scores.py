@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.likelihood import Fit
-from calib.rooms.patches import Patch, carried, columns_of, predict_patch
+from calib.rooms.likelihood import AnyLayout, Fit, Part
 
 _LEAST_SHARE = 1e-3  # of a parameter's own information: what tells less than that of a direction tells nothing of it
 
@@ -28,16 +27,16 @@ class PatchSums:
     by_room: Floats
 
     @classmethod
-    def of(cls, patch: Patch, fit: Fit, residual: Floats, variance: Floats) -> "PatchSums":
+    def of(cls, patch: Part[AnyLayout], fit: Fit[AnyLayout], residual: Floats, variance: Floats) -> "PatchSums":
         """From a patch's `residual` (M, 2) of a fit, under a `variance` (M,) of each coordinate."""
         root = 1 / np.sqrt(variance)[:, None]
-        jacobian, residual = predict_patch(fit.room, patch)[1] * root[:, :, None], residual * root
+        jacobian, residual = patch.predict(fit.layout)[1] * root[:, :, None], residual * root
         weight = np.sqrt(np.minimum(1.0, ROBUST_SIGMAS / np.maximum(np.linalg.norm(residual, axis=1), 1e-12)))
         rows, off = (
             (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[2]),
             (residual * weight[:, None]).ravel(),
         )
-        return cls(rows.T @ off, rows.T @ rows, columns_of(fit.room, patch), carried(fit.room, patch))
+        return cls(rows.T @ off, rows.T @ rows, patch.columns(fit.layout), patch.carried(fit.layout))
 
     @property
     def pull(self) -> Floats:
@@ -51,7 +50,11 @@ class PatchSums:
 
 
 def reweighted(
-    patches: Sequence[Patch], fit: Fit, chosen: Iterable[int], used: Sequence[Floats], now: Sequence[Floats]
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    chosen: Iterable[int],
+    used: Sequence[Floats],
+    now: Sequence[Floats],
 ) -> tuple[Floats, Floats, list[PatchSums]]:
     """Half the gradient (size,) and the information (size, size) of a fit, and what the `chosen` patches add to them,
     if variances (M,) of their cells are those of `now` instead of those that were `used`.

@@ -11,17 +11,15 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from calib.refinement import CUBIC, Shifts, monomials
-from calib.rooms.likelihood import Fit
+from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
-from calib.rooms.patches import Patch, carried, columns_of, predict_patch
-from calib.rooms.room import Room
 
 _STEP_PX = 0.5
 
 
 def covariance_of_shifts(
-    patches: Sequence[Patch],
-    fit: Fit,
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
     variances: Sequence[Floats],
     free: Bools,
     levels: Levels,
@@ -36,17 +34,17 @@ def covariance_of_shifts(
     hidden = [_hidden_px(patches, variances, station, len(columns) / len(patches)) for station in range(len(shifts))]
     for station, of_station in enumerate(shifts):
         every = (*of_station.likely, *of_station.possible)
-        together = np.zeros((fit.room.size, len(every)))
+        together = np.zeros((fit.layout.size, len(every)))
         apart = []
         for patch, variance in zip(patches, variances, strict=True):
-            if patch.station != station:
+            if patch.capture != station:
                 continue
             if every:
-                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.room, patch)
-                together += _pull(fit.room, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
+                at = patch.cells.camera_px, patch.cells.projector_px, _gradient(fit.layout, patch)
+                together += _pull(fit.layout, patch, variance, np.stack([shift(*at) for shift in every], axis=2))
             if of_station.smooth_px:
                 smooth_px = min(of_station.smooth_px, hidden[station])
-                apart.append(_pull(fit.room, patch, variance, smooth_px * _fields(patch)))
+                apart.append(_pull(fit.layout, patch, variance, smooth_px * _fields(patch)))
         pull = np.concatenate([together, *apart], axis=1)[columns]
         if pull.shape[1]:
             moved = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull)
@@ -54,7 +52,7 @@ def covariance_of_shifts(
     return covariance
 
 
-def _hidden_px(patches: Sequence[Patch], variances: Sequence[Floats], station: int, absorbed: float) -> float:
+def _hidden_px(patches: Sequence[Part[AnyLayout]], variances: Sequence[Floats], station: int, absorbed: float) -> float:
     """How large each of a station's smooth errors may be, as of `Shifts.smooth_px`, before its residuals show it.
 
     Of a patch with M cells of variance v each polynomial's amplitude has the variance v / M by chance. Errors of the
@@ -63,7 +61,7 @@ def _hidden_px(patches: Sequence[Patch], variances: Sequence[Floats], station: i
     own = [
         len(patch.cells) / float(np.mean(variance))
         for patch, variance in zip(patches, variances, strict=True)
-        if patch.station == station
+        if patch.capture == station
     ]
     if not own:
         return np.inf
@@ -71,7 +69,7 @@ def _hidden_px(patches: Sequence[Patch], variances: Sequence[Floats], station: i
     return float(np.sqrt(np.sqrt(2 / freedom) / np.mean(own))) if freedom > 1 else np.inf
 
 
-def _fields(patch: Patch) -> Floats:
+def _fields(patch: Part[AnyLayout]) -> Floats:
     """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
     modes, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC])
     along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
@@ -79,19 +77,19 @@ def _fields(patch: Patch) -> Floats:
     return along
 
 
-def _pull(room: Room, patch: Patch, variance: Floats, fields: Floats) -> Floats:
+def _pull(layout: AnyLayout, patch: Part[AnyLayout], variance: Floats, fields: Floats) -> Floats:
     """Σ Jᵀ s / v for fields s (M, 2, K), (size, K)."""
-    _, jacobian, _ = predict_patch(room, patch)
+    _, jacobian, _ = patch.predict(layout)
     own = np.einsum("nac,nak->ck", jacobian / variance[:, None, None], fields, optimize=True)
-    pull = np.zeros((room.size, fields.shape[2]))
-    pull[columns_of(room, patch)] = carried(room, patch).T @ own
+    pull = np.zeros((layout.size, fields.shape[2]))
+    pull[patch.columns(layout)] = patch.carried(layout).T @ own
     return pull
 
 
-def _gradient(room: Room, patch: Patch) -> Floats:
+def _gradient(layout: AnyLayout, patch: Part[AnyLayout]) -> Floats:
     """Of the projector's pixels (rows) by the camera's, (M, 2, 2)."""
     columns = []
     for step in (np.array([_STEP_PX, 0.0]), np.array([0.0, _STEP_PX])):
-        after, before = (predict_patch(room, patch, patch.cells.camera_px + way * step)[0] for way in (1, -1))
+        after, before = (patch.predict(layout, patch.cells.camera_px + way * step)[0] for way in (1, -1))
         columns.append((after - before) / (2 * _STEP_PX))
     return np.stack(columns, axis=2)

@@ -8,14 +8,16 @@ from scipy.linalg import block_diag
 
 from calib.numerics import Bools, Floats
 from calib.refinement import covariance_of
-from calib.rooms.likelihood import Fit
-from calib.rooms.patches import OWN, Patch
-from calib.rooms.planes import RoomPlane
-from calib.rooms.room import PER_PLANE, Room
+from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
+from calib.rooms.planes import PER_PLANE, RoomPlane
 from calib.rooms.scores import PatchSums, reweighted, score
 
+WRONG_TIE = 30.0  # per degree of freedom, over the usual one
 
-def tie_scores(patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools) -> tuple[Floats, Floats]:
+
+def tie_scores(
+    patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools
+) -> tuple[Floats, Floats]:
     """Rao's score of each patch for a plane of its own, which is χ², and its degrees of freedom, (patches,) each.
 
     A plane that one patch is on has no freedom. Scores of patches on one plane tell the same: of two they are equal.
@@ -26,19 +28,23 @@ def tie_scores(patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], 
     scores, freedom = np.zeros(len(patches)), np.zeros(len(patches))
     for i in np.flatnonzero(tied).tolist():
         sums = PatchSums.of(patches[i], fit, fit.residuals[i], variances[i])
-        scores[i], freedom[i] = _score([sums], covariance, np.zeros(fit.room.size))
+        scores[i], freedom[i] = _score([sums], covariance, np.zeros(fit.layout.size))
     return scores, freedom
 
 
 def plane_scores(
-    patches: Sequence[Patch], fit: Fit, variances: Sequence[Floats], free: Bools, flat: Sequence[Floats]
+    patches: Sequence[Part[AnyLayout]],
+    fit: Fit[AnyLayout],
+    variances: Sequence[Floats],
+    free: Bools,
+    flat: Sequence[Floats],
 ) -> tuple[Floats, Floats]:
     """The same of each plane of the room, for as many planes as there are patches on it, (planes,) each.
 
     `flat`: variances of cells on planes that are flat, of which each plane is taken to be one, where the fit under its
     `variances` follows to the first order: a plane that was given less weight must not be tested with less.
     """
-    scores, freedom = np.zeros(len(fit.room.planes)), np.zeros(len(fit.room.planes))
+    scores, freedom = np.zeros(len(fit.layout.planes)), np.zeros(len(fit.layout.planes))
     planes = np.array([patch.plane for patch in patches])
     for plane in np.flatnonzero(np.bincount(planes) > 1):
         chosen = np.flatnonzero(planes == plane).tolist()
@@ -52,19 +58,16 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
     """Of the patches' planes, each a plane of its own."""
     across = np.zeros((len(patches) * PER_PLANE, len(step)))
     for rows, each in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
-        rows[:, each.columns] = each.information[OWN] @ each.by_room
-    slope = np.concatenate([each.slope[OWN] for each in patches])
-    information = block_diag(*[each.information[OWN, OWN] for each in patches])
+        rows[:, each.columns] = each.information[PLANE] @ each.by_room
+    slope = np.concatenate([each.slope[PLANE] for each in patches])
+    information = block_diag(*[each.information[PLANE, PLANE] for each in patches])
     found = score(slope, information, across, covariance, step)
     return found.value, found.freedom
 
 
-def untied(room: Room, patches: Sequence[Patch], number: int) -> tuple[Room, tuple[Patch, ...]]:
-    """One patch on a plane of its own, added to the room's, which begins where the common one is."""
-    patch = patches[number]
-    apart = replace(patch, plane=len(room.planes))
-    plane = room.planes[patch.plane]
-    return (
-        replace(room, planes=(*room.planes, RoomPlane(plane.normal, plane.offset))),
-        (*patches[:number], apart, *patches[number + 1 :]),
-    )
+def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
+    """One part on a plane of its own, added to the layout's, which begins where the common one is."""
+    part = parts[number]
+    own = layout.planes[part.plane]
+    more = replace(layout, planes=(*layout.planes, RoomPlane(own.normal, own.offset)))
+    return more, (*parts[:number], replace(part, plane=len(layout.planes)), *parts[number + 1 :])

@@ -8,7 +8,8 @@ from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import CAMERA, SHARED
 from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.room import PER_PLACE, PER_PLANE, Room
+from calib.rooms.planes import PER_PLANE
+from calib.rooms.room import PER_PLACE, Room
 
 _COLUMNS = SHARED + 2 * PER_PLACE + PER_PLANE
 _STEP_PX = 0.5

@@ -14,8 +14,9 @@ from calib.refinement.further_planes import depths
 from calib.refusal import RefusalError
 from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
-from calib.rooms.likelihood import RigPrior, RoomPrior, minimise, rig_of
+from calib.rooms.likelihood import minimise
 from calib.rooms.noise import Levels
+from calib.rooms.priors import RigPrior, RoomPrior, rig_of
 from calib.rooms.room import Room
 
 _MATCH_PX = 1 / np.sqrt(12.0)  # of plain Gray code, where matches do not state their noise
@@ -36,17 +37,17 @@ def estimate_without_planes(
     contacts: tuple[Contact, ...] = ()
     fit = minimise((), room, known, (), free)
     for share in NEAR:
-        contacts = find_contacts(loose, fit.room, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
+        contacts = find_contacts(loose, fit.layout, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
             raise RefusalError(
                 "The stations' surfaces do not lie on each other closely enough to be estimated together.",
                 "Let them share more of what they see.",
             )
-        fit = minimise((), fit.room, known, (), free, joints=contacts)
+        fit = minimise((), fit.layout, known, (), free, joints=contacts)
     covariance = covariance_of(fit.information, free)
     levels = Levels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
-    loosely = undetermined_in(fit.room, covariance, reach)
+    loosely = undetermined_in(fit.layout, covariance, reach)
     return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts, ())
 
 

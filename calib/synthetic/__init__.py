@@ -1,4 +1,4 @@
-"""Corners with known truth, made without anything that the estimators use."""
+"""Synthetic captures with ground truth, independent of the estimators' code."""
 
 from calib.synthetic.boards import BoardOptions, SyntheticBoards, SyntheticView, random_boards
 from calib.synthetic.captures import (

@@ -1,7 +1,7 @@
-"""Views of a made-up board by a made-up rig: corners and matches straight from points in space.
+"""Synthetic views of a board: corners and matches projected from points in space.
 
-Nothing here is shared with the solver: points of a bent board are projected into both devices, and noise is added to
-the camera's corners and to the projector's pixels.
+No code is shared with the solver. Points of a bent board are projected into both devices, and noise is added to the
+camera's corners and to the projector's pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +21,11 @@ _PROJECTOR = Intrinsics(1280, 800, (1900.0, 1900.0), (655.0, 760.0), (-0.03, 0.0
 
 @dataclass(frozen=True)
 class BoardOptions:
-    """What is drawn: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
+    """Parameters: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
 
-    `tilt_deg`: the board's normal is so far from the line to the camera; `distance`: its range; `aside`: how far its
-    middle may be off the middle of what both see, as a share of the picture; `bend`: standard deviation of the heights
-    of the board's edge over half its length, in each term.
+    `tilt_deg`: range of the angle between the board's normal and the line to the camera; `distance`: its range;
+    `aside`: largest offset of its middle, as a share of the picture; `bend`: standard deviation of each term of the
+    bend, the height of the board's edge over half its length.
     """
 
     camera: Intrinsics = _CAMERA
@@ -46,7 +46,7 @@ class BoardOptions:
 
 @dataclass(frozen=True)
 class SyntheticView:
-    """A board's corners `points` (N, 2) from its middle, their pixels (N, 2), and the matches on it."""
+    """A board's corners `points` (N, 2) relative to its middle, their pixels (N, 2), and the matches on it."""
 
     points: Floats
     corners_px: Floats
@@ -55,7 +55,7 @@ class SyntheticView:
 
 @dataclass(frozen=True)
 class SyntheticBoards:
-    """Views and everything that is true of them.
+    """Views with their ground truth.
 
     Heights are `reach` times a², ab, b² times `bend` (3,), with a, b in units of `reach`. `poses`: of each board its
     rotation (3, 3) from its own axes and its middle (3,), in the camera's frame.
@@ -70,12 +70,12 @@ class SyntheticBoards:
 
 
 def random_boards(rng: np.random.Generator, options: BoardOptions | None = None, **changes: Any) -> SyntheticBoards:
-    """A rig and so many views of a board that both devices see whole. ValueError if none is found."""
+    """A random rig, and views of a board that both devices see completely. Raises ValueError if none is found."""
     options = replace(options or BoardOptions(), **changes)
     distance = float(np.mean(options.distance))
     target = np.array([0.0, 0.0, distance])
     eye = np.array([rng.uniform(0.2, 0.3) * rng.choice([-1, 1]), rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05)])
-    # The projector looks up, as most do: the middle of the picture, not its principal point, is on the target.
+    # The middle of the projector's picture, not its principal point, is on the target, as with most projectors.
     _, throw = options.projector.unproject(np.array([[options.projector.width / 2, options.projector.height / 2]]))[
         0, :2
     ]
@@ -118,7 +118,7 @@ def _seen(
     reach: float,
     pose: tuple[Floats, Floats],
 ) -> SyntheticView | None:
-    """None if part of the board is out of either picture."""
+    """The view of a posed board; None if a part of it is outside of either picture."""
     counts = np.array([options.columns, options.rows])
     columns, rows = np.meshgrid(np.arange(options.columns), np.arange(options.rows))
     corners = (np.stack([columns.ravel(), rows.ravel()], axis=1) - (counts - 1) / 2) * options.square

@@ -1,7 +1,7 @@
-"""Matches of a made-up corner, straight from 3-D points: what tests and benchmarks calibrate.
+"""Synthetic matches of a corner, projected from 3-D points, for tests and benchmarks.
 
-Nothing here is shared with the solver: points are laid on three walls and projected into both devices; the camera
-pixels are then perturbed or not, the projector pixels always are.
+No code is shared with the solver. Points on three walls are projected into both devices, and noise is added to the
+projector's pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from calib.numerics import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class SyntheticCapture:
-    """Matches and everything that is true of them."""
+    """Matches with their ground truth."""
 
     matches: Matches
     calibration: Calibration
@@ -40,7 +40,7 @@ def look_at(eye: Floats, target: Floats, up: Floats, roll: float = 0.0) -> Float
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What is drawn: lengths in metres; `roll` standard deviation of each device's roll in radians.
+    """Parameters: lengths in metres; `roll`: standard deviation of each device's roll in radians.
 
     `noise_px` is the standard deviation of each coordinate of the projector pixel; `outliers` the share of matches that
     are replaced by random ones (face −1); each wall's direction is turned by a normal angle of `walls_off_deg`.
@@ -67,9 +67,9 @@ class CaptureOptions:
 def random_capture(
     rng: np.random.Generator, options: CaptureOptions | None = None, *, attempts: int = 1000, **changes: Any
 ) -> SyntheticCapture:
-    """A corner seen from a random place in its room, sampled on a jittered grid over the projector's image.
+    """A corner from a random place in its room, sampled on a jittered grid over the projector's image.
 
-    Draws again until each wall holds its least share of the matches; ValueError after `attempts`. `changes`: options
+    Repeats until each wall holds its least share of the matches. Raises ValueError after `attempts`. `changes`: options
     by name.
     """
     (capture,) = random_captures(rng, 1, options, attempts=attempts, **changes)
@@ -86,9 +86,9 @@ def random_captures(
     attempts: int = 1000,
     **changes: Any,
 ) -> list[SyntheticCapture]:
-    """Captures by one rig of one corner from random places, or of different corners; faces in a random order each.
+    """Captures of one corner by one rig from random places, or of different corners, each with random face order.
 
-    `rig`: of the options' devices, how they stand to each other; drawn if left out.
+    `rig`: relative pose of the devices; random if left out. Raises ValueError after `attempts`.
     """
     options = replace(options or CaptureOptions(), **changes)
     legs = random_legs(rng, options.walls_off_deg)

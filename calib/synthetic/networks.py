@@ -12,7 +12,7 @@ import numpy as np
 from calib.geometry import Intrinsics, Matches, Motion
 from calib.numerics import Floats
 from calib.synthetic.captures import inside, jittered_grid, look_at
-from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, random_box, random_walls
+from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, on_waves, random_box, random_walls, random_waves
 
 _CORNER = (0, 2, 4)  # the floor, and the walls at x = 0 and y = 0
 _APART_M = 0.5
@@ -42,7 +42,8 @@ def random_network(
     names = [*(f"camera{i + 1}" for i in range(cameras)), *(f"projector{i + 1}" for i in range(projectors))]
     for _ in range(_ATTEMPTS):
         solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
-        scene = Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5)))
+        waves = random_waves(rng, options) if options.wavy else np.zeros((6, 1, 5))
+        scene = Scene(solids, np.zeros((0, 4)), waves)
         devices = {
             name: _varied(rng, options.camera if i < cameras else options.projector) for i, name in enumerate(names)
         }
@@ -94,7 +95,9 @@ def _seen(
 ) -> Matches:
     camera, projector = pair
     pixels = jittered_grid(rng, projector, options.count)
-    points, plane = cast(projector.unproject(pixels) @ projector_at.rotation.T, projector_at.translation, scene)
+    rays = projector.unproject(pixels) @ projector_at.rotation.T
+    points, plane = cast(rays, projector_at.translation, scene)
+    points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = camera.project(_before(points, camera_at))
     seen = inside(camera_px, camera)
     seen[seen] = cast(points[seen] - camera_at.translation, camera_at.translation, scene)[1] == plane[seen]

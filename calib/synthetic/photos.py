@@ -1,7 +1,6 @@
-"""Matches of photos that one camera took of a made-up corner: what tests and benchmarks of photos calibrate.
+"""Synthetic matches of photos of a corner by one camera, for tests and benchmarks.
 
-As in captures.py nothing is shared with the solver. A corner's points are laid out once and seen by all photos,
-and every photo errs on its own, the first included.
+As in captures.py, no code is shared with the solver. Each photo has independent noise, including the first.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class PhotoOptions:
-    """What is drawn: lengths in distances of the first photo from the vertex.
+    """Parameters: lengths in distances of the first photo from the vertex.
 
     `count`: matches of each further photo with the first; `noise_px` of each coordinate in every photo. `shift`: the
     principal point is off the image's centre by up to that share of the width, as in a crop. `aim`: standard deviation
@@ -44,8 +43,8 @@ class PhotoOptions:
 
 @dataclass(frozen=True)
 class SyntheticPhotos:
-    """`pairs`: the matches of the first photo with each other one, and the calibration that is true of that pair
-    (|t| = 1). `corner`: in the first photo's frame, in baselines of the first pair.
+    """`pairs`: matches of the first photo with each other one, and the true calibration of that pair (|t| = 1).
+    `corner`: in the first photo's frame, in baselines of the first pair.
     """
 
     pairs: tuple[tuple[Matches, Calibration], ...]
@@ -53,16 +52,16 @@ class SyntheticPhotos:
 
     @property
     def camera(self) -> Intrinsics:
-        """The one camera."""
+        """The camera of all photos."""
         return self.pairs[0][1].camera
 
 
 def random_photos(
     rng: np.random.Generator, options: PhotoOptions | None = None, *, attempts: int = 2000, **changes: Any
 ) -> SyntheticPhotos:
-    """Photos of a corner from random places in its room; draws again until every wall holds its least share.
+    """Photos of a corner from random places in its room; repeats until every wall holds its least share.
 
-    Raises ValueError after so many attempts. `changes`: options by name.
+    Raises ValueError after `attempts`. `changes`: options by name.
     """
     options = replace(options or PhotoOptions(), **changes)
     for _ in range(attempts):
@@ -111,7 +110,7 @@ def _matches(
     rotation: Floats,
     translation: Floats,
 ) -> Matches | None:
-    """Random points of the first photo that the other sees, too; None if a wall has too few of them."""
+    """Matches of random points that both photos see; None if a wall has too few of them."""
     pixels = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (4 * options.count, 2))
     points, face = cast_rays(camera.unproject(pixels), np.zeros(3), corner.normals, corner.normals @ corner.vertex)
     second = camera.project(points @ rotation.T + translation)

@@ -1,7 +1,7 @@
-"""Stations in a made-up furnished room: matches straight from points in space, labelled with the planes they are on.
+"""Synthetic stations in a furnished room: matches projected from points in space, labelled with their planes.
 
-Nothing here is shared with the solver: the projector's rays meet walls and boxes, what the camera sees of that is
-projected into it, and noise is added to the projector's pixels.
+No code is shared with the solver. The projector's rays are intersected with walls and boxes, visible points are
+projected into the camera, and noise is added to the projector's pixels.
 """
 
 from dataclasses import dataclass, replace
@@ -24,12 +24,12 @@ _WAVES, _WAVELENGTHS = 4, (1.5, 4.0)
 
 @dataclass(frozen=True)
 class RoomOptions:
-    """What is drawn: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
+    """Parameters: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
 
     `size`: of the room, x, y, z; each of its six planes is turned by a normal angle of `walls_off_deg` about both
     directions in it, and has waves of 1.5 to 4 m with a standard deviation of `wavy`. `boxes`: pieces of furniture on
     the floor; `balls`: in the air, their matches have no label. `stations` stand in a ring and look across the room;
-    `count`: of the projector's pixels that are looked at. A plane is labelled where it has `least_share` of them.
+    `count`: number of sampled projector pixels. A plane is labelled if it has `least_share` of them.
     """
 
     camera: Intrinsics = _CAMERA
@@ -65,7 +65,7 @@ class SyntheticStation:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticRoom:
-    """Stations and everything that is true of them, in metres.
+    """Stations with their ground truth, in metres.
 
     Planes normal · X = offset, `normals` (P, 3) towards whoever sees them: floor, ceiling, four walls, then the boxes'.
     """
@@ -77,12 +77,12 @@ class SyntheticRoom:
 
 
 def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **changes: Any) -> SyntheticRoom:
-    """A rig in a room, each station seeing at least three planes. ValueError if none is found."""
+    """A rig in a random room in which each station sees three planes or more. Raises ValueError if none is found."""
     options = replace(options or RoomOptions(), **changes)
     rig = _random_rig(rng, options)
     for _ in range(_ATTEMPTS):
         solids = [random_walls(rng, options), *(random_box(rng, options) for _ in range(options.boxes))]
-        scene = Scene(solids, _random_balls(rng, options), _random_waves(rng, options))
+        scene = Scene(solids, _random_balls(rng, options), random_waves(rng, options))
         stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
@@ -98,7 +98,7 @@ def _random_rig(rng: np.random.Generator, options: RoomOptions) -> Calibration:
 
 
 def random_walls(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
-    """Normals (6, 3) into the room and offsets (6,), the room's lower corner being the origin but for the angles."""
+    """Normals (6, 3) into the room and offsets (6,). Apart from the angles, the room's lower corner is the origin."""
     x, y, z = options.size
     normals = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
     feet = np.array([[x / 2, y / 2, 0], [x / 2, y / 2, z], [0, y / 2, z / 2], [x, y / 2, z / 2]])
@@ -142,7 +142,7 @@ def _station(
     pixels = jittered_grid(rng, rig.projector, options.count)
     rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
     points, plane = cast(rays, projector_eye, scene)
-    points = _on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
+    points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
     seen = inside(camera_px, rig.camera)
     there, again = cast(points[seen] - eye, eye, scene)
@@ -158,8 +158,8 @@ def _station(
     return SyntheticStation(Matches(camera_px[seen], noisy, label), to_camera.T, eye)
 
 
-def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
-    """For each of the six planes some waves' vectors (3) in radians per metre, phase and amplitude, (6, waves, 5)."""
+def random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
+    """Waves of the six planes (6, waves, 5): wave vector (3) in radians per metre, phase and amplitude."""
     waves = np.empty((_WALLS, _WAVES, 5))
     directions = rng.normal(size=(_WALLS, _WAVES, 3))
     lengths = rng.uniform(*_WAVELENGTHS, (_WALLS, _WAVES, 1))
@@ -169,8 +169,8 @@ def _random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:
     return waves
 
 
-def _on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
-    """Points (N, 3) moved along the rays (N, 3) to where walls that are not flat are."""
+def on_waves(points: Floats, plane: Ints, rays: Floats, normals: Floats, waves: Floats) -> Floats:
+    """Points (N, 3) moved along their rays (N, 3) onto the wavy walls."""
     moved = points.copy()
     for wall in np.flatnonzero(waves[:, :, 4].any(axis=1)):
         on = plane == wall
@@ -186,7 +186,7 @@ def _random_balls(rng: np.random.Generator, options: RoomOptions) -> Floats:
 
 
 def is_free(point: Floats, scene: Scene) -> bool:
-    """Whether a point is in the room and in none of the things in it."""
+    """Whether a point is inside the room, and clear of boxes and balls."""
     (normals, offsets), *boxes = scene.solids
     return (
         bool(np.all(normals @ point > offsets + _CLEAR))
@@ -196,7 +196,7 @@ def is_free(point: Floats, scene: Scene) -> bool:
 
 
 def cast(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
-    """What rays (N, 3) from `origin` meet first: points (N, 3) and the numbers of their planes (N,), then of balls."""
+    """The first hits of rays (N, 3) from `origin`: points (N, 3) and plane numbers (N,), balls after the planes."""
     (normals, offsets), *boxes = scene.solids
     length, plane = _first(directions, origin, normals, offsets, directions @ normals.T < 0)
     for i, (outwards, reach) in enumerate(boxes, start=1):

@@ -1,4 +1,4 @@
-"""Made-up whole rooms, and what a rig sees of them from several places: organised clouds with everything known.
+"""Synthetic whole rooms, and a rig's organised clouds from several places, with ground truth.
 
 World: x and y along the walls, z up, lengths in metres; the floor is at z = 0.
 """
@@ -29,7 +29,7 @@ class Furniture:
     yaw: float
 
     def entered(self, origin: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """How far along rays (N, 3) the box is hit, (N,), inf where it is not; and how far it is left."""
+        """Ray parameters (N,) of entry, inf without a hit, and of exit, for rays (N, 3)."""
         axes = Rotation.from_euler("z", self.yaw).as_matrix()
         o, d = (origin - self.centre) @ axes, directions @ axes
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -38,7 +38,7 @@ class Furniture:
         return np.where((enter < leave) & (enter > 0), enter, np.inf), leave
 
     def around(self, point: Floats, margin: float) -> bool:
-        """Whether a point (3,) is within the box or less than a margin beside it."""
+        """Whether a point (3,) is inside the box, or closer to it than the margin."""
         axes = Rotation.from_euler("z", self.yaw).as_matrix()
         return bool(np.all(np.abs((point - self.centre) @ axes) < self.size / 2 + margin))
 
@@ -53,7 +53,7 @@ class Room:
     size: Floats
 
     def distance(self, origin: Floats, directions: Floats) -> Floats:
-        """How far along rays (N, 3) from inside something is hit, (N,)."""
+        """Ray parameters (N,) of the first hits of rays (N, 3) from inside the room."""
         with np.errstate(divide="ignore"):
             lengths = (self.heights - self.normals @ origin) / (directions @ self.normals.T)
         lengths[~(lengths > 0)] = np.inf
@@ -67,7 +67,7 @@ class Room:
 class Station:
     """`points` (H, W, 3) in the camera's frame, as measured, NaN where there is none; `place`: X_world = R X + t.
 
-    `picture` (H, W): the lit scene, None of a room without paint.
+    `picture` (H, W): the lit scene; None for a room without paint.
     """
 
     points: NDArray[np.float32]
@@ -79,14 +79,14 @@ class Station:
 class Paint:
     """Plain surfaces with posters here and there: steps of brightness in `posters` of the volume's cubes of 0.6 m.
 
-    It is a function of where a point is, so that all stations see the same.
+    It is a function of position, so that all stations see the same.
     """
 
     seed: int
     posters: float = 0.12
 
     def albedo(self, points: Floats) -> Floats:
-        """Of points (N, 3) in metres, (N,)."""
+        """The albedo (N,) of points (N, 3) in metres."""
         drawn = self._drawn(points, _POSTER_M, 0) < self.posters
         fine = np.mean([self._drawn(points, size, 1 + k) for k, size in enumerate(_PRINTED_M)], axis=0)
         return np.where(drawn, fine, 0.6)
@@ -101,8 +101,9 @@ class Paint:
 
 @dataclass(frozen=True)
 class Errors:
-    """What a measured cloud is off: `noise_m` along the ray at 3 m, growing with the distance squared; `shape`: of a
-    wrong calibration, relative, the same for all stations; `ray_px`: nothing is seen beyond so steep a slant.
+    """Errors of a measured cloud. `noise_m`: along the ray at 3 m, growing with the distance squared; `shape`: relative
+    deformation by a wrong calibration, the same for all stations; `steepest_deg`: surfaces at a steeper slant are not
+    seen.
     """
 
     noise_m: float = 0.003
@@ -116,7 +117,7 @@ def random_room(
     walls_off_deg: float = 0.3,
     size: tuple[float, float, float] | None = None,
 ) -> Room:
-    """A room with so many pieces of furniture, most of them along the walls, and walls that are a little off square."""
+    """A random room with `pieces` of furniture along the walls, and walls that are a little off square."""
     sides = np.array(size or (rng.uniform(3.8, 5.2), rng.uniform(3.2, 4.4), rng.uniform(2.4, 2.9)))
     normals = np.concatenate([np.eye(3), -np.eye(3)])
     normals += np.radians(walls_off_deg) * rng.normal(size=(6, 3))
@@ -137,9 +138,7 @@ def _piece(rng: np.random.Generator, room: Floats) -> Furniture:
 
 
 def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 60.0) -> list[Motion]:
-    """Places of a rig that is carried around once: each looks across the room at the walls, on into the next one's
-    picture.
-    """
+    """Places of a rig that is carried around once. Each looks across the room, and overlaps with the next."""
     start, places = rng.uniform(0, 2 * np.pi), []
     middle = room.size / 2
     for k in range(stations):
@@ -164,8 +163,8 @@ def seen_from(
     camera: Intrinsics = CAMERA,
     paint: Paint | None = None,
 ) -> Station:
-    """The cloud of one station, and with `paint` its picture; the projector stands 0.3 m beside the camera and casts
-    shadows.
+    """The cloud of one station and, with `paint`, its picture. The projector is 0.3 m beside the camera; points in its
+    shadow are missing.
     """
     errors = errors or Errors()
     x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
@@ -190,14 +189,14 @@ def seen_from(
 
 
 def moved_rig(station: Station, stretch: float = 0.08) -> Station:
-    """What the same station measures with a rig that was moved, its calibration being that of before."""
+    """The same station measured with changed extrinsics and the old calibration."""
     z = station.points[..., 2:]
     scale = 1 + stretch * (z / 3.0) + 0.5 * stretch * station.points[..., :1] / z
     return replace(station, points=(station.points * scale).astype(np.float32))
 
 
 def _steep(points: Floats, camera: Intrinsics, errors: Errors) -> Bools:
-    """Which points (N, 3) of an image are on a surface seen too obliquely, or at its edge."""
+    """Which points (N, 3) of an image lie on a surface at too steep a slant, or at its edge."""
     grid = points.reshape(camera.height, camera.width, 3)
     across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     normal = np.cross(across, down).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""GenICam cameras as a backend: the driver, or what to install where Aravis is missing."""
+"""The backend of GenICam cameras: loads the driver, or says what to install if Aravis is missing."""
 
 from types import ModuleType
 
@@ -7,7 +7,7 @@ from hw.optional_parts import RIG
 
 
 def load() -> ModuleType:
-    """The module `hw.aravis.camera`. Raises DeviceError, naming what to install, if what it needs is not there."""
+    """The module `hw.aravis.camera`. Raises DeviceError, naming what to install, if Aravis is missing."""
     try:
         from hw.aravis import camera  # only now, for most users have no Aravis
     except (ImportError, ValueError) as error:  # ValueError: gi is there, Aravis is not

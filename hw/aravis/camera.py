@@ -1,8 +1,7 @@
-"""A GenICam camera (GigE Vision, USB3 Vision), reached through Aravis: its frames, each when it is asked for.
+"""A GenICam camera (GigE Vision, USB3 Vision), reached through Aravis, triggered one frame at a time.
 
-What was measured about Aravis 0.8 and is built upon here: a second program opens the camera read-only without being
-told; a frame that lost packets arrives with a status instead of an error; a wait for a frame ignores Ctrl-C until it is
-over.
+Observed with Aravis 0.8, and relied on here: a second program opens the camera read-only without an error; a frame
+that lost packets arrives with a status instead of an error; a wait for a frame ignores Ctrl-C.
 """
 
 import time
@@ -24,12 +23,12 @@ from hw.timing.exposures import whole_periods
 
 __all__ = ["AravisCamera", "connect", "list_cameras"]
 
-_SLICE_S = 0.1  # Ctrl-C waits at most so long
-_LATEST_FRAME_S = 1.0  # a frame takes at most so long from the end of its exposure
-_QUIET_S = 0.5  # after a disturbance, the camera is given so long to deliver what is left of it
-_SLOW_TRIGGER_S = 0.2  # an unanswered command is repeated after 0.5 s, and the camera may have heard both
-_STALE_S = 0.005  # before the end of an exposure, what has arrived is looked through
-_IN_FLIGHT = 2  # frames of a free-running camera that may have begun before they were asked for: one exposed, one read
+_SLICE_S = 0.1  # longest delay of Ctrl-C
+_LATEST_FRAME_S = 1.0  # longest time from the end of an exposure to its frame
+_QUIET_S = 0.5  # time for left-over frames to arrive after a disturbance
+_SLOW_TRIGGER_S = 0.2  # Aravis repeats an unanswered command after 0.5 s, and the camera may have obeyed both
+_STALE_S = 0.005  # stale frames are dropped this long before the end of an exposure
+_IN_FLIGHT = 2  # frames of a free-running camera that may have begun before the request: one exposed, one read
 
 
 def connect(settings: AravisRigSettings, size: tuple[int, int], refresh_hz: float) -> "AravisCamera":
@@ -43,9 +42,9 @@ def connect(settings: AravisRigSettings, size: tuple[int, int], refresh_hz: floa
 class AravisCamera:
     """A camera from opening to closing (a context manager), with exposures triggered one at a time.
 
-    `size` is that of the frames, (width, height); `exposure_us` the wanted exposure, `refresh_hz` what later ones are
-    rounded to whole periods of. Raises DeviceError if there is no such camera, if another program uses it, or if it
-    does not accept a setting.
+    `size` is (width, height) of the frames, `exposure_us` the first exposure. Later exposures are rounded to whole
+    periods of `refresh_hz`. Raises DeviceError if there is no such camera, if another program uses it, or if it does
+    not accept a setting.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class AravisCamera:
         self._silent = False
         self._triggered_s = 0.0
         self.late_s = 0.0
-        # Of each exposure, for some cameras' clocks note its end. Retaken frames outvote the deque before they run out.
+        # Keyed by exposure, because some cameras stamp its end. Short enough for retaken frames to change the median.
         self._offsets_s: dict[float, deque[float]] = defaultdict(lambda: deque(maxlen=2 * ATTEMPTS - 3))
         self._refresh_hz = refresh_hz
         self._discarded = _IN_FLIGHT
@@ -84,23 +83,23 @@ class AravisCamera:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Whoever waits for a camera that runs freely learns from its time stamps when its exposures begin."""
+        """Time stamps tell when the exposures of a free-running camera begin, so the clock is known."""
         return Capabilities(exposure="settable", clock=True)
 
     @property
     def exposure_us(self) -> float:
-        """The exposure of all frames from now on, as the camera says."""
+        """The exposure in microseconds, as read back from the camera."""
         return float(1e6 * self.exposure_s)
 
     @property
     def wait_s(self) -> float:
-        """How long after `expose` its exposure begins at most: with the camera's next frame, if it is not told."""
+        """Longest time from `expose` to the begin of the exposure: one frame interval of a free-running camera."""
         return self._clock.interval_s if self._free_running else 0.0
 
     def expose_for(self, exposure_us: float) -> float:
-        """Expose all frames from now on for the nearest whole number of refresh periods; returns how long that is.
+        """Set the exposure to the nearest whole number of refresh periods; returns it in microseconds.
 
-        Raises DeviceError if it is out of the camera's range, or if the camera makes something else of it.
+        Raises DeviceError if it is out of the camera's range, or if the camera sets another one.
         """
         if self._refresh_hz is not None:
             exposure_us, _ = whole_periods(exposure_us, self._refresh_hz)
@@ -117,14 +116,14 @@ class AravisCamera:
             found_us = self._camera.get_exposure_time()
         refuse_other_setting(self.name, "exposure in µs", exposure_us, found_us)
         self.exposure_s = found_us / 1e6
-        self._discarded = _IN_FLIGHT + 1  # one more may have begun with the exposure before
+        self._discarded = _IN_FLIGHT + 1  # one more may have begun with the previous exposure
         self._clock = FrameClock()
         return self.exposure_us
 
     def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
-        """Expose one frame of what is before the camera from now on; returns when the exposure is over.
+        """Expose one frame, and wait until the exposure is over.
 
-        Returns the moment of its trigger (monotonic clock). `meanwhile` is called when the camera has been told. Raises
+        Returns the time of the trigger (monotonic clock). `meanwhile` is called once the trigger was sent. Raises
         DeviceError if the camera does not answer.
         """
         if self._disturbed:
@@ -144,18 +143,18 @@ class AravisCamera:
         return self._triggered_s
 
     def _drop_stale(self) -> None:
-        """What has arrived before an exposure may be over, the camera having obeyed at once, is of an earlier one."""
+        """Drop frames that arrive before this exposure can be over: they belong to an earlier one."""
         end_s = self._triggered_s + self.exposure_s
         while time.monotonic() < end_s and (buffer := self._stream.try_pop_buffer()) is not None:
             if time.monotonic() >= end_s and _came_s(buffer) >= self._triggered_s:
-                self._arrived = buffer  # whoever looked was held up
+                self._arrived = buffer  # this thread was delayed, and the frame is the new one
             else:
                 self._recycle(buffer)
 
     def _follow(self, meanwhile: Callable[[], None]) -> float:
-        """Wait for a frame whose exposure begins now or later; when it did, as far as time stamps tell.
+        """Wait for a frame whose exposure begins now or later; returns when it began, by its time stamp.
 
-        Where they do not, frames are counted: some may have begun before.
+        Without time stamps a fixed number of frames is discarded, which may have begun before.
         """
         asked_s, discarded = time.monotonic(), self._discarded
         meanwhile()
@@ -173,7 +172,7 @@ class AravisCamera:
         return begun_s if buffer is not None and tells else asked_s
 
     def collect(self) -> Frame:
-        """The frame that was exposed last. Raises FrameLostError if it does not arrive whole, DeviceError."""
+        """The last exposed frame. Raises FrameLostError if it does not arrive complete, DeviceError."""
         if self._disturbed:
             raise FrameLostError("the camera was slow to answer")
         buffer, self._arrived = self._arrived, None
@@ -194,9 +193,9 @@ class AravisCamera:
         return self.collect()
 
     def close(self) -> None:
-        """Stop, and leave the camera to others."""
+        """Stop the acquisition and release the camera."""
         if not self._silent:
-            with suppress(GLib.Error):  # it may be gone by now; nobody waits for more frames
+            with suppress(GLib.Error):  # the camera may be gone
                 self._camera.stop_acquisition()
         del self._stream
         del self._camera
@@ -222,8 +221,9 @@ class AravisCamera:
         return Frame(image, exposure_us=1e6 * self.exposure_s, timestamp_ns=timestamp_ns)
 
     def _refuse_late(self, offset_s: float) -> None:
-        """Compare the camera's clock minus ours with what it usually is: a trigger that was obeyed late may have
-        exposed the next picture. Clocks drift and are set, which the median of the last frames follows.
+        """Raise FrameLostError if the trigger took effect late, and the frame may show the next picture.
+
+        The offset between both clocks is compared with its median over the last frames, which follows drift.
         """
         offsets_s = self._offsets_s[self.exposure_s]
         usual_s = median(offsets_s) if offsets_s else offset_s
@@ -233,7 +233,7 @@ class AravisCamera:
             raise FrameLostError(f"exposed {1e3 * (offset_s - usual_s):.0f} ms late")
 
     def _pop(self, timeout_s: float) -> Any | None:
-        """The next buffer, whatever its status; None if the time is over. Answers Ctrl-C."""
+        """The next buffer, whatever its status; None after the timeout. Can be interrupted by Ctrl-C."""
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
             buffer = self._stream.timeout_pop_buffer(int(1e6 * min(left_s, _SLICE_S)))
@@ -250,7 +250,7 @@ class AravisCamera:
             self._stream.push_buffer(buffer)
 
     def _run_dry(self) -> None:
-        """Wait until nothing has arrived for a while: a repeated trigger may have exposed frames that nobody wants."""
+        """Wait until no more frames arrive: a repeated trigger may have exposed superfluous ones."""
         while (buffer := self._pop(self.exposure_s + _QUIET_S)) is not None and not self._free_running:
             self._recycle(buffer)
         self._recycle(buffer)
@@ -270,7 +270,7 @@ class AravisCamera:
 
 
 def _came_s(buffer: Any) -> float:
-    """When the first packet of a frame came (monotonic clock)."""
+    """When the first packet of a frame arrived, in seconds of the monotonic clock."""
     return float(buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic())
 
 

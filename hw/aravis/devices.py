@@ -1,4 +1,4 @@
-"""What cameras Aravis finds on the network and at USB, and opening one; the only file that imports gi."""
+"""Lists and opens the cameras that Aravis finds on the network and USB. The only file that imports gi."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -31,7 +31,7 @@ class _Found:
 
 
 def list_cameras() -> list[CameraInfo]:
-    """All cameras that answer, with sensor size and formats of those that nobody else uses. Takes seconds."""
+    """All cameras that answer; sensor size and formats if no other program uses them. Takes seconds."""
     return [_with_abilities(found) for found in _discover()]
 
 
@@ -54,7 +54,7 @@ def _with_abilities(found: _Found) -> CameraInfo:
         camera = Aravis.Camera.new(found.device_id)
         size = camera.get_sensor_size()
         formats = tuple(camera.dup_available_pixel_formats_as_strings())
-    except GLib.Error:  # it is there, but someone else uses it or the network does not let us in
+    except GLib.Error:  # found, but in use or not reachable
         return CameraInfo(str(found), "in use by another program, or unreachable: its capabilities are unknown")
     pixel_format = next((name for name in (*_PREFERRED_FORMATS, *formats) if name in formats), "Mono8")
     return CameraInfo(
@@ -66,7 +66,7 @@ def _with_abilities(found: _Found) -> CameraInfo:
 
 
 def open_camera(wanted: str | None) -> Any:
-    """The camera of that id, serial number or address; without any, the only one. Raises DeviceError."""
+    """Open the camera with this id, serial number or address; with None, the only one. Raises DeviceError."""
     if wanted is None:
         found = _discover()
         if len(found) != 1:

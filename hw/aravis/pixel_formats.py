@@ -1,6 +1,6 @@
-"""From the bytes of a GenICam pixel format to an image (GenICam Pixel Format Naming Convention, version 2.4).
+"""Decodes the bytes of a GenICam pixel format to an image (GenICam Pixel Format Naming Convention, version 2.4).
 
-Grey levels stay as the camera counts them: 12 bits are the numbers 0 to 4095 in 16-bit pixels.
+Grey levels are not scaled: 12 bits become the numbers 0 to 4095 in 16-bit pixels.
 """
 
 import re
@@ -28,7 +28,7 @@ _COLOURS = ("RGB", "BGR")
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """What a pixel of the camera is: `kind` as in the format's name, `bits` per channel, and how they are packed."""
+    """A pixel format: `kind` as in its name, `bits` per channel, and their packing."""
 
     kind: str
     bits: int
@@ -41,7 +41,7 @@ class PixelFormat:
 
     @property
     def bits_stored(self) -> int:
-        """Bits that a number takes in the camera's data."""
+        """Bits of one number in the camera's data, padding included."""
         if self.packing == "":
             return 8 if self.bits == 8 else 16
         return 12 if self.packing == "Packed" else self.bits
@@ -78,7 +78,7 @@ class PixelFormat:
 
 
 def pixel_format(name: str) -> PixelFormat:
-    """The format of that GenICam name. Raises ValueError if it is not one that can be read."""
+    """The format with this GenICam name. Raises ValueError if it is not supported."""
     match = _NAME.fullmatch(name)
     if match is None:
         raise ValueError(f"the pixel format {name!r} is not known: use Mono or Bayer with 8, 10, 12, 14 or 16 bits")
@@ -89,13 +89,13 @@ def pixel_format(name: str) -> PixelFormat:
 
 
 def _as_image(pixels: NDArray[Any]) -> Image:
-    """The same pixels in a contiguous array, whose type the type checker knows."""
+    """The same pixels in a contiguous array."""
     image: Image = np.ascontiguousarray(pixels)
     return image
 
 
 def _unpack(data: Bytes, bits: int, count: int) -> Image:
-    """Numbers of `bits` bits, one after the other, the least significant bit first."""
+    """Numbers of `bits` bits without gaps, the least significant bit first."""
     padded = np.concatenate([data, np.zeros(4, np.uint8)])
     first_bit = np.arange(count, dtype=np.int64) * bits
     byte, shift = first_bit >> 3, (first_bit & 7).astype(np.uint32)

@@ -1,8 +1,7 @@
-"""A GenICam camera's settings, made through Aravis and read back: what the camera makes otherwise is an error.
+"""Configures a GenICam camera through Aravis, and reads the settings back. A different value is an error.
 
-What was measured about Aravis 0.8 and is built upon here: an impossible setting is silently clipped unless ranges are
-checked. `camera` is an Aravis.Camera throughout, `name` what errors call it; GLib.Error is raised where it does not
-answer.
+Observed with Aravis 0.8, and relied on here: it clips an impossible setting silently unless ranges are checked.
+`camera` is an Aravis.Camera throughout, `name` what errors call it. GLib.Error is raised if it does not answer.
 """
 
 from typing import Any
@@ -20,7 +19,7 @@ _AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")
 def configure(
     camera: Any, name: str, settings: AravisRigSettings, size: tuple[int, int], exposure_us: float
 ) -> PixelFormat:
-    """Make all settings, with nothing left to automatics; frames are of `size`, (width, height). Raises DeviceError."""
+    """Make all settings and switch automatics off; `size` is (width, height) of the frames. Raises DeviceError."""
     camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
     camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
     if settings.binning > 1 or camera.is_binning_available():
@@ -45,7 +44,7 @@ def configure(
 
 
 def _set_region(camera: Any, name: str, size: tuple[int, int], offset_px: tuple[int, int] | None) -> None:
-    """In the middle of the sensor, if nothing else is asked for."""
+    """Set the region of interest, in the middle of the sensor by default."""
     width, height = size
     camera.set_region(0, 0, width, height)
     if offset_px is None:
@@ -60,7 +59,7 @@ def _set_region(camera: Any, name: str, size: tuple[int, int], offset_px: tuple[
 
 
 def start(camera: Any, name: str, settings: AravisRigSettings) -> Any:
-    """The stream of its frames, for which it waits from now on. Raises DeviceError."""
+    """Start the acquisition; returns the stream of frames. Raises DeviceError."""
     if camera.is_gv_device():
         if settings.packet_size is None:
             camera.gv_auto_packet_size()
@@ -77,9 +76,10 @@ def start(camera: Any, name: str, settings: AravisRigSettings) -> Any:
 
 
 def _network_stream(camera: Any) -> Any:
-    """Through a plain socket, where that keeps whole frames. What Aravis takes otherwise, if it may (as root), is a
-    ring of large blocks, which hands over the end of a frame when the block is full, or 5 ms are over
-    (`tp_retire_blk_tov` in arvgvstream.c of Aravis 0.8).
+    """A stream through a plain socket, if its buffer holds whole frames.
+
+    By default Aravis uses a packet socket if it may (as root). Its ring of large blocks delivers the end of a frame
+    only when a block is full or after 5 ms (`tp_retire_blk_tov` in arvgvstream.c of Aravis 0.8).
     """
     kept = receive_buffer(camera.get_payload())
     if kept is not None:
@@ -94,7 +94,7 @@ def _network_stream(camera: Any) -> Any:
 
 
 def read_back(camera: Any, name: str) -> dict[str, str]:
-    """What the camera says of its settings."""
+    """The camera's settings as read back, for the recording's metadata."""
     region = camera.get_region()
     facts = {
         "camera": name,

@@ -1,6 +1,5 @@
-"""A rig without hardware, for the real path: a virtual screen is the projector, a process serves a GigE Vision
-camera, or a webcam.
+"""The loopback rig: tests the code for real devices without hardware.
 
-The camera's pictures are those of a simulated room, lit by what the virtual screen shows. The scanner under test knows
-nothing of it: it opens its window on a screen and finds a camera in the network.
+A virtual screen is the projector. A separate process serves a GigE Vision camera or a webcam, whose frames show a
+simulated room lit by that screen. The scanner cannot tell it from real devices.
 """

@@ -1,7 +1,7 @@
 """Serve a camera that sees a simulated room, lit by a virtual screen, until standard input closes.
 
-Started by `hw/loopback/launcher.py`. Prints 'ready' when it can be found, and again after each line of new `Conditions`
-(JSON) that it reads from standard input.
+Started by `hw/loopback/launcher.py`. Prints 'ready' when the camera can be found, and again after each line of new
+`Conditions` (JSON) from standard input.
 """
 
 import sys
@@ -21,7 +21,7 @@ from hw.loopback.webcam import Webcam
 from hw.simulated.simulation import SimulatedRoom
 
 _ALBUM_BYTES = 1e8
-_PUNCTUAL_S = 0.0005  # pictures that are developed must not hold up an exposure
+_PUNCTUAL_S = 0.0005  # rendering must not delay an exposure
 
 
 def main() -> int:
@@ -55,7 +55,7 @@ def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
 
 
 def _obey(conditions: Conditions, history: ScreenHistory, change: Callable[[Conditions], object]) -> None:
-    """Set the conditions, and others as they are told, until whoever started us has gone."""
+    """Set the conditions, then read new ones from standard input until it closes."""
     while True:
         history.wall.conditions = conditions
         change(conditions)

@@ -1,8 +1,8 @@
-"""A GigE Vision camera on the network: Aravis' simulator of one, with pictures of our own.
+"""A GigE Vision camera on the network: Aravis' simulated camera, with images of our own.
 
-It is driven through ctypes, for its picture callback crashes through PyGObject. The simulator answers commands and
-sends frames in one thread, which also calls back for the picture: during an exposure it answers nothing, for less time
-than a client waits.
+It is driven through ctypes, because its image callback crashes through PyGObject. The simulator has one thread for
+commands, frames and this callback. During an exposure it therefore does not answer, but for less than a client's
+timeout.
 """
 
 import ctypes
@@ -26,8 +26,8 @@ _Fill = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32
 class LoopbackCamera:
     """A camera that answers at an address of this machine while the `with` block runs.
 
-    `expose` is called for every frame, in a thread of the simulator's. Raises DeviceError if Aravis is not installed or
-    the address has a camera already.
+    `expose` is called for every frame, in the simulator's thread. Raises DeviceError if Aravis is not installed or
+    the address is taken.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class LoopbackCamera:
     def _filled(self, buffer: int, _: object, exposure_us: int, gain: int, pixel_format: int) -> None:
         region = (self._register(_OFFSET_X), self._register(_OFFSET_Y), self._register(_WIDTH), self._register(_HEIGHT))
         data = self._expose(Request(exposure_us, gain, pixel_format, region))
-        # The size that it reports here is 0, but it was made for width × height × bytes of a pixel.
+        # The buffer reports size 0 here, but it was allocated for width × height × bytes of a pixel.
         ctypes.memmove(self._aravis.arv_buffer_get_data(buffer, None), data, len(data))
 
     def _register(self, address: int) -> int:
@@ -97,7 +97,7 @@ def _libraries() -> tuple[ctypes.CDLL, ctypes.CDLL]:
 
 
 def _refuse_taken(address: str) -> None:
-    """The simulator shares its port with others of its kind, which would answer in turns."""
+    """Raise DeviceError if the port is taken: two simulators would share it and answer alternately."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, _GVCP_PORT))

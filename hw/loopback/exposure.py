@@ -1,4 +1,4 @@
-"""One exposure of the simulated room: what a sensor makes of the light of all pictures that fall into it."""
+"""One exposure of the simulated room: the sensor integrates the light of all pictures that fall into it."""
 
 import time
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from hw.simulated.simulation import SimulatedRoom
 # GenICam's numbers of the pixel formats that Aravis' simulator offers (PFNC 2.4).
 MONO_8, MONO_16, RGB_8 = 0x01080001, 0x01100007, 0x02180014
 _MOSAICS = {0x01080008: "GRBG", 0x01080009: "RGGB", 0x0108000A: "GBRG", 0x0108000B: "BGGR"}
-# What a sensor's colour filters let through of the projector's white.
+# Transmission of the sensor's colour filters for the projector's white.
 _THROUGH_FILTER = {"R": 0.7, "G": 1.0, "B": 0.6}
 _DECIBELS_PER_FACTOR_TEN = 20.0
 
 
 @dataclass(frozen=True)
 class Request:
-    """What the camera's registers say when an exposure is triggered; `region` is (x, y, width, height) in pixels."""
+    """The camera's registers at the trigger; `region` is (x, y, width, height) in pixels."""
 
     exposure_us: float
     gain_db: float
@@ -30,10 +30,10 @@ class Request:
 
 
 class RoomSensor:
-    """Takes pictures of a simulated room that is lit by a screen.
+    """Exposes frames of a simulated room that a screen lights.
 
-    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` develops
-    to expected electrons (H, W) of such an exposure.
+    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, without gain. `screen` renders
+    pictures to expected electrons (H, W) of such an exposure.
     """
 
     def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
@@ -43,14 +43,14 @@ class RoomSensor:
         self._rng = np.random.default_rng()
 
     def expose(self, request: Request) -> bytes:
-        """Expose from now on, which takes its time, and return the frame as the camera sends it."""
+        """Expose from now on, in real time, and return the frame's bytes as the camera sends them."""
         begin_s = time.monotonic()
         exposure_s = request.exposure_us / 1e6
         self._screen.look()
         x, y, width, height = request.region
         channels = 3 if request.pixel_format == RGB_8 else 1
         noise = list(self._rng.standard_normal((channels, height, width), np.float32))
-        # All that is computed is, as soon as it can be: a sensor has its frame when the exposure is over.
+        # Compute during the exposure: a real sensor has its frame when the exposure ends.
         time.sleep(max(0.0, self._screen.decided_s(begin_s + exposure_s) - time.monotonic()))
         self._screen.look()
         part = np.s_[y : y + height, x : x + width]
@@ -72,7 +72,7 @@ class RoomSensor:
         return sensor.read_with(electrons, noise[0]).tobytes()
 
     def _amplified(self, bits: int, gain_db: float) -> Sensor:
-        """Gain makes fewer electrons fill the range."""
+        """The sensor with gain: fewer electrons saturate it."""
         sensor = self._sensor
         full_well = sensor.full_well_electrons / 10 ** (gain_db / _DECIBELS_PER_FACTOR_TEN)
         return Sensor(sensor.blur_px, sensor.exposure_us, bits, full_well, sensor.read_noise_electrons)

@@ -1,4 +1,4 @@
-"""Starts and ends the processes of the loopback rig: the virtual screen and the camera that sees it."""
+"""Starts and stops the processes of the loopback rig: the virtual screen and the camera."""
 
 import os
 import shutil
@@ -55,7 +55,7 @@ class CameraProcess:
         self._await_ready()
 
     def change(self, conditions: Conditions) -> None:
-        """Make it see and send under other conditions from now on. Raises DeviceError."""
+        """Change the conditions from now on. Raises DeviceError."""
         assert self.process.stdin
         self.process.stdin.write(conditions.model_dump_json() + "\n")
         self.process.stdin.flush()
@@ -70,7 +70,7 @@ class CameraProcess:
 
 @contextmanager
 def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[CameraProcess]:
-    """A camera that sees the screen's light in a room, in a process of its own, found by anyone once this yields.
+    """Run the camera that sees the screen's light in a process of its own; it can be found once this yields.
 
     Raises DeviceError if it does not start.
     """
@@ -86,14 +86,14 @@ def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterato
 
 @contextmanager
 def loopback_rig(settings: LoopbackSettings, projector_size: tuple[int, int]) -> Iterator[VirtualScreen]:
-    """Screen and camera together; DISPLAY names the screen while the context lasts. Raises DeviceError."""
+    """Run screen and camera; DISPLAY is set to the screen in this context. Raises DeviceError."""
     with virtual_screen(projector_size) as screen, shown_on(screen), camera_process(screen, settings):
         yield screen
 
 
 @contextmanager
 def shown_on(screen: VirtualScreen) -> Iterator[None]:
-    """Windows of this process and its children open on that screen."""
+    """Set DISPLAY: windows of this process and its children open on this screen."""
     before = os.environ.get("DISPLAY")
     os.environ["DISPLAY"] = screen.display
     try:

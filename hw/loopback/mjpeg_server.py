@@ -1,4 +1,4 @@
-"""Motion JPEG over HTTP on this machine, as telephones' and network cameras' servers send it."""
+"""A server of Motion JPEG over HTTP, like those of telephones and network cameras."""
 
 import socket
 from collections import deque
@@ -12,9 +12,9 @@ _BOUNDARY = "frame"
 
 
 class MjpegServer:
-    """Serves http://ADDRESS:PORT/video while the `with` block runs: every client gets what is `send`ed from then on.
+    """Serves http://ADDRESS:PORT/video while the `with` block runs; `send` sends a frame to every client.
 
-    A client that is slow finds at most `queue` frames waiting. Raises DeviceError if the port is taken.
+    At most `queue` frames wait for a slow client. Raises DeviceError if the port is taken.
     """
 
     def __init__(self, address: str, port: int, queue: int) -> None:
@@ -29,7 +29,7 @@ class MjpegServer:
                 outer._serve(self)
 
             def log_message(self, *_: object) -> None:
-                """Nobody reads a log of requests."""
+                """No log of requests."""
 
         try:
             self._server = ThreadingHTTPServer((address, port), Handler)
@@ -49,7 +49,7 @@ class MjpegServer:
         self._server.server_close()
 
     def send(self, jpeg: bytes) -> None:
-        """One more frame for all clients."""
+        """Send a frame to all clients."""
         with self._arrived:
             self._frames.append((self._count, jpeg))
             self._count += 1
@@ -73,7 +73,7 @@ class MjpegServer:
             return  # the client has gone
 
     def _next(self, number: int) -> tuple[int, bytes] | None:
-        """The first frame after that one which is still there, waited for; None when the server ends."""
+        """Wait for the first queued frame after this number; None when the server ends."""
         with self._arrived:
             while not self._ended:
                 found = next((each for each in self._frames if each[0] > number), None)

@@ -1,6 +1,6 @@
-"""What a virtual screen shows, and showed a moment ago.
+"""Reads a virtual screen, and keeps a history of what it showed.
 
-`Xvfb -fbdir` keeps the screen in a memory-mapped file in the format of xwd (X11/XWDFile.h), which anyone may read.
+`Xvfb -fbdir` keeps the screen in a memory-mapped file in the format of xwd (X11/XWDFile.h).
 """
 
 import mmap
@@ -22,13 +22,13 @@ from hw.simulated.arrays import Light
 _HEADER_WORDS = 25
 _COLOUR_ENTRY_BYTES = 12
 _POLL_S = 0.002
-_REDRAWN_S = 0.001  # a swap of buffers is copied to the screen in about so long
+_REDRAWN_S = 0.001  # about how long a swap of buffers takes to be copied to the screen
 
 
 class XwdScreen:
-    """The pixels of a screen of 24 bits in a file that its X server keeps up to date.
+    """The pixels of a screen with 24 bits, in a file that its X server updates.
 
-    Raises ValueError if the file is something else, OSError if it cannot be read.
+    Raises ValueError if the file has another format, OSError if it cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,25 +50,24 @@ class XwdScreen:
 
 
 def green(pixels: NDArray[np.uint32]) -> Image:
-    """The green channel, (H, W) 8-bit; a projector of patterns shows grey, in which all channels are alike."""
+    """The green channel, (H, W) 8-bit; patterns are grey, so all channels are equal."""
     return ((pixels >> 8) & 0xFF).astype(np.uint8)
 
 
 class Pixels(Protocol):
-    """A screen that can be looked at."""
+    """A screen whose pixels can be read."""
 
     def pixels(self) -> NDArray[np.uint32]:
         """A copy of what it shows now."""
 
 
 class ScreenHistory:
-    """The light of the pictures of the last seconds, seen by looking every 2 ms while the `with` block runs.
+    """The light of the pictures of the last seconds. The screen is polled every 2 ms while the `with` block runs.
 
-    Any number of pictures are on their way to the wall at once, each with a delay of its own, in the order in which
-    they were shown (`hw/loopback/wall.py`). A change is dated back to the last look that did not show it yet, however
-    late the machine lets us look; it never falls into an exposure that was over before the change.
-    `develop` turns an image into light as soon as it is seen, so that it is ready when a camera wants it;
-    the last `album` ones are kept for when they come again.
+    Any number of pictures may be on their way to the wall, each with its own delay, in order
+    (`hw/loopback/wall.py`). A change is dated to the last poll that did not show it yet, however late the next poll
+    is; it never falls into an exposure that ended before the change. `develop` renders an image to light as soon as
+    it appears. The last `album` renderings are cached.
     """
 
     def __init__(self, screen: Pixels, develop: Callable[[Image], Light], seed: int = 0, album: int = 4) -> None:
@@ -94,7 +93,7 @@ class ScreenHistory:
         self._studio.shutdown()
 
     def look(self) -> None:
-        """Take note of what the screen shows now."""
+        """Poll the screen."""
         with self._lock:
             now_s = time.monotonic()
             pixels = self._screen.pixels()
@@ -104,17 +103,17 @@ class ScreenHistory:
             self._looked_s = now_s
 
     def decided_s(self, end_s: float) -> float:
-        """From when on a look tells all light until a moment: what is shown later takes the latency to the wall."""
+        """When a poll determines all light until `end_s`: later pictures reach the wall a latency later."""
         return end_s - self.wall.conditions.latency_ms / 1e3
 
     def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
-        """The light on the wall between two moments, each picture's with its share; these add up to one."""
+        """The light of each picture on the wall between two times, with its share; shares sum to one."""
         with self._lock:
             seen = self.wall.shares(begin_s, end_s)
         return [(share, light.result()) for share, light in seen]
 
     def _light(self) -> Future[Light]:
-        """Of what it shows; pictures that come again, as in a rehearsal, are developed once."""
+        """The light of the current picture; repeated pictures, as in a rehearsal, are rendered once."""
         key = blake2b(self._last.tobytes()).digest()
         light = self._developed.pop(key, None) or self._studio.submit(self._develop, green(self._last))
         self._developed[key] = light
@@ -123,7 +122,7 @@ class ScreenHistory:
         return light
 
     def _settled(self, pixels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """What it shows when it has been redrawn; a real projector swaps whole pictures."""
+        """Wait until the screen is redrawn completely: a real projector swaps whole pictures."""
         while True:
             time.sleep(_REDRAWN_S)
             again = self._screen.pixels()

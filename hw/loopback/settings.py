@@ -8,7 +8,7 @@ from hw.settings import USUAL_EXPOSURE_US, SimulatedRigSettings
 
 
 class Conditions(BaseModel):
-    """What may change while the camera is there."""
+    """Conditions that may change while the camera runs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -37,7 +37,7 @@ class Conditions(BaseModel):
 
 
 class WebcamSettings(BaseModel):
-    """What a webcam is like; it is served as Motion JPEG at http://ADDRESS:PORT/video."""
+    """Properties of a webcam, which is served as Motion JPEG at http://ADDRESS:PORT/video."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -1,7 +1,4 @@
-"""The way from a screen to the wall: pictures on their way, each for a time of its own, and panels that settle.
-
-It knows when pictures were shown and nothing of who shows them, or of what they count on.
-"""
+"""The light path from a screen to the wall: latency with jitter for each picture, and panels that settle slowly."""
 
 from collections import deque
 from concurrent.futures import Future
@@ -18,14 +15,14 @@ _REFRESH_S = 1 / 60
 
 @dataclass(frozen=True)
 class Picture:
-    """From `since_s` on (monotonic clock) the wall turns to this light, which may be in the making."""
+    """From `since_s` on (monotonic clock) the wall changes to this light, which may still be rendering."""
 
     since_s: float
     light: Future[Light]
 
 
 class Wall:
-    """What lights the room, and will light it, under `conditions` that may change."""
+    """The present and coming light of the room, under `conditions` that may change."""
 
     def __init__(self, light: Future[Light], seed: int) -> None:
         self.conditions = Conditions(latency_ms=0.0)
@@ -33,7 +30,7 @@ class Wall:
         self._rng = np.random.default_rng(seed)
 
     def send(self, shown_s: float, light: Future[Light]) -> None:
-        """A picture that the screen shows from `shown_s` on; it reaches the wall after those before it."""
+        """Add a picture that the screen shows from `shown_s` on; pictures reach the wall in order."""
         how = self.conditions
         delay_s = (how.latency_ms + how.jitter_ms * self._rng.random()) / 1e3
         delay_s += _REFRESH_S * (self._rng.random() < how.missed_refreshes)
@@ -42,7 +39,7 @@ class Wall:
             self._pictures.popleft()
 
     def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Future[Light]]]:
-        """Whose light there is between two moments, with its share of all of it; these add up to one."""
+        """The light of each picture between two times, with its share; shares sum to one."""
         pictures = list(self._pictures)
         until = [*(picture.since_s for picture in pictures[1:]), np.inf]
         seconds, before = np.zeros(len(pictures)), np.zeros(len(pictures))
@@ -59,6 +56,6 @@ class Wall:
         return [(float(share), picture.light) for share, picture in zip(shares, pictures, strict=True) if share > 0]
 
     def _left(self, since_s: float, now_s: float) -> float:
-        """How much of what was there `since_s`, when the next picture came, is still on the wall."""
+        """The remaining share of the old light, `now_s` − `since_s` after the next picture arrived."""
         settling_s = self.conditions.settling_ms / 1e3
         return float(np.exp((since_s - now_s) / settling_s)) if settling_s and np.isfinite(since_s) else 0.0

@@ -1,4 +1,4 @@
-"""A simulated webcam: a steady rate, rolling shutter, automatic exposure, JPEG, and a queue before frames leave."""
+"""A simulated webcam: fixed frame rate, rolling shutter, automatic exposure, JPEG, and an output queue."""
 
 import time
 from collections import deque
@@ -14,19 +14,18 @@ from hw.loopback.settings import Conditions, WebcamSettings
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
 
-_BANDS = 16  # of rows that begin to be exposed together
+_BANDS = 16  # of rows that are exposed together
 _COLOURS = (0.75, 1.0, 0.9)  # of white, in the order blue, green, red
-_NOISES = 8  # fields of noise that come again in turns, each shifted by chance
+_NOISES = 8  # precomputed noise fields, each used with a random shift
 _TARGET_LEVEL = 90.0  # mean grey level that automatic exposure aims at
 _SPEED = 0.15  # of the way there, from frame to frame
 _MOST_GAIN = 8.0
 
 
 class Webcam:
-    """Takes frames of a simulated room that is lit by a screen, and sends each as JPEG, while the `with` block runs.
+    """Takes frames of a simulated room lit by a screen, and sends each as JPEG, while the `with` block runs.
 
-    The aperture is set so that white reaches 85 % of the range at `white_exposure_us`, which is the exposure unless it
-    is automatic.
+    The exposure is `white_exposure_us`. At gain 1, white then reaches 85 % of the range.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class Webcam:
             time.sleep(max(0.0, begin_s - time.monotonic()))
 
     def _deliver(self, jpeg: bytes, conditions: Conditions) -> None:
-        """Behind those that wait; now and then one is dropped, or sent twice, or leaves late."""
+        """Queue a frame and send the oldest; drop, repeat or delay some as the conditions say."""
         if conditions.fault == "silent" or self._rng.random() < conditions.dropped_frames:
             return
         self._queue.append(jpeg)
@@ -81,7 +80,7 @@ class Webcam:
                 self._send(oldest)
 
     def _exposed(self, begin_s: float) -> Light:
-        """Electrons (H, W) of a frame whose first row begins to be exposed then; returns when the last has been."""
+        """Electrons (H, W) of a frame whose first row starts at `begin_s`; waits until the last row is exposed."""
         readout_s = self._settings.readout_ms / 1e3
         end_s = begin_s + readout_s + self._exposure_s
         time.sleep(max(0.0, self._screen.decided_s(end_s) - time.monotonic()))
@@ -106,7 +105,7 @@ class Webcam:
         return bytes(cv2.imencode(".jpg", image[:, :, 1] if fault == "grey" else image, quality)[1])
 
     def _adapt(self, image: np.ndarray) -> None:
-        """Where exposure is automatic, the next frame is brighter or darker; here all of that is gain."""
+        """Automatic exposure, here by gain alone: adapt the gain of the next frame."""
         if not self.conditions.automatic_exposure:
             self._gain = 1.0
             return

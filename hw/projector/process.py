@@ -1,4 +1,4 @@
-"""The projector as the scanner sees it: a screen that a child process (`hw/projector/pyglet_window.py`) draws on."""
+"""The projector: a screen that a child process (`hw/projector/pyglet_window.py`) draws on."""
 
 import importlib.util
 import os
@@ -18,7 +18,7 @@ from hw.optional_parts import RIG
 from hw.projector.screens import Screen, choose_screen
 from hw.timing.devices import Swap
 
-# Waits that end in an error; the first start after an installation compiles shaders and byte code.
+# Timeouts. The first start after an installation compiles shaders and byte code.
 _START_TIMEOUT_S = 60.0
 _SHOW_TIMEOUT_S = 10.0
 
@@ -43,7 +43,7 @@ class _WindowProcess:
         theirs.close()
 
     def receive(self, timeout_s: float) -> Any:
-        """The value of the child's next answer. Raises DeviceError if it failed, died or did not answer."""
+        """Wait for the child's next answer and return its value. Raises DeviceError if the child failed or is gone."""
         try:
             if not self._connection.poll(timeout_s):
                 raise DeviceError(f"it has not answered for {timeout_s:.0f} s")
@@ -55,7 +55,7 @@ class _WindowProcess:
         return value
 
     def tell(self, command: str, argument: object, timeout_s: float) -> None:
-        """Send a command, after the answer to the last, and leave its own answer for later. Raises DeviceError."""
+        """Wait for the answer to the last command, and send another without waiting. Raises DeviceError."""
         self.settle(timeout_s)
         try:
             self._connection.send((command, argument))
@@ -64,16 +64,16 @@ class _WindowProcess:
         self._unanswered = True
 
     def post(self, command: str, argument: object) -> None:
-        """Send a command that is answered when its time has come, while the caller goes on. Raises DeviceError."""
+        """Send a scheduled command, whose answer `receive` returns once it was executed. Raises DeviceError."""
         self.tell(command, argument, _SHOW_TIMEOUT_S)
         self._unanswered = False
 
     def answered(self) -> bool:
-        """Whether an answer is there, or nobody who could give one."""
+        """Whether an answer can be read without waiting, or the child is gone."""
         return self._connection.poll(0)
 
     def settle(self, timeout_s: float) -> Any:
-        """Wait for the answer to the last command, unless it was there; its value. Raises DeviceError."""
+        """Wait for the answer to the last command, if it is outstanding, and return its value. Raises DeviceError."""
         unanswered, self._unanswered = self._unanswered, False
         return self.receive(timeout_s) if unanswered else None
 
@@ -83,7 +83,7 @@ class _WindowProcess:
         return self.settle(timeout_s)
 
     def end(self) -> None:
-        """Hang up and end the process, with which its window goes: nobody waits for pyglet to tidy up."""
+        """Close the connection and kill the process, without waiting for pyglet to clean up."""
         self._connection.close()
         self._process.kill()
         self._process.wait()
@@ -101,7 +101,7 @@ def _display() -> str:
 
 
 def list_screens() -> list[Screen]:
-    """All screens. Raises DeviceError if there is no desktop to ask, or no pyglet to ask with."""
+    """All screens of the desktop. Raises DeviceError if there is no desktop, or if pyglet is missing."""
     process = _WindowProcess()
     try:
         screens: list[Screen] = process.receive(_START_TIMEOUT_S)
@@ -116,7 +116,7 @@ class ScreenProjector:
     """A projector that is a screen of this computer, from opening to closing (a context manager).
 
     `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height). Raises
-    DeviceError if there is no such screen, if it has another size, or if it does not show exactly what it is told.
+    DeviceError if there is no such screen, if it has another size, or if it does not show pixels unchanged.
     """
 
     def __init__(self, wanted: int | str | None, size: tuple[int, int]) -> None:
@@ -141,7 +141,7 @@ class ScreenProjector:
         self.close()
 
     def prepare(self, image: Image) -> None:
-        """Have an (H, W) 8-bit grey image drawn where nobody sees it yet, while the caller goes on.
+        """Start drawing an (H, W) 8-bit grey image into the back buffer, without waiting.
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
@@ -150,12 +150,12 @@ class ScreenProjector:
             self._process.tell("prepare", image, _SHOW_TIMEOUT_S)
 
     def flip(self) -> Swap:
-        """Put what was prepared on the screen; returns when the graphics card has swapped it in. Raises DeviceError."""
+        """Show the prepared image; returns when the graphics card has swapped buffers. Raises DeviceError."""
         with self._errors():
             return Swap(*self._process.ask("flip", None, _SHOW_TIMEOUT_S))
 
     def show_at(self, image: Image, when_s: float) -> None:
-        """Have an image drawn and shown at a moment of the monotonic clock, or as soon as possible after it.
+        """Schedule an image for `when_s` of the monotonic clock, or as soon as possible after it; does not wait.
 
         Raises ValueError if the image has another size, DeviceError if the window or its X server is gone.
         """
@@ -164,7 +164,7 @@ class ScreenProjector:
             self._process.post("show at", (image, when_s))
 
     def shown(self, *, wait: bool) -> Swap | None:
-        """The oldest swap of `show_at` that was not told yet; None if nothing is to be told, unless it is waited for.
+        """The oldest swap of `show_at` that was not returned yet. Without `wait`, None if none has happened.
 
         Raises DeviceError.
         """
@@ -177,7 +177,7 @@ class ScreenProjector:
         self.flip()
 
     def close(self) -> None:
-        """Take the window off the screen."""
+        """Close the window."""
         self._process.end()
 
     def _check(self, image: Image) -> None:

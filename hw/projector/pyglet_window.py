@@ -1,8 +1,8 @@
 """The window on the projector's screen, in a process of its own; the only file that imports pyglet.
 
-`python -m hw.projector.pyglet_window FD` is started by `hw/projector/process.py`, which sends commands through the
-connection FD. The process is what makes the end of an X server survivable: Xlib ends the process that it is in. It also
-leaves the caller's main thread alone, on which some systems insist for windows.
+`hw/projector/process.py` starts `python -m hw.projector.pyglet_window FD`, and sends commands through the connection
+FD. A separate process lets the scan survive the end of the X server, because Xlib then exits its process. It also has a
+main thread of its own, which some systems require for windows.
 """
 
 import signal
@@ -20,10 +20,10 @@ from pyglet import gl
 from calib.numerics import Image
 from hw.projector.screens import Screen
 
-_IDLE_S = 0.05  # how often a window without orders looks after its events
+_IDLE_S = 0.05  # how often an idle window processes events
 _PROBE_SEED = 1
 
-# pyglet looks for GPU features in the background otherwise; nothing here needs them.
+# The shadow window queries GPU features, which are not needed here.
 pyglet.options["shadow_window"] = False
 
 
@@ -41,12 +41,12 @@ def screens() -> list[Screen]:
 class FullScreenWindow:
     """A window that covers a screen and shows images pixel by pixel.
 
-    Raises ValueError if it is not where and as large as it should be, or does not show exactly what it is told.
+    Raises ValueError if its place or size is wrong, or if it does not show pixels unchanged.
     """
 
     def __init__(self, screen: Screen) -> None:
         target = pyglet.display.get_display().get_screens()[screen.number]
-        # Without a size, for pyglet would change the screen's mode to fit it.
+        # No size is given, because pyglet would change the screen's mode to match it.
         self._window = pyglet.window.Window(fullscreen=True, screen=target, vsync=True, caption="projector")
         self._window.set_mouse_visible(False)
         self._screen = screen
@@ -56,7 +56,7 @@ class FullScreenWindow:
 
     @property
     def renderer(self) -> str:
-        """What draws: the graphics driver's name for itself."""
+        """The name of the graphics driver."""
         return str(self._window.context.get_info().get_renderer())
 
     @property
@@ -65,7 +65,7 @@ class FullScreenWindow:
         return bool(self._window.has_exit)
 
     def prepare(self, image: Image) -> None:
-        """Draw an (H, W) 8-bit image where nobody sees it yet: into the back buffer."""
+        """Draw an (H, W) 8-bit image into the back buffer."""
         height, width = image.shape
         self._window.switch_to()
         self._window.dispatch_events()
@@ -74,9 +74,9 @@ class FullScreenWindow:
         gl.glFinish()
 
     def flip(self) -> tuple[float, float]:
-        """Put what was prepared on the screen; returns when the graphics card has swapped it in.
+        """Show the prepared image; returns when the graphics card has swapped buffers.
 
-        Returns the moments before and after, in seconds of the monotonic clock.
+        Returns the times before and after, in seconds of the monotonic clock.
         """
         begun_s = time.monotonic()
         self._window.flip()
@@ -84,7 +84,7 @@ class FullScreenWindow:
         return begun_s, time.monotonic()
 
     def show_at(self, image: Image, when_s: float) -> tuple[float, float]:
-        """Prepare, and flip at a moment of that clock, or when it is drawn; returns what `flip` does."""
+        """Prepare, and flip at `when_s` or when the image is drawn, if that is later; returns what `flip` does."""
         self.prepare(image)
         time.sleep(max(0.0, when_s - time.monotonic()))
         return self.flip()
@@ -95,12 +95,12 @@ class FullScreenWindow:
         self.flip()
 
     def look_after_events(self) -> None:
-        """Answer the window system, which takes a silent window for a hung one."""
+        """Process events, so that the window system does not consider the window hung."""
         self._window.switch_to()
         self._window.dispatch_events()
 
     def _settle(self) -> None:
-        """A few pictures, until the window manager has put the window in its place."""
+        """Show a few pictures, until the window manager has placed the window."""
         black = np.zeros((self._screen.height, self._screen.width), np.uint8)
         for _ in range(5):
             self.show(black)
@@ -115,7 +115,7 @@ class FullScreenWindow:
             raise ValueError("the desktop scales this screen: set its scale to 100 %")
 
     def _check_pixels(self) -> None:
-        """Show noise and read it back: a driver that scales, filters or corrects colours would spoil every pattern."""
+        """Show noise and read it back, to find a driver that scales, filters or corrects colours."""
         size = (self._screen.height, self._screen.width)
         probe = np.random.default_rng(_PROBE_SEED).integers(0, 256, size).astype(np.uint8)
         self.show(probe)
@@ -129,7 +129,7 @@ class FullScreenWindow:
 
 
 def _serve(connection: Connection) -> None:
-    """Obey (command, argument) until the connection closes; every command is answered with ('done', value)."""
+    """Execute (command, argument) until the connection closes; answer each with ('done', value)."""
     connection.send(("done", screens()))
     command, screen = connection.recv()
     if command != "open":
@@ -153,11 +153,11 @@ def _serve(connection: Connection) -> None:
 
 
 def _listen(connection: Connection, orders: SimpleQueue[tuple[str, Any]]) -> None:
-    """Pass orders on as they come, also those whose time has not: who sends them does not have to wait."""
+    """Receive commands while the window is busy, so that the sender does not have to wait."""
     try:
         while True:
             orders.put(connection.recv())
-    except (EOFError, OSError):  # the scan has hung up
+    except (EOFError, OSError):  # the scan has closed the connection
         orders.put(("end", None))
 
 
@@ -169,14 +169,14 @@ def _obey(window: FullScreenWindow, command: str, argument: Any) -> tuple[float,
 
 
 def main(file_descriptor: int) -> None:
-    """Serve the process at the other end of a connection, and report what goes wrong as ('failed', reason)."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the scan, which then hangs up
+    """Serve the connection; report errors as ('failed', reason)."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the scan handles Ctrl-C, and closes the connection
     with Connection(file_descriptor) as connection:
         try:
             _serve(connection)
         except EOFError:
-            pass  # the scan has hung up
-        except Exception as error:  # whatever it is, the scan must learn of it
+            pass  # the scan has closed the connection
+        except Exception as error:  # report every error to the scan
             connection.send(("failed", f"{error}" or type(error).__name__))
 
 

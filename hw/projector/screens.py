@@ -9,7 +9,7 @@ from hw.errors import DeviceError
 
 @dataclass(frozen=True)
 class Screen:
-    """A screen of the desktop: its number, name, place and size in pixels; `refresh_hz` is None if it is not known."""
+    """A screen of the desktop: number, name, position and size in pixels; `refresh_hz` is None if unknown."""
 
     number: int
     name: str
@@ -21,7 +21,7 @@ class Screen:
 
     @property
     def geometry(self) -> str:
-        """Size and place as X11 writes them, as in 1920x1080+1920+0."""
+        """Size and position as X11 writes them, such as 1920x1080+1920+0."""
         return f"{self.width}x{self.height}+{self.x}+{self.y}"
 
     def __str__(self) -> str:
@@ -30,9 +30,9 @@ class Screen:
 
 
 def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tuple[int, int]) -> Screen:
-    """The screen of that number, name or geometry; without any, the only one of `size` (width, height).
+    """The screen with this number, name or geometry; with None, the only one of `size` (width, height).
 
-    Raises DeviceError if there is none, or more than one, or if it has another size.
+    Raises DeviceError if there is none, if there are several, or if it has another size.
     """
     found = [screen for screen in screens if _is_wanted(screen, wanted, size)]
     shown_size = f"{size[0]} × {size[1]}"

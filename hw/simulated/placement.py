@@ -1,6 +1,6 @@
 """The rig, and the places in the room from which an operator would let it look at the corner."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ _PAPER_PROJECTOR = Optics(854, 480, 1247.3, (377.1, 234.0))
 # Light for half a wall from the middle of a room: a throw ratio of 0.74.
 SHORT_THROW = Optics(854, 480, 630.0, (419.0, 262.0))
 _ROLL_DEG = 15.0
+_ZOOMS = (1.0, 1.06, 0.95, 1.03)
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,12 @@ def draw_camera_pose(rng: np.random.Generator) -> tuple[Floats, Floats]:
 def resized(optics: Optics, width: int, height: int) -> Optics:
     """The same optics with an image of another size; focal length and principal point go with its width."""
     return _with_lens(optics, width, height, optics.k1, optics.k2)
+
+
+def zoomed(device: PlacedDevice, number: int) -> PlacedDevice:
+    """A network's device at place `number`, whose lens differs from those of its neighbours."""
+    optics = device.optics
+    return replace(device, optics=replace(optics, focal_px=_ZOOMS[number % len(_ZOOMS)] * optics.focal_px))
 
 
 def _with_lens(optics: Optics, width: int, height: int, k1: float, k2: float) -> Optics:

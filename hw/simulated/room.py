@@ -1,5 +1,6 @@
 """A room, drawn from a seed: walls, furniture, and a rig in a place that a sensible operator would choose."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,7 +10,7 @@ from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_other_end, overlap
-from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig
+from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, zoomed
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
 from hw.simulated.view import look
@@ -51,7 +52,7 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
     walls = draw_walls(streams.walls, settings.walls_off_deg)
     if settings.room == "whole":
         whole = draw_whole_room(settings, walls)
-        return Room(whole.scene, *whole.stations[settings.pose])
+        return Room(whole.scene, *_devices(whole.stations, settings))
     for _ in range(_ATTEMPTS):
         rig = draw_rig(streams.rig, settings.distortion)
         camera, projector = rig.placed(*draw_camera_pose(streams.rig))
@@ -59,7 +60,8 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
             continue
         scene = _furnish(walls, camera, projector, settings, streams)
         if scene is not None:
-            return Room(scene, *_step_aside(scene, rig, camera, projector, settings, streams.poses))
+            places = _step_aside(scene, rig, camera, projector, settings, streams.poses)
+            return Room(scene, *_devices(places, settings))
     raise DeviceError(
         f"the simulated rig finds no good view of the corner in its room; use another seed than {settings.seed}"
     )
@@ -124,20 +126,30 @@ def _step_aside(
     projector: PlacedDevice,
     settings: SimulatedRigSettings,
     rng: np.random.Generator,
-) -> tuple[PlacedDevice, PlacedDevice]:
-    """The rig at its place number `settings.pose`; number 0 is where it is given."""
-    places = [(camera, projector)]
+) -> list[tuple[PlacedDevice, PlacedDevice]]:
+    """The rig's places up to the last that is asked for; number 0 is where it is given."""
+    places, last = [(camera, projector)], max(settings.pose, settings.projector_pose or 0)
     for _ in range(_ATTEMPTS):
-        if len(places) > settings.pose:
-            return places[settings.pose]
+        if len(places) > last:
+            return places
         camera, projector = rig.placed(*draw_camera_pose(rng))
         aside = min(float(np.linalg.norm(camera.centre - other.centre)) for other, _ in places)
         if aside > _STEP_ASIDE_M and _is_good(scene, camera, projector, settings, first=False):
             places.append((camera, projector))
     raise DeviceError(
         f"the simulated room of seed {settings.seed} has {len(places)} good places for the rig, which pose "
-        f"{settings.pose} is beyond; use a smaller pose or another seed"
+        f"{last} is beyond; use a smaller pose or another seed"
     )
+
+
+def _devices(
+    places: Sequence[tuple[PlacedDevice, PlacedDevice]], settings: SimulatedRigSettings
+) -> tuple[PlacedDevice, PlacedDevice]:
+    """Camera and projector, which as devices of a network are at places, and have lenses, of their own."""
+    if settings.projector_pose is None:
+        return places[settings.pose]
+    (camera, _), (_, projector) = places[settings.pose], places[settings.projector_pose]
+    return zoomed(camera, settings.pose), zoomed(projector, settings.projector_pose)
 
 
 def draw_walls(rng: np.random.Generator, walls_off_deg: float) -> Block:

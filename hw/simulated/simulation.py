@@ -27,6 +27,7 @@ _OF_THE_ROOM = (
         "room",
         "stations",
         "pose",
+        "projector_pose",
         "walls_off_deg",
         "furniture",
         "furniture_askew_deg",

@@ -1,1 +1,1 @@
-"""Which frame is of which picture: latency calibration, sequential and pipelined acquisition, frame verification."""
+"""Assigns frames to pictures: latency calibration, sequential and pipelined acquisition, frame verification."""

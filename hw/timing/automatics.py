@@ -1,4 +1,4 @@
-"""What a camera changes by itself during a capture: exposure, white balance, focus, by one picture shown twice."""
+"""Detects automatic changes of exposure, white balance and focus, by one picture before and after a capture."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Image, grey
 
-_SAME_VIEW = 0.3  # correlation; blurred or dimmed, the picture is the same
-_CELLS = 32  # across the picture: edges that a camera resolves, and whose blur it sees
+_SAME_VIEW = 0.3  # correlation, which blur and dimming hardly change
+_CELLS = 32  # across the picture: its edges are resolved, and show blur
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """How the reference picture looks: mean level of each channel (C,) of lit pixels, the contrast of its edges, and
-    the brightness (N,) of each of these pixels.
+    """The reference picture as the camera sees it: mean level of each channel (C,) of lit pixels, contrast of its
+    edges, and brightness (N,) of the lit pixels.
     """
 
     levels: np.ndarray
@@ -31,7 +31,7 @@ def reference_picture(size: tuple[int, int]) -> Image:
 
 
 def appearance(image: Image, lit: Bools) -> Appearance:
-    """Of a frame (H, W) or (H, W, C); `lit` (H, W)."""
+    """The appearance of a frame (H, W) or (H, W, C); `lit` (H, W)."""
     levels = image[lit].reshape(int(lit.sum()), -1).mean(axis=0, dtype=np.float64)
     light = grey(image)
     both = lit[:, 1:] & lit[:, :-1]
@@ -40,12 +40,12 @@ def appearance(image: Image, lit: Bools) -> Appearance:
 
 
 def is_another_view(first: Appearance, now: Appearance) -> bool:
-    """Whether a camera looks elsewhere, was turned, or sends its picture in another shape."""
+    """Whether the camera was moved or turned, or sends frames of another shape."""
     return not float(np.corrcoef(first.lit, now.lit)[0, 1]) > _SAME_VIEW
 
 
 def changes(first: Appearance, last: Appearance) -> Mapping[str, float]:
-    """By how many per cent exposure, white balance and focus have changed, for the recording."""
+    """Changes of exposure, white balance and focus in per cent, for the recording's metadata."""
     ratio = last.levels / np.maximum(first.levels, 1.0)
     balance = float(np.ptp(ratio) / ratio.mean())
     return {

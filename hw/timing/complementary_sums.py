@@ -1,7 +1,7 @@
-"""Pictures that prove each other: together they light every place alike, as a picture and its inverse do.
+"""Frame verification by complementary sums: pictures that sum to uniform light, such as a picture and its inverse.
 
-Of frames that show what they should, the sum over such pictures is level. A frame that holds a share of the picture
-before or after it, or shows another one altogether, makes the differences between neighbours show in that sum.
+If all frames show their pictures, their sum is level. A frame that contains a share of the previous or next picture,
+or shows another one altogether, leaves the difference between the two in that sum.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -12,27 +12,27 @@ import numpy as np
 from calib.numerics import Floats, Image
 
 _MOST_PAIRS = 10_000
-_APART = 75  # of the width of an image: how far pixels of a pair are apart at most; at least two and three pixels
+_APART = 75  # pixels of a pair are 2 px to max(3 px, width / 75) apart
 _LEAST_TOLERANCE = 0.015
-_MOST_TERMS = 10  # differences between neighbours, times frames in the sum, of two or four frames
-_LEAST_DIFFERENCE = 0.15  # of neighbours, rms; that of black and white is nothing but noise
+_MOST_TERMS = 10  # differences between successive pictures, times frames in the sum, of two or four frames
+_LEAST_DIFFERENCE = 0.15  # rms of a difference between pictures; below it there is only noise
 
-_ALIKE = 0.2  # differences that differ by no more, relative to the largest, do so by noise
-# What is no sum of such pictures at all: rms, and brightness of each. Lenses and bounced light make 0.1 in sums of
-# right frames, pictures that do not fit 0.5. A pair is 0.5 bright, down to 0.35 of fine stripes, and so is a fringe,
-# by the projector's response.
+_ALIKE = 0.2  # relative singular value below which differences count as linearly dependent
+# Limits of the rms and of the mean brightness of a sum. Lenses and interreflection cause an rms of 0.1 in correct sums,
+# wrong pictures 0.5. The mean brightness of a pair is 0.5, that of fine stripes and fringes down to 0.35, by the
+# projector's response.
 _UNEVEN, _DARKEST, _BRIGHTEST = 0.35, 0.2, 0.7
-_CROSSED = 0.1  # of correlations of steps; where the camera sees but few periods, right ones may be off by 0.03
+_CROSSED = 0.1  # error of a correlation of steps; correct ones reach 0.03 where the camera sees few periods
 
 
 @dataclass(frozen=True)
 class ComplementarySums:
-    """Judges frames at pixels (N,) that the projector lights: `dark` (N,) and `contrast` (N,) are of black and white.
+    """Verifies frames at N lit pixels; `dark` (N,) is the level of black, `contrast` (N,) that of white minus black.
 
-    The second half of all pixels are each near their counterpart in the first.
+    The pixels form pairs: each of the second half is near its counterpart in the first.
 
-    `tolerance`: the largest share of another picture that is not told from noise. `variance`: of the noise, in squares
-    of the contrast, halfway between black and white.
+    `tolerance`: the largest share of another picture that cannot be distinguished from noise. `variance`: of the
+    noise relative to the contrast, the mean of black and white.
     """
 
     pixels: tuple[np.ndarray, np.ndarray]
@@ -42,7 +42,7 @@ class ComplementarySums:
     variance: float
 
     def seen(self, image: Image) -> Floats:
-        """Brightness (N,) in a frame: 0 where black looks like this, 1 where white does."""
+        """Normalised brightness (N,) of a frame: 0 for black, 1 for white."""
         return (_grey(image[self.pixels]) - self.dark) / self.contrast
 
     def foreign_share(
@@ -52,12 +52,13 @@ class ComplementarySums:
         seen: Mapping[int, Floats],
         beside: Mapping[int, Collection[int]],
     ) -> float:
-        """About which share of a frame is of another picture than its own, which light every place alike together.
+        """The approximate share of other pictures in the frames of a group that should sum to uniform light.
 
-        `group`: their numbers in the series of all frames, steps of a fringe in their order; `seen` has these and those
-        that were on the wall `beside` each. What of the sum, where it is not level, the differences between neighbours
-        explain; those are none where a picture stayed too long, so a sum that is far from level, or too dark, is not
-        theirs at all. How a picture looks that is black or white everywhere is known.
+        `group`: frame numbers, steps of a fringe in order. `seen`: brightness of these frames, and of the pictures on
+        the wall just before and after each, whose numbers are in `beside`. The share is the part of the sum that the
+        differences between successive pictures explain. It is 1 if the sum is far from level or from its expected
+        brightness: a picture that stayed too long leaves no difference. The brightness of uniform pictures is checked
+        directly.
         """
         plain = [
             abs(float(seen[number].mean()) - picture[0, 0] / 255)
@@ -78,11 +79,10 @@ class ComplementarySums:
         seen: Mapping[int, Floats],
         beside: Mapping[int, Collection[int]],
     ) -> float:
-        """By about which share frames that were taken again are not what they were before.
+        """The approximate share by which repeated frames differ from the first ones.
 
-        What is the scene's own does not change; another picture's light is another one's the next time. `beside`: what
-        was on the wall before and after each, either time. Between black and white there is nothing but how bright they
-        are.
+        Deviations caused by the scene repeat; light of another picture does not. `beside`: the pictures on the wall
+        before and after each frame, at either time. Uniform pictures are compared by brightness.
         """
         shares = []
         for number, picture in zip(group, pictures, strict=True):
@@ -98,11 +98,11 @@ class ComplementarySums:
         beside: Mapping[int, Collection[int]],
         values: Floats,
     ) -> float:
-        """Of the differences between frames and those beside them, the largest share that is in values (N,).
+        """The largest share of a difference between successive pictures that `values` (N,) contain.
 
-        Each by itself, as if nothing else was: relative to the largest one, that of a faint difference would seem small
-        (a fine fringe that follows a coarse one). And all together (least squares), for shares of several. Noise that
-        is in the values and in a difference alike is taken off.
+        Each difference is fitted alone, because a faint one (a fine fringe after a coarse one) would seem small beside
+        the largest. All together are fitted by least squares, for shares of several. The covariance of the noise
+        that values and differences have in common is subtracted.
         """
         changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
         changes = [(of, to) for of, to in changes if of in seen and to in seen]
@@ -121,15 +121,16 @@ class ComplementarySums:
 
 
 def _is_plain(picture: Image) -> bool:
-    """Whether it is alike everywhere."""
+    """Whether a picture is uniform."""
     return bool(picture.min() == picture.max())
 
 
 def _crossed_share(steps: Sequence[Floats]) -> float:
-    """What the sum of a fringe's steps (N,), an even number of them, does not tell: that two are late by the same
-    share, half a period from each other, as the pictures before them are.
+    """The share of other pictures that cancels in the sum of a fringe's steps: two steps half a period apart that
+    contain the same share of pictures half a period apart.
 
-    The difference of two such steps goes with that of others as the cosine of what lies between them; then it does not.
+    Differences of opposite steps correlate as the cosine of the phase between them; such a share disturbs that. Needs
+    an even number of steps (N,), otherwise 0.
     """
     half = len(steps) // 2
     if half < 2 or len(steps) % 2:
@@ -143,8 +144,8 @@ def _crossed_share(steps: Sequence[Floats]) -> float:
 
 
 def _explained(terms: Floats, values: Floats) -> Floats:
-    """What terms (T, N) explain of values (N,): least squares, by the normal equations, for there are few terms and
-    many values; terms that nearly depend on others count for nothing.
+    """The part of values (N,) that terms (T, N) explain, by least squares (normal equations). Directions of nearly
+    dependent terms are left out.
     """
     squares, directions = np.linalg.eigh(terms @ terms.T)
     kept = squares > _ALIKE**2 * squares[-1]
@@ -156,11 +157,11 @@ def _explained(terms: Floats, values: Floats) -> Floats:
 def complementary_sums(
     dark: Sequence[Image], bright: Sequence[Image], lit: np.ndarray, tolerance: float
 ) -> ComplementarySums:
-    """From frames of black and of white at rest, and the pixels (H, W) that tell them apart."""
+    """Made from frames of black and of white at rest; `lit` (H, W): pixels that distinguish them."""
     pixels = _pairs(lit)
     levels = [np.stack([_grey(image[pixels]) for image in images]) for images in (dark, bright)]
     contrast = levels[1].mean(axis=0) - levels[0].mean(axis=0)
-    # Noise is in a frame and in its differences to others alike, which looks as if they had to do with each other.
+    # The noise of a frame is also in its differences to others, and correlates with them by chance.
     variances = [float(np.mean(np.diff(frames, axis=0) ** 2 / 2 / contrast**2)) for frames in levels]
     by_chance = 6 * np.sqrt(_MOST_TERMS * variances[1] / len(pixels[0]))
     tolerance = max(_LEAST_TOLERANCE, tolerance) + float(4 * variances[1] + by_chance)
@@ -168,7 +169,7 @@ def complementary_sums(
 
 
 def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of pixels that are lit (H, W), then of one near each, in any direction, that is lit, too."""
+    """Rows and columns of random lit pixels (H, W), then of a lit pixel near each, in any direction."""
     rng = np.random.default_rng(0)
     rows, columns = np.nonzero(lit)
     chosen = rng.permutation(len(rows))[:_MOST_PAIRS]
@@ -178,12 +179,12 @@ def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     second = first + np.rint(apart * np.stack([np.sin(angle), np.cos(angle)])).astype(np.int64)
     inside = np.all((second >= 0) & (second < np.array(lit.shape)[:, None]), axis=0)
     inside[inside] = lit[tuple(second[:, inside])]
-    if not inside.any():  # there is hardly any light: pixels count twice, and there is nothing between them
+    if not inside.any():  # hardly any lit pixels: use each twice
         return np.tile(first[0], 2), np.tile(first[1], 2)
     found = np.concatenate([first[:, inside], second[:, inside]], axis=1)
     return found[0], found[1]
 
 
 def _grey(pixels: Image) -> Floats:
-    """Pixels (N,) or, of colour cameras, (N, 3) → their brightness (N,)."""
+    """Brightness (N,) of pixels (N,) or, of colour cameras, (N, 3)."""
     return pixels.mean(axis=1) if pixels.ndim == 2 else pixels.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What a projector and a camera that share no trigger line have to do and to tell, so that they can be timed."""
+"""Interfaces of projectors and cameras that are synchronised without a trigger line."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from hw.cameras import NamedCamera
 from hw.rig import Frame, Projector
 from hw.timing.frame_reader import FrameReader
 
-# A frame that is lost so many times in a row will be lost again.
+# Attempts for one frame before giving up.
 ATTEMPTS = 8
-# How much later than usual an exposure may begin after its trigger; frames that were later count as lost. Where light
-# comes sooner than this, the next picture waits until the frame is there, which proves that its exposure is over.
+# Longest delay of an exposure beyond the usual; later frames count as lost. If the latency is shorter than this, the
+# next picture is shown only after the frame has arrived, so that its exposure is over.
 TRIGGER_LAG_S = 0.01
 
 
 @dataclass(frozen=True)
 class Swap:
-    """When a picture was swapped in, by the process that did it: not before `begun_s`, not after `done_s`.
+    """A swap of buffers happened between `begun_s` and `done_s`, as measured by the process that did it.
 
     Both in seconds of the monotonic clock, which all processes share.
     """
@@ -28,77 +28,75 @@ class Swap:
 
 
 def nothing() -> None:
-    """There is nothing to do meanwhile."""
+    """Do nothing."""
 
 
 class FlippingProjector(Projector, Protocol):
-    """A projector whose next picture can be drawn before it is shown."""
+    """A projector with a back buffer."""
 
     def prepare(self, image: Image) -> None:
-        """Draw an (H, W) 8-bit image where nobody sees it yet. Raises DeviceError."""
+        """Draw an (H, W) 8-bit image into the back buffer. Raises DeviceError."""
 
     def flip(self) -> Swap:
-        """Show what was prepared; returns when it has left for the wall. Raises DeviceError."""
+        """Show the prepared image; returns after the swap. Raises DeviceError."""
 
 
 class BufferedProjector(FlippingProjector, Protocol):
-    """The same, which also keeps a schedule."""
+    """A projector that can also show images at scheduled times."""
 
     def show_at(self, image: Image, when_s: float) -> None:
-        """Draw an image when those before it have been shown, and show it at a moment, or as soon as it is drawn.
+        """Queue an image to be shown at `when_s` of the monotonic clock, or as soon as it is drawn.
 
-        Returns at once: several may be waiting for their moments. Raises DeviceError.
+        Returns at once; several images may be queued. Raises DeviceError.
         """
 
     def shown(self, *, wait: bool) -> Swap | None:
-        """The oldest swap of `show_at` that was not told yet; None if there is none so far, unless it is waited for.
+        """The oldest swap of `show_at` that was not returned yet. Without `wait`, None if none has happened.
 
         Raises DeviceError.
         """
 
 
 class TriggeredCamera(NamedCamera, Protocol):
-    """A camera whose frame is on its way while the next picture is shown already."""
+    """A triggered camera, which transfers a frame while the next picture is shown."""
 
     exposure_s: float
     late_s: float
-    """By how much more than the least of late the exposure of the last frame came after its trigger, as far as the
-    camera's clock tells."""
+    """Delay from trigger to exposure of the last frame, beyond the smallest recent one, by the camera's clock."""
 
     @property
     def wait_s(self) -> float:
-        """How long after `expose` is called its exposure begins at most, where the camera does not wait to be told.
+        """Longest time from `expose` to the begin of the exposure, for cameras that run freely.
 
-        Infinite if nobody knows.
+        Infinite if unknown.
         """
 
     def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
-        """Expose one frame, beginning now or later; returns when the exposure is over. Raises DeviceError.
+        """Expose one frame, beginning now or later, and wait until the exposure is over. Raises DeviceError.
 
-        Returns the moment of the trigger, or of the begin where there is none, in seconds of the monotonic clock.
-        `meanwhile` is called once the camera has been told: what it takes, up to an exposure, costs no time.
+        Returns the time of the trigger, or of the begin where there is none, in seconds of the monotonic clock.
+        `meanwhile` is called during the exposure.
         """
 
     def collect(self) -> Frame:
-        """The frame that was exposed last. Raises DeviceError.
+        """The last exposed frame. Raises DeviceError.
 
-        Raises FrameLostError if it does not arrive whole, or was exposed more than TRIGGER_LAG_S later than others.
+        Raises FrameLostError if it does not arrive complete, or was exposed more than TRIGGER_LAG_S later than usual.
         """
 
 
 class StreamingCamera(NamedCamera, Protocol):
-    """A camera whose frames come by themselves, and cannot be asked for. Its `reader` has them as they come.
+    """A camera whose frames arrive continuously and cannot be triggered. Its `reader` receives them.
 
-    `average`: of so many frames of a picture the mean is wanted, two or more. `exposure_us`: of all frames from now on,
-    None if it is not known.
+    `average`: how many frames of a picture are averaged, two or more.
     """
 
     average: int
 
     @property
     def reader(self) -> FrameReader:
-        """Its frames as they come."""
+        """Receives its frames."""
 
     @property
     def exposure_us(self) -> float | None:
-        """In microseconds."""
+        """The exposure in microseconds, None if unknown."""

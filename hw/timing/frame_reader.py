@@ -1,4 +1,4 @@
-"""Frames of a camera that streams, read in a thread of their own as they come, so that none waits in a queue."""
+"""Reads the frames of a streaming camera in a thread as they arrive, so that none waits in a queue."""
 
 import time
 from collections import deque
@@ -13,21 +13,21 @@ import numpy as np
 from calib.numerics import Image
 from hw.errors import DeviceError
 
-_KEPT = 8  # frames: whoever wants them looks at each as it comes
+_KEPT = 8  # frames
 _INTERVALS = 64
-_NOTHING_S = 4.0  # without a frame for so long, none will come
-_SLICE_S = 0.1  # Ctrl-C waits at most so long
-# Frames that are the same byte by byte: for so long, a driver repeats one; after that, nothing moves, and nothing is
-# noise, as in video that is compressed with care, or in a black picture.
+_NOTHING_S = 4.0  # timeout for a frame
+_SLICE_S = 0.1  # longest delay of Ctrl-C
+# Identical frames within this time are repetitions of the driver. After it they count as new frames of a static scene
+# without noise, as in well compressed video or a black picture.
 _STATIC_S = 0.4
 _CLOSING_S = 6.0
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """A frame as it came: its number from the first on, and when it was there (seconds of the monotonic clock).
+    """A frame with its number, counted from 0, and its time of arrival in seconds of the monotonic clock.
 
-    `repeated`: the same as the frame before it, byte by byte.
+    `repeated`: identical to the previous frame, byte by byte.
     """
 
     image: Image
@@ -38,9 +38,10 @@ class Arrival:
 
 
 class FrameReader:
-    """Reads frames from when it is made until `close`; `read` returns one and its time stamp, None at the stream's end.
+    """Reads frames from construction until `close`.
 
-    `close` waits until a last `read` has returned, then calls `release`.
+    `read` returns a frame with its time stamp, or None at the end of the stream. `close` waits for the last `read`;
+    then `release` is called.
     """
 
     def __init__(
@@ -62,32 +63,32 @@ class FrameReader:
 
     @property
     def period_s(self) -> float:
-        """The usual time from one frame to the next; infinite before there are two."""
+        """The median time from one frame to the next; infinite before there are two."""
         with self._arrived:
             return median(self._intervals_s) if self._intervals_s else float("inf")
 
     @property
     def dropped(self) -> int:
-        """How many frames did not come, as far as gaps tell that were not made up for."""
+        """How many frames were dropped, estimated from gaps between arrivals."""
         return max(0, self._late)
 
     @property
     def newest(self) -> int:
-        """The number of the last frame so far, −1 before the first."""
+        """The number of the newest frame, −1 before the first."""
         with self._arrived:
             return self._frames[-1].number if self._frames else -1
 
     def following(self, number: int) -> Arrival:
-        """The first frame after that one, which is waited for. Frames that a driver repeats are left out.
+        """Wait for the first frame after this number. Frames that a driver repeats are left out.
 
-        Raises DeviceError if none comes, or the stream has ended.
+        Raises DeviceError if none arrives, or if the stream has ended.
         """
         found = self.following_until(number, inf)
         assert found is not None
         return found
 
     def following_until(self, number: int, until_s: float) -> Arrival | None:
-        """The same; None if it has not come by then (monotonic clock)."""
+        """As `following`; None if it has not arrived by `until_s` (monotonic clock)."""
         deadline_s = time.monotonic() + _NOTHING_S
         with self._arrived:
             while True:
@@ -107,7 +108,7 @@ class FrameReader:
                 self._arrived.wait(min(_SLICE_S, left_s))
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._ending = True
         self._thread.join(_CLOSING_S)
 
@@ -145,7 +146,7 @@ class FrameReader:
         return arrival
 
     def _count_gap(self, interval_s: float) -> None:
-        """A frame that is late is followed by one that is soon; one that was dropped is not."""
+        """Count dropped frames. A late frame is followed by a short interval, which cancels; a dropped one is not."""
         if len(self._intervals_s) == _INTERVALS:
             self._late = max(0, self._late + round(interval_s / median(self._intervals_s)) - 1)
         self._intervals_s.append(interval_s)

@@ -1,4 +1,4 @@
-"""Latency of a projector, calibrated with flashes: black and white pictures that tell how late its light follows."""
+"""Latency calibration of a projector with flashes: changes between black and white."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -21,7 +21,7 @@ _FLASHES = 4
 _FLASHES_AT_MOST = 50
 _LONGEST_FLASH_S = 5.0
 _AT_ONCE_S = 0.002  # the trigger comes a moment after the swap
-_EDGE = 0.05  # less than this share of the light missing: the exposure began after the light had come
+_EDGE = 0.05  # if less than this share of the light is missing, the exposure began after the light had arrived
 _REHEARSED = 4
 
 
@@ -33,9 +33,10 @@ LOST_ADVICE = (
 
 @dataclass(frozen=True)
 class _Arrival:
-    """When the light of a flash came: `seen` coming during an exposure, or else some time before the next began.
+    """When the light of a flash arrived. `seen`: during an exposure; otherwise some time before the next began.
 
-    `after_s`: from the end of its swap, which took `swapping_s`; not sooner than `soonest_s` after the swap's begin.
+    `after_s`: measured from the end of its swap, which took `swapping_s`. `soonest_s`: lower limit from the swap's
+    begin.
     """
 
     after_s: float
@@ -46,9 +47,10 @@ class _Arrival:
 
 @dataclass(frozen=True)
 class Latency:
-    """Seconds until all light of a picture is there: not before `soonest_s` from the begin of its swap, nor after
-    `latest_s` from the swap's end, in any of several flashes. Swaps took up to `swapping_s`, and the camera usually
-    `cycle_s` from a trigger until its frame was there.
+    """The latency from a swap to the light of its picture, in seconds, as the range over several flashes.
+
+    Light arrives no sooner than `soonest_s` after the swap's begin, and no later than `latest_s` after its end. Swaps
+    took up to `swapping_s`; the camera's median time from trigger to frame is `cycle_s`.
     """
 
     soonest_s: float
@@ -58,9 +60,9 @@ class Latency:
 
 
 class LatencyCalibration:
-    """Measures, with frames of black and white pictures, what share of the light of a new picture an exposure missed.
+    """Measures with black and white pictures which share of a new picture's light an exposure missed.
 
-    Construction learns what the camera sees of resting pictures. Raises DeviceError if it sees no difference.
+    Construction records both pictures at rest. Raises DeviceError if the camera sees no difference.
     """
 
     def __init__(self, projector: BufferedProjector, camera: TriggeredCamera) -> None:
@@ -76,17 +78,17 @@ class LatencyCalibration:
         self.sums = self._rest.sums
 
     def latency(self) -> Latency:
-        """How late light follows a swap, the soonest and the latest of several flashes.
+        """Measure the latency from several flashes.
 
-        Of light that comes during an exposure, the missing share tells when it came. The first flash is followed by
-        exposures one after the other to see about when that is, the next are placed so that it comes amid an exposure.
-        Raises DeviceError if the light does not come, or frames do not arrive.
+        If light arrives during an exposure, the missing share gives its time. Exposures in a row after the first flash
+        find it approximately; later exposures are placed so that light arrives in their middle. Raises DeviceError if
+        the light does not arrive, or if frames do not.
         """
         seen: list[_Arrival] = []
         soonest_s, first_s = inf, 0.0
         for number in range(_FLASHES_AT_MOST):
             waits_s = self._camera.wait_s if isfinite(self._camera.wait_s) else 0.0
-            # Light that comes soon may always be there before a camera that runs freely begins.
+            # Light may always arrive before a free-running camera begins to expose.
             arrival = self._flash(first_s, _AT_ONCE_S + waits_s * (number > 2 * _FLASHES))
             if arrival is None:
                 continue
@@ -99,10 +101,10 @@ class LatencyCalibration:
                     max(each.swapping_s for each in seen),
                     median(self._cycles_s),
                 )
-            soonest_s = min(soonest_s, arrival.after_s)  # exposures that begin late see it later than it was there
+            soonest_s = min(soonest_s, arrival.after_s)  # late exposures only give an upper limit
             early_s = (
                 self._camera.exposure_s / 2 + waits_s * (number % _FLASHES) / _FLASHES
-            )  # when it begins, is chance
+            )  # vary the phase of a free-running camera
             first_s = max(0.0, soonest_s - early_s)
         raise DeviceError(
             f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
@@ -113,8 +115,8 @@ class LatencyCalibration:
     def largest_missing_share(
         self, frames: Callable[[Iterable[Image]], Iterator[Frame]], count: int = _REHEARSED
     ) -> float:
-        """Take frames of black and white alternately by `frames`; the largest share by which a part of one differs
-        from rest."""
+        """Take frames of black and white alternately with `frames`; returns the largest share by which a band of rows
+        differs from rest."""
         targets = list(islice(cycle((1 - self._shown, self._shown)), count))
         taken = frames(self._pictures[target] for target in targets)
         shares = [
@@ -125,7 +127,10 @@ class LatencyCalibration:
         return max(shares)
 
     def _flash(self, first_s: float, at_once_s: float) -> "_Arrival | None":
-        """Change the picture, and expose from `first_s` after the flip until it rests; None if a lost frame hid it."""
+        """Change the picture, and expose from `first_s` after the flip until it is at rest.
+
+        None if a lost frame hid the change.
+        """
         self._shown = 1 - self._shown
         self._projector.prepare(self._pictures[self._shown])
         swap = self._projector.flip()

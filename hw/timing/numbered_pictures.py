@@ -1,4 +1,4 @@
-"""Pictures by their numbers, read from an iterator as they are wanted, kept until they are forgotten."""
+"""Access to the pictures of an iterator by number."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ from calib.numerics import Image
 
 
 class NumberedPictures:
-    """Those of an iterator, from number 0 on."""
+    """Reads pictures, numbered from 0, on demand, and keeps them until `forget`."""
 
     def __init__(self, images: Iterator[Image]) -> None:
         self._images = images
@@ -18,7 +18,7 @@ class NumberedPictures:
         return self._known[number]
 
     def has(self, number: int) -> bool:
-        """Whether there is such a picture."""
+        """Whether there is a picture with this number."""
         while self._count <= number and not self._ended:
             image = next(self._images, None)
             if image is None:
@@ -29,6 +29,6 @@ class NumberedPictures:
         return number < self._count
 
     def forget(self, before: int) -> None:
-        """Pictures with smaller numbers are not wanted any more."""
+        """Drop the pictures with smaller numbers."""
         for number in [known for known in self._known if known < before]:
             del self._known[number]

@@ -1,9 +1,10 @@
-"""Pictures of black and white that have no inverses are proven by one more that is shown before them, their parity: lit
-where an odd number of them is. So every place is lit by an even number of all these together.
+"""Frame verification of binary pictures without inverses, by a parity picture.
 
-Where a frame shows another picture altogether, half of all places are not. Of a share of the picture before or after it
-the edges show: a bit is the same on both sides of nearly every edge of another one, and so is its frame, whatever light
-bounces, for that changes but slowly from place to place.
+The parity picture is lit where an odd number of the others is. Every place is then lit by an even number of all.
+
+If a frame shows another picture altogether, the parity is wrong at half of all places. A smaller share of the previous
+or next picture shows at that picture's edges: a bit rarely has an edge in the same place, and indirect light varies
+slowly.
 """
 
 from collections import deque
@@ -15,17 +16,17 @@ import numpy as np
 
 from calib.numerics import Floats, Image, median, robust_sigma
 
-_CERTAIN = 0.2  # this far from halfway between black and white, neither noise nor bounced light makes one of the other
+_CERTAIN = 0.2  # distance from half-way between black and white that noise and indirect light do not exceed
 _LEAST_CERTAIN = 0.1  # of all pixels; blurred stripes leave fewer between their edges
-_EDGE = 0.25  # such a difference between neighbours, of black and white, is no noise
+_EDGE = 0.25  # a difference between neighbours that is an edge, relative to white
 _LIT = 128
 
 
 @dataclass(frozen=True)
 class WithParity:
-    """A series of images with those that were added; groups and numbers are of this series.
+    """A series of images with parity pictures inserted; groups and numbers refer to this series.
 
-    `even`: groups of which every place is lit by an even number; the first of each is the `added` one.
+    `even`: groups of which an even number of images lights every place; the first of each is its parity picture.
     """
 
     images: Iterator[Image]
@@ -34,14 +35,14 @@ class WithParity:
 
     @property
     def added(self) -> frozenset[int]:
-        """The numbers of the pictures that nobody asked for."""
+        """The numbers of the parity pictures."""
         return frozenset(group[0] for group in self.even)
 
 
 def with_parity(
     images: Iterable[Image], level: Iterable[Sequence[int]], unpaired: Collection[Sequence[int]]
 ) -> WithParity:
-    """The same images, read when they are wanted, and before the first of each `unpaired` group its parity."""
+    """Insert the parity picture of each `unpaired` group before its first image; images are read on demand."""
     firsts = sorted(min(group) for group in unpaired)
 
     def moved(number: int) -> int:
@@ -53,7 +54,7 @@ def with_parity(
 
 
 def _with_parity(images: Iterator[Image], groups: Mapping[int, Sequence[int]]) -> Iterator[Image]:
-    """`groups` by their first numbers."""
+    """The images with parity pictures; `groups` by their first numbers."""
     read: deque[Image] = deque()  # from the next one on
     number = 0
     while True:
@@ -69,14 +70,14 @@ def _with_parity(images: Iterator[Image], groups: Mapping[int, Sequence[int]]) -
 
 
 def _parity(images: Sequence[Image]) -> Image:
-    """Of pictures of black and white."""
+    """The parity picture of binary images (H, W)."""
     odd = reduce(np.logical_xor, (image >= _LIT for image in images))
     return np.where(odd, np.uint8(255), np.uint8(0))
 
 
 def odd_share(group: Sequence[int], seen: Mapping[int, Floats]) -> float:
-    """At which share of all places that are certain in all frames of an even group an odd number of them is lit; 1 if
-    too few are certain. `seen`: brightness (N,) of each frame, 0 for black and 1 for white.
+    """The share of places with wrong parity, among those that are certain in all frames of an even group; 1 if too few
+    are certain. `seen`: brightness (N,) of each frame, 0 for black and 1 for white.
     """
     frames = np.stack([seen[number] for number in group])
     certain = np.all(np.abs(frames - 0.5) > _CERTAIN, axis=0)
@@ -87,12 +88,12 @@ def odd_share(group: Sequence[int], seen: Mapping[int, Floats]) -> float:
 
 
 def mixed_share(frame: Floats, others: Sequence[Floats], tolerance: float) -> float | None:
-    """The largest share of another picture in the frame of a picture of black and white; None if that cannot be told
-    by the tolerance: of a picture without edges nothing can.
+    """The largest share of another picture in the frame of a binary picture; None if it is not known to the tolerance,
+    as where the other picture has no edges.
 
-    `frame` and those of the `others` (2 M,) are brightness at M places, then at a place near each. Where a frame is on
-    the same side of halfway at both, its own picture has no edge. The median over the edges of another one, for some of
-    them are where the scene has its own.
+    `frame` and `others` (2 M,): brightness at M places, then at a neighbour of each. A frame that is on the same side
+    of one half at both has no edge of its own there. The share is the median over the edges of the other picture,
+    because the scene has edges as well.
     """
     first, second = np.split(frame > 0.5, 2)
     flat = first == second
@@ -111,7 +112,7 @@ def mixed_share(frame: Floats, others: Sequence[Floats], tolerance: float) -> fl
 
 
 def _across(frame: Floats) -> Floats:
-    """Differences (M,) from place to place."""
+    """Differences (M,) between neighbours."""
     first, second = np.split(frame, 2)
     difference: Floats = first - second
     return difference

@@ -1,15 +1,14 @@
-"""Pipelined acquisition: the next pictures are on their way to the wall while the camera exposes the one that is there.
+"""Pipelined acquisition: the next pictures are on their way to the wall while the camera exposes the present one.
 
     screen      ▏1       ▏2       ▏3       ▏4
     wall                      ▏1       ▏2       ▏3       ▏4
     camera                     ▐ 1   ▌  ▐ 2   ▌  ▐ 3   ▌  ▐ 4   ▌
 
-An exposure fits between the light of its picture, as late as that can be, and the light of the next one, as soon as
-that can be. When that is follows from when the pictures were swapped in, which the process that did it tells. A frame
-counts if it was triggered in time, if the camera's clock agrees, and if its picture and others light every place alike
-together (`complementary_sums.py`) or, bits without inverses, an even number of times (`parity_check.py`). A picture
-that was missed is shown again, behind those that are on their way; where many are, those that follow are taken at rest
-for a while, longer each time. How much time there is between pictures, the last frames tell (`jitter.py`).
+An exposure must fit between the latest light of its picture and the earliest light of the next one. Both follow from
+the measured times of the swaps. A frame counts if it was triggered in time, if the camera's clock agrees, and if it
+passes verification by complementary sums (`complementary_sums.py`) or parity (`parity_check.py`). A missed picture is
+shown again behind those on their way. After many misses the next ones are taken at rest, more each time. The period
+adapts to the jitter of the last frames (`jitter.py`).
 """
 
 import logging
@@ -33,12 +32,12 @@ from hw.timing.verification import FrameVerification, Group
 log = logging.getLogger(__name__)
 
 _MOST_AT_REST = 32
-_MOST_UNFOUNDED = 3  # doubts that were the scene's own: with blur, flicker, or bounced light sums are never level
-_CALM = 16  # so many frames in a row that were caught make up for a missed one
+_MOST_UNFOUNDED = 3  # failed verifications that the scene caused: with blur, flicker or interreflection
+_CALM = 16  # successful frames in a row that halve the penalty
 
 
 class PipelinedAcquisition:
-    """Frames of pictures that follow each other at a pace; those that fail are taken by `sequential`."""
+    """Takes frames of pictures at a fixed period; those that fail are repeated by `sequential`."""
 
     def __init__(
         self,
@@ -61,25 +60,24 @@ class PipelinedAcquisition:
 
     @property
     def period_s(self) -> float:
-        """From one picture to the next, by now."""
+        """The present time between pictures."""
         return self._jitter.period_s
 
     @property
     def tally(self) -> Tally:
-        """What the frames cost."""
+        """Counts and times of the frames."""
         return self._sequential.tally
 
     @property
     def possible(self) -> bool:
-        """Whether the camera still exposes for as long as the pace was measured for."""
+        """Whether the exposure is still the one that the pace was measured with."""
         return self._camera.exposure_s == self._exposure_s
 
     def frames(
         self, images: Iterable[Image], level: Sequence[Sequence[int]], unpaired: Sequence[Sequence[int]] = ()
     ) -> Iterator[Frame]:
-        """A frame of each image, when it is proven. `level`: the numbers of images that light every place alike
-        together; `unpaired`: of images of black and white that one more picture is to prove. Images that are in none of
-        these are taken at rest.
+        """Yield a verified frame of each image, in order. `level`: groups of image numbers that sum to uniform light;
+        `unpaired`: groups of binary images to verify by parity. Images in no group are taken at rest.
 
         Raises DeviceError, and whatever `images` raises.
         """
@@ -92,17 +90,17 @@ class PipelinedAcquisition:
             taken[number] = frame
             self._verification.note(number, frame.image)
             if not self._schedule.outstanding:
-                self._verification.judge()  # else while the next picture is exposed, when it costs no time
+                self._verification.judge()  # otherwise during the next exposure
             while self._verification.judged:
                 for group in [*self._verification.judged]:
                     foreign = self._verification.foreign_share(
                         group
-                    )  # by now: frames beside it may have been taken again
+                    )  # again, because neighbouring frames may have been repeated
                     if not self._flies_again(group, foreign):
                         self._prove(group, foreign, taken)
                         self._verification.settle(group)
                 if not self._schedule.outstanding:
-                    self._verification.judge()  # one may have waited for another
+                    self._verification.judge()  # groups may wait for each other
             while following in taken and not self._verification.lacks(following):
                 proven = taken.pop(following)
                 if following not in shown.added:
@@ -112,19 +110,19 @@ class PipelinedAcquisition:
                 self._pictures.forget(following)
 
     def rehearse(self, images: Iterable[Image]) -> Iterator[Frame]:
-        """The same without any verification but that of time: somebody else looks at the frames, in their order."""
+        """Frames in order, checked by their timing only: the caller verifies them."""
         return (frame for _, frame in self._series(with_parity(images, (), ()), proven=False))
 
     def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frame]]:
-        """Frames and numbers; between them, others may be taken again after `_land`. What is in a group may fly; if
-        nothing is to be proven all may, and frames come in the order of their pictures.
+        """Numbers and frames. Between them the caller may repeat others after `_land`. Only pictures in a group are
+        pipelined; without verification (`proven` False) all are, and frames come in order.
         """
         self._pictures = NumberedPictures(shown.images)
         self._verification = FrameVerification(self._sums, self._pictures, shown.level, shown.even)
         self._in_order = not proven
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
         self._rested, self._unfounded, self._doubts = set[int](), 0, set[Group]()
-        self._next, self._again = 0, list[int]()  # the first that was not tried, and those that are to be tried again
+        self._next, self._again = 0, list[int]()  # the first untried picture, and those to repeat
         self._schedule.settle()
         self._schedule = TriggerSchedule(self._projector, self.rhythm)
         try:
@@ -140,11 +138,11 @@ class PipelinedAcquisition:
                     self._calm_down()
                     yield number, frame
         finally:
-            with suppress(DeviceError):  # it is not the first then
+            with suppress(DeviceError):  # another error was raised before
                 self._schedule.settle()
 
     def _that_rest(self) -> list[int]:
-        """The next pictures, up to the first that may fly."""
+        """The next pictures to take at rest, up to the first that may be pipelined."""
         found = [*self._again] if self._grounded else self._again[: self._resting]
         if len(found) < len(self._again):
             return found
@@ -166,12 +164,12 @@ class PipelinedAcquisition:
             self._next = max(self._next, number + 1)
             yield number, frame
             if not self._landed:
-                break  # others were shown meanwhile, and the picture that was on its way is not there any more
+                break  # others were shown meanwhile and replaced the picture on its way
 
     def _rest(self, numbers: Sequence[int], twice: Collection[int] = ()) -> Iterator[tuple[int, Frame]]:
-        """Frames of pictures at rest; of some the second that is taken: so long after its picture has left, nothing of
-        those before is on the wall. That is asked for of `twice`, and needed by a picture that others of its own group
-        were on the wall before: where one has as much of the other as the other of it, no sum tells.
+        """Frames of pictures at rest. Those in `twice` are taken twice and the second counts: by then nothing of the
+        previous pictures is on the wall. The first picture also needs this after one of its own group, because equal
+        shares of each other cancel in the sum.
         """
         before = self._schedule.beside()
         if self._verification.are_together(numbers[0], before):
@@ -182,7 +180,7 @@ class PipelinedAcquisition:
         self._schedule.settle(row[0])
         frames = self._sequential.at_rest(pictures, numbers=row)
         for number, following, frame in zip(row, [*row[1:], None], frames, strict=True):
-            self._schedule.settle(*(() if following is None else (following,)))  # it has left when a frame is there
+            self._schedule.settle(*(() if following is None else (following,)))  # swapped by then
             if following == number:
                 continue
             if number in twice:
@@ -190,13 +188,13 @@ class PipelinedAcquisition:
             yield number, frame
 
     def _land(self) -> None:
-        """Let everything that is on its way be shown, for something else is to be; what was not exposed flies again."""
+        """Stop pipelining: let all scheduled pictures be shown, and schedule those that were not exposed again."""
         self._again = sorted({*self._again, *self._schedule.settle()})
         self._landed = False
 
     @property
     def _grounded(self) -> bool:
-        """Whether the scene is such that sums prove nothing."""
+        """Whether verification is impossible with this scene."""
         return self._unfounded >= _MOST_UNFOUNDED
 
     def _is_grounded(self, group: Group) -> bool:
@@ -206,9 +204,9 @@ class PipelinedAcquisition:
         return self._in_order or self._verification.lacks(number)
 
     def _catch(self) -> tuple[int, Frame | None]:
-        """The next picture on its way, and a frame of it; None if its time was missed, or the frame lost."""
+        """Expose the next picture on its way; returns its number and frame, or None if it was missed or lost."""
         schedule = self._schedule
-        if not schedule.outstanding:  # the first picture leaves when it is drawn, the others so much later
+        if not schedule.outstanding:  # the first picture is shown as soon as it is drawn
             self._appoint(most=1)
             schedule.light_s()
         self._appoint()
@@ -239,12 +237,12 @@ class PipelinedAcquisition:
         return number, frame
 
     def _while_exposed(self) -> None:
-        """Whatever takes a while, for there is time."""
+        """Work done during the exposure."""
         self._appoint()
         self._verification.judge()
 
     def _appoint(self, most: int | None = None) -> None:
-        """Appoint the pictures that have to leave before the one after this is exposed, `most` of them."""
+        """Schedule the pictures that must leave before the next one is exposed, at most `most` of them."""
         period_s = self.period_s
         while (most is None or most > 0) and self._schedule.wants(period_s):
             if self._again:
@@ -257,7 +255,7 @@ class PipelinedAcquisition:
             most = None if most is None else most - 1
 
     def _missed(self, number: int) -> None:
-        """It flies again. All land if many were missed lately, or if order matters."""
+        """Schedule a missed picture again. After many misses, or if order matters, stop pipelining for a while."""
         self.missed, self._caught_in_row = self.missed + 1, 0
         self._again = sorted({*self._again, number})
         if self._jitter.fails() or self._in_order:
@@ -265,7 +263,7 @@ class PipelinedAcquisition:
             self._land()
 
     def _rest_a_while(self) -> None:
-        """Some frames at rest, twice as many as the last time."""
+        """Take the next frames at rest, twice as many as the last time."""
         self._resting, self._penalty = self._penalty, min(_MOST_AT_REST, 2 * self._penalty)
 
     def _calm_down(self) -> None:
@@ -275,9 +273,9 @@ class PipelinedAcquisition:
             self._penalty = max(1, self._penalty // 2)
 
     def _flies_again(self, group: Group, foreign: float) -> bool:
-        """Whether a group in which others show is to fly once more: a picture that was late by chance costs no landing.
+        """Whether to repeat a group with foreign light pipelined, because a single late picture does not need rest.
 
-        Not one of several, which are none by chance, nor one of which frames at rest prove more than pipelined ones.
+        Not if several groups failed, nor for parity groups or groups that were partly taken at rest.
         """
         if foreign <= self._verification.tolerance or group in self._doubts or self._is_grounded(group):
             return False
@@ -294,9 +292,9 @@ class PipelinedAcquisition:
         return True
 
     def _prove(self, group: Group, foreign: float, taken: dict[int, Frame]) -> None:
-        """See to it that the frames of a group are its pictures', `foreign` being what is found of others.
+        """Repeat the frames of a group at rest until they pass; `foreign` is the share of other pictures so far.
 
-        Frames at rest can be wrong, too; and what twice looks the same is the scene's.
+        Frames at rest can be wrong, too. If repeated frames look the same, the scene is the cause.
         """
         if self._is_grounded(group):
             return
@@ -312,7 +310,7 @@ class PipelinedAcquisition:
             self.tally.retriggered += len(suspects)
             last = verification.look(suspects)
             self._land()
-            # The other way around, for the same picture to be late again would look the same otherwise.
+            # Reverse the order: the same late picture would otherwise leave the same trace.
             order = suspects if attempt % 2 else suspects[::-1]
             for number, frame in self._rest(order, twice=order if attempt or verification.is_even(group) else ()):
                 taken[number] = frame

@@ -1,4 +1,4 @@
-"""What a camera sees of black and white pictures at rest, with which every later frame is compared."""
+"""Reference frames of black and white at rest, with which later frames are compared."""
 
 from collections.abc import Sequence
 
@@ -15,10 +15,10 @@ _CLIPPED = 254 / 255  # of the highest level; demosaicing mixes clipped pixels w
 
 
 class RestingLight:
-    """Learns from frames of black and of white (three or more each) which pixels the projector lights, and how much.
+    """Finds the lit pixels and their levels, from three or more frames each of black and of white.
 
-    `tolerance`: the smallest share of the light that is told from noise. Raises DeviceError if the camera sees no
-    difference, OverexposedError if it sees white only clipped.
+    `tolerance`: the smallest share of the light that exceeds noise. Raises DeviceError if the camera sees no
+    difference, OverexposedError if all lit pixels are clipped.
     """
 
     def __init__(self, camera: NamedCamera, dark: Sequence[Image], bright: Sequence[Image]) -> None:
@@ -30,15 +30,15 @@ class RestingLight:
         self.sums: ComplementarySums = complementary_sums(dark, bright, self.lit, self.tolerance)
 
     def missing(self, image: Image, target: int) -> Floats:
-        """Which share (B,) of the way from the other picture to the target (0 black, 1 white) is missing in each band
-        of rows: 0 at rest, 1 before it.
+        """The missing share (B,) of the change to `target` (0 black, 1 white) in each band of rows: 1 before it
+        begins, 0 at rest.
         """
         share = (self._levels(image) - self._dark) / (self._bright - self._dark)
         missing: Floats = 1 - share if target == 1 else share
         return missing
 
     def _levels(self, image: Image) -> Floats:
-        """How bright the lit pixels are, (B,), from the top to the bottom: a rolling shutter begins with the top."""
+        """Mean brightness (B,) of the lit pixels in bands of rows, from top to bottom."""
         lit = grey(image)[self.lit]
         return np.array([part.mean() for part in np.array_split(lit, min(_BANDS, len(lit)))])
 

@@ -1,11 +1,10 @@
-"""Sequential acquisition: flip, wait for the light, expose, flip to the next picture, which starts on
-its way while the frame of the last one is still being transferred.
+"""Sequential acquisition: flip, wait for the light, expose. The flip to the next picture may overlap with the transfer.
 
     screen      ▏picture 1                    ▏picture 2                      ▏
     wall                     ▏picture 1                      ▏picture 2
     camera                    ▐ exposure ▌ transfer           ▐ exposure ▌ transfer
 
-A picture of which there are several frames rests on the wall until the last of them is exposed.
+A picture with several frames stays on the wall until the last of them is exposed.
 """
 
 import logging
@@ -26,9 +25,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Timing:
-    """What was measured: `latency_s` from the end of a flip to its light; with some margin, `delay_s` is waited.
+    """`latency_s`: measured from the end of a flip to its light; `delay_s`: the wait, with a margin.
 
-    `overlaps`: the next picture goes up while the last frame is still on its way.
+    `overlaps`: the next picture is shown while the last frame is transferred.
     """
 
     latency_s: float
@@ -37,7 +36,7 @@ class Timing:
 
 
 class SequentialAcquisition:
-    """Frames of images, taken one after the other by a projector and a camera; `tally` is what that cost."""
+    """Takes frames of images one after the other; `tally` has counts and times."""
 
     def __init__(self, projector: BufferedProjector, camera: TriggeredCamera, timing: Timing) -> None:
         self._projector = projector
@@ -53,13 +52,13 @@ class SequentialAcquisition:
         return self._camera.exposure_s
 
     def period_s(self, cycle_s: float) -> float:
-        """How long a frame takes at least, if the camera has a frame so long after its trigger."""
+        """The shortest time per frame, if the camera delivers a frame `cycle_s` after its trigger."""
         return max(cycle_s, self.exposure_s + self._delay_s) if self._overlaps else cycle_s + self._delay_s
 
     def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
-        """A frame of each image, the exposures (if there are any) taking turns; taken when it is asked for.
+        """Yield a frame of each image, taken on request. Exposures, if there are any, are used cyclically.
 
-        An image that follows itself (the same array) stays where it is.
+        An image that follows itself (the same array) is not shown again.
 
         Raises DeviceError, and whatever `images` raises.
         """
@@ -71,7 +70,7 @@ class SequentialAcquisition:
     def at_rest(
         self, images: Iterable[Image], exposures_us: Sequence[float] = (), numbers: Iterable[int] | None = None
     ) -> Iterator[Frame]:
-        """The same, as a part of something longer that counts its frames itself: these have `numbers`."""
+        """As `frames`, without counting; `numbers` name the frames in messages."""
         exposures, numbered = cycle(exposures_us or (None,)), iter(count() if numbers is None else numbers)
         upcoming: Iterator[Image | None] = chain(images, [None])
         image = next(upcoming)
@@ -93,12 +92,12 @@ class SequentialAcquisition:
             self._projector.prepare(image)
 
     def _flip(self, image: Image | None) -> None:
-        """To the image that was prepared, if one was."""
+        """Show the prepared image, if there is one."""
         if image is not None:
             self._flipped_s = self._projector.flip().done_s
 
     def _set_exposure(self, exposure_us: float | None) -> None:
-        """Before an exposure, when the frame before it has arrived: no frame has parts of two."""
+        """Set the exposure between two frames, so that no frame mixes two exposures."""
         if exposure_us is not None:
             exposure_control(self._camera).expose_for(exposure_us)
 
@@ -107,7 +106,7 @@ class SequentialAcquisition:
         self._camera.expose()
 
     def _collect(self, image: Image, changed: Image | None, number: int) -> Frame:
-        """The frame of `image`, taken again if it was lost; afterwards what was prepared is on its way to the wall."""
+        """The frame of `image`, repeated if it was lost; then the prepared image is shown."""
         try:
             frame = self._camera.collect()
         except FrameLostError as lost:

@@ -1,4 +1,4 @@
-"""Whether a picture stands: two frames of a stream that follow each other show it, all of it, and nothing else."""
+"""Decides whether a picture is stable: two successive frames of a stream show it completely, and nothing else."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ from hw.timing.complementary_sums import ComplementarySums
 from hw.timing.resting import RestingLight
 
 _BANDS = 8  # of rows: a rolling shutter mixes two pictures in some of them
-_PARTS = 8  # of each band, side by side: how much they differ tells what is chance, in blocks of JPEG as well
-_MOST_SHARE = 0.01  # of the picture before; with a fringe of 16 px in 4 steps a fortieth of a projector pixel
+_PARTS = 8  # of each band, side by side; their scatter measures noise, including that of JPEG blocks
+_MOST_SHARE = 0.01  # of the previous picture; with a fringe of 16 px in 4 steps a fortieth of a projector pixel
 _MOST_CHANGE = 0.01  # of brightness, from frame to frame
 _SIGMAS = 4.0
-_LEAST_CHANGE = 0.02  # rms, relative to black and white: below it two pictures look alike
+_LEAST_CHANGE = 0.02  # rms, relative to white minus black: below it two pictures look alike
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Compares frames at the pixels of `sums`, brightness (N,) each; `order` (B, P, n) are those of each part of each
-    band of rows.
+    """Compares frames by their brightness (N,) at the pixels of `sums`. `order` (B, P, n): indices of these pixels, by
+    band of rows and part of the band.
     """
 
     sums: ComplementarySums
@@ -27,12 +27,12 @@ class Standing:
     most_change: float
 
     def stands(self, before: Floats | None, last: Floats, now: Floats) -> bool:
-        """Whether two frames are alike, with nothing in the `last` of the picture `before` that is gone `now`.
+        """Whether the frames `last` and `now` are alike, without a share of the picture `before` in `last`.
 
-        Where `last` = (1 − s) now + s before, s is found in each band of rows by least squares, along what lies between
-        `before` and the mean of both frames: their noise, whatever it is, is in the difference of the two and in that
-        sum with opposite signs, and drops out. Parts of a band that disagree say how much is chance: noise of video is
-        not independent from pixel to pixel (the variance of a ratio of sums of clusters; Cochran, Sampling Techniques).
+        The share s in `last` = (1 − s) now + s before is found in each band of rows by least squares, regressing
+        `now` − `last` on the mean of both minus `before`. Noise of the two frames is uncorrelated between their
+        difference and their mean. The scatter between parts of a band gives the uncertainty, because noise of video is
+        correlated between pixels (variance of a ratio of cluster sums; Cochran, Sampling Techniques).
         """
         step = now - last
         if abs(float(step.mean())) > self.most_change:
@@ -52,17 +52,17 @@ class Standing:
         return bool(np.all(np.abs(share) < _MOST_SHARE + _SIGMAS * by_chance))
 
     def differs(self, before: Floats, now: Floats) -> bool:
-        """Whether a frame shows another picture than the one before."""
+        """Whether two frames show different pictures."""
         return float(np.mean((now - before) ** 2)) > self._least_power
 
     @property
     def _least_power(self) -> float:
-        """Of a difference that is more than noise."""
+        """The smallest mean square of a difference that exceeds noise."""
         return _LEAST_CHANGE**2 + 4 * self.sums.variance
 
 
 def standing(rest: RestingLight) -> Standing:
-    """For what black and white look like at rest."""
+    """Made from black and white at rest."""
     rows, columns = rest.sums.pixels
     band = max(_PARTS, len(rows) // _BANDS // _PARTS * _PARTS)
     order = np.argsort(rows, kind="stable")[: len(rows) // band * band].reshape(-1, band)

@@ -1,14 +1,14 @@
-"""Frames of a camera that streams while a picture stands: one picture at rest, or several on their way at once.
+"""Takes stable frames of a streaming camera: of one picture at rest, or of several pipelined pictures.
 
     screen      ▏1       ▏2       ▏3
     wall             ▏1       ▏2       ▏3
     camera      ▐ … ▌▐ … ▌▐ 1 ▌▐ 1 ▌▐ … ▌▐ 2 ▌▐ 2 ▌
     frames                  ▏…    ▏…    ▏1    ▏1: the mean of both
 
-A picture stands when frames that follow each other are alike, band by band, with nothing left in them of the picture
-before (`standing.py`). On its way with others, it stays as long as flashes say that it takes until so many whole frames
-of it have been exposed; of the next picture nothing may be in them, either. Where two pictures look alike, as stripes
-finer than a pixel do, a picture stands some time after its light should have come.
+A picture is stable when successive frames are alike, band by band, without a share of the previous picture
+(`standing.py`). Pipelined, each picture stays as long as the calibration says that the required number of complete
+frames takes; they must not contain the next picture, either. Where two pictures look alike, such as stripes finer
+than a camera pixel, a picture counts as stable some time after its light should have arrived.
 """
 
 import time
@@ -28,19 +28,19 @@ from hw.timing.resting import RestingLight
 from hw.timing.standing import standing
 from hw.timing.stream_calibration import StreamTiming, frozen
 
-_PATIENCE_S = 5.0  # automatic exposure comes to rest in one or two
-_PATIENCE_FRAMES = 60  # on a busy computer few come
-_UNSEEN_S = 0.5  # so much later than any flash's a picture's light may come, before it counts as like the one before
+_PATIENCE_S = 5.0  # automatic exposure settles in one or two
+_PATIENCE_FRAMES = 60  # a busy computer receives few frames in that time
+_UNSEEN_S = 0.5  # delay beyond the slowest flash after which a picture counts as equal to the previous one
 _FLAT, _GREY = 0.2, (0.15, 0.85)  # relative to black and white
 _MOST_FROZEN = 3  # pictures that changed nothing, byte by byte
-_LATELY = 16  # pictures, by which it is judged how long the next ones stay
-_SPARE = 0.5  # of a frame period: flashes ask for so much too much, if all goes well; after a miss, so much is added
+_LATELY = 16  # pictures that determine how long the next ones stay
+_SPARE = 0.5  # of a frame period: less than flashes suggest at best; more after a miss
 
 
 @dataclass(frozen=True)
 class _Showing:
-    """A picture that was swapped in then. Its first frame comes not before `soonest_s`; if its light is no later than
-    any flash's, frames show nothing else from `latest_s` on.
+    """A picture swapped in at `begun_s`. Its first frame arrives no sooner than `soonest_s`; by the calibration, frames
+    show nothing else from `latest_s` on.
     """
 
     begun_s: float
@@ -50,19 +50,19 @@ class _Showing:
 
 @dataclass(frozen=True)
 class _Run:
-    """Frames of a picture that are alike, and what they look like."""
+    """Successive frames that are alike, and their brightness."""
 
     frames: list[Arrival]
     seen: list[Floats]
 
 
 def _is_unresolved(seen: Floats) -> bool:
-    """Whether a frame may be of stripes that no camera pixel resolves; two such pictures look alike, others do not."""
+    """Whether a frame may show stripes that the camera does not resolve; two such pictures look alike."""
     return bool(seen.std() < _FLAT and _GREY[0] < seen.mean() < _GREY[1])
 
 
 class StandingFrames:
-    """Shows pictures and takes the mean of some frames of each. `missed`: how many in flight it has caught none of."""
+    """Shows pictures and averages some frames of each. `missed`: how many pipelined pictures had no stable frames."""
 
     def __init__(
         self, projector: FlippingProjector, camera: StreamingCamera, timing: StreamTiming, rest: RestingLight
@@ -87,7 +87,7 @@ class StandingFrames:
         self.missed = 0
 
     def at_rest(self, image: Image) -> Frame:
-        """Of an image, alone. The same image (the same array) stays where it is. Raises DeviceError."""
+        """The frame of a single image; the same array as before is not shown again. Raises DeviceError."""
         if image is self._shown:
             now_s = time.monotonic()
             return self._frame(self._resting(_Showing(now_s, now_s, now_s - _UNSEEN_S)))
@@ -97,9 +97,9 @@ class StandingFrames:
         return self._frame(run)
 
     def in_flight(self, images: Iterator[Image]) -> Generator[Frame | None]:
-        """Of each image, while others are on their way; ends with None for one that was missed. Raises DeviceError.
+        """Frames of pipelined images; ends with None after a missed one. Raises DeviceError.
 
-        What is on its way when the iterator is closed has to be shown again.
+        Images still on their way when the iterator is closed must be shown again.
         """
         self._upcoming, self._number = images, self._camera.reader.newest
         last: tuple[_Run, Frame] | None = None
@@ -129,17 +129,15 @@ class StandingFrames:
 
     @property
     def hold_s(self) -> float:
-        """How long a picture stays when others follow: as long as any of the last ones had to. One that is missed costs
-        the time of several.
-        """
+        """How long a pipelined picture stays: as long as any of the last ones had to, because a miss costs more."""
         return max(self._least_s, *self._needed_s)
 
     def forget(self) -> None:
-        """What is on the wall is not known, or looks otherwise by now."""
+        """Forget the last picture: the wall, or its appearance, has changed."""
         self._shown = self._before = None
 
     def _resting(self, showing: _Showing) -> _Run:
-        """Frames of a picture that is not followed by another."""
+        """Wait for stable frames of a picture that no other follows."""
         self._number = self._camera.reader.newest
         for compared, (run, came_s) in enumerate(self._runs(showing)):
             late_s = came_s - showing.latest_s
@@ -154,7 +152,7 @@ class StandingFrames:
         )
 
     def _caught(self, showing: _Showing) -> _Run:
-        """Frames of a picture on its way, before any may show the next one; too few if there are no more."""
+        """Frames of a pipelined picture before the next one may appear; fewer than wanted if it was missed."""
         found = _Run([], [])
         for run, came_s in self._runs(showing):
             end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
@@ -167,8 +165,8 @@ class StandingFrames:
         return found
 
     def _is_clean(self, run: _Run, following: _Run) -> bool:
-        """Whether nothing of the next picture is in these frames, as its own tell, if there are any. If those show
-        both, the share seems larger than it is.
+        """Whether these frames contain no share of the next picture, compared with the next picture's own frames. If
+        those show both pictures, the share is overestimated, which is safe.
         """
         if not following.seen:
             return False
@@ -177,7 +175,7 @@ class StandingFrames:
         return told and self._standing.stands(after, run.seen[-1], run.seen[0])
 
     def _runs(self, showing: _Showing) -> Iterator[tuple[_Run, float]]:
-        """After each frame that may show a picture, the last ones that are alike, and when it came."""
+        """After each frame that may show a picture: the last frames that are alike, and its time of arrival."""
         begin_s = showing.latest_s if self._before is None else showing.soonest_s
         run = _Run([], [])
         while True:
@@ -191,7 +189,7 @@ class StandingFrames:
             yield run, arrival.came_s
 
     def _noted(self, run: _Run, showing: _Showing) -> _Run:
-        """How long the picture had to stay for these frames, if they do not show the one before as well."""
+        """Record how long the picture had to stay, if its frames differ from the previous picture."""
         if self._has_come(run):
             self._needed_s.append(run.frames[-1].came_s - showing.soonest_s)
         return run
@@ -200,11 +198,11 @@ class StandingFrames:
         return len(run.frames) == self._camera.average
 
     def _has_come(self, run: _Run) -> bool:
-        """Whether it shows another picture than the one before."""
+        """Whether the frames differ from the previous picture."""
         return self._before is None or self._standing.differs(self._before, run.seen[-1])
 
     def _following(self) -> Arrival:
-        """The next frame; meanwhile pictures on their way leave when they are due."""
+        """Wait for the next frame, and show pictures that are due meanwhile."""
         while True:
             due_s = self._due_s()
             arrival = None
@@ -216,7 +214,7 @@ class StandingFrames:
             self._show_next()
 
     def _due_s(self) -> float:
-        """When the next picture leaves: none while more are on their way than the latency holds."""
+        """When to show the next picture; infinite while enough are on their way to cover the latency."""
         most = ceil(self._timing.latest_s / self.hold_s) + 1
         waits = self._prepared is None or not 0 < len(self._waiting) <= most
         return inf if waits else self._waiting[-1].begun_s + self.hold_s
@@ -227,13 +225,13 @@ class StandingFrames:
         self._prepare_next()
 
     def _prepare_next(self) -> None:
-        """Draw it while the last one is on its way."""
+        """Draw the next picture while the last one is on its way."""
         self._prepared = next(self._upcoming, None)
         if self._prepared is not None:
             self._projector.prepare(self._prepared)
 
     def _flipped(self, image: Image) -> _Showing:
-        """What was prepared is swapped in."""
+        """Swap in the prepared picture."""
         swap = self._projector.flip()
         self._shown = image
         latest_s = swap.done_s + self._timing.latest_s + self._timing.period_s
@@ -252,7 +250,7 @@ class StandingFrames:
         return frame
 
     def _refuse_frozen(self, kept: list[Image]) -> None:
-        """Several pictures in a row whose frames are the last one's, byte by byte, are of no camera that works."""
+        """Raise DeviceError if the frames of several successive pictures are identical, byte by byte."""
         same = self._newest is not None and all(np.array_equal(image, self._newest) for image in kept)
         self._frozen = self._frozen + 1 if same else 0
         self._newest = kept[-1]

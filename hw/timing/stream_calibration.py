@@ -1,4 +1,4 @@
-"""Latency of a camera that streams: from a swap to the frames that show it, measured by flashes.
+"""Latency calibration of a streaming camera: the time from a swap to the frames that show it, measured with flashes.
 
 screen      ▏white
 wall                 ▏white
@@ -21,22 +21,22 @@ from hw.timing.resting import RestingLight
 
 log = logging.getLogger(__name__)
 
-_LONGEST_LATENCY_S = 2.0  # streams of telephones lag by half a second, some more
-_WATCHED_S = 3.0  # automatic exposure takes one or two to answer a change from black to white
+_LONGEST_LATENCY_S = 2.0  # streams of telephones lag by half a second or more
+_WATCHED_S = 3.0  # automatic exposure adapts to a change from black to white in one or two
 _RESTING_FRAMES = 4
 _FLASHES = 4
-_EDGE = 0.05  # of the light: a frame that has so much of the new picture shows it
+_EDGE = 0.05  # of the light: a frame with this share of the new picture shows it
 _SETTLED_FRAMES = 3
 _MOST_ADAPTED = 0.15  # at 0.35 the frames of a pattern and of its inverse contradict each other
 
 
 @dataclass(frozen=True)
 class StreamTiming:
-    """When frames show a picture, by when they came, in seconds from the swap: none sooner than `soonest_s` from its
-    begin, nothing else later than `latest_s` from its end, in any of several flashes. `period_s`: from frame to frame.
+    """Latency of frames by their arrival, in seconds, as the range over several flashes.
 
-    `adapted`: by what share brightness went on to change when white had come, the largest of all channels: what
-    automatic exposure or white balance does.
+    No frame shows a picture sooner than `soonest_s` after its swap's begin, and all show nothing else from `latest_s`
+    after its end. `period_s`: time between frames. `adapted`: relative change of brightness after white had arrived,
+    the largest of all channels, caused by automatic exposure or white balance.
     """
 
     soonest_s: float
@@ -46,10 +46,9 @@ class StreamTiming:
 
 
 def calibrate_stream(projector: FlippingProjector, camera: StreamingCamera) -> tuple[StreamTiming, RestingLight]:
-    """Show black and white, which takes about seven seconds.
+    """Measure the latency with black and white pictures; takes about seven seconds.
 
-    Raises DeviceError if the camera does not see the projector, makes up for what is projected, is frozen, or delivers
-    nothing.
+    Raises DeviceError if the camera does not see the projector, adapts its exposure, is frozen, or delivers no frames.
     """
     width, height = projector.size
     pictures = [np.full((height, width), level, np.uint8) for level in (0, 255)]
@@ -81,7 +80,7 @@ def calibrate_stream(projector: FlippingProjector, camera: StreamingCamera) -> t
 
 
 def frozen(name: str) -> str:
-    """What to tell of a camera whose picture does not change."""
+    """The message for a camera whose picture does not change."""
     return (
         f"camera {name}: its picture is frozen: frames stay the same, byte by byte, whatever is projected. Restart the "
         "camera or its app, then rerun."
@@ -89,7 +88,7 @@ def frozen(name: str) -> str:
 
 
 def _watched(camera: StreamingCamera, seconds: float) -> Iterator[Arrival]:
-    """All frames for so long."""
+    """All frames that arrive within this time."""
     number, end_s = camera.reader.newest, time.monotonic() + seconds
     while True:
         arrival = camera.reader.following(number)
@@ -101,14 +100,14 @@ def _watched(camera: StreamingCamera, seconds: float) -> Iterator[Arrival]:
 
 @dataclass(frozen=True)
 class _Series:
-    """Frames after the change from black to white: the `last`, and the mean levels of each, (T, C)."""
+    """Frames after the change from black to white: the `last` ones, and mean levels (T, C) of all."""
 
     last: list[Image]
     levels: np.ndarray
 
     @property
     def adapted(self) -> float:
-        """By which share brightness went on to change after the first frame that was about as bright as the last."""
+        """Relative change of brightness after the first frame that was about as bright as the last."""
         relative = self.levels / np.maximum(self.levels[-_RESTING_FRAMES:].mean(axis=0), 1.0)
         whole = np.flatnonzero(relative.min(axis=1) > 1 - _EDGE)
         return float(np.abs(relative[whole[0] + 1 :] - 1).max(initial=0.0)) if len(whole) else 0.0
@@ -124,7 +123,7 @@ def _series(camera: StreamingCamera) -> _Series:
 
 
 def _arrival(camera: StreamingCamera, rest: RestingLight, target: int) -> tuple[float, float]:
-    """When the first frame came that shows some of a picture, and the first of several that show nothing else."""
+    """Arrival of the first frame that shows a part of a picture, and of the first of several that show nothing else."""
     seen_s: float | None = None
     whole_s: list[float] = []
     for arrival in _watched(camera, _WATCHED_S):

@@ -1,4 +1,4 @@
-"""A rig whose camera streams, and whose projector is a screen."""
+"""A rig of a streaming camera and a projector that is a screen."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from hw.timing.timed_rig import Tally, TimedRig
 
 @dataclass
 class _Lost:
-    """How many frames had been repeated and dropped when the last capture began."""
+    """Counts of repeated and dropped frames at the begin of the last capture."""
 
     repeated: int = 0
     dropped: int = 0
@@ -22,7 +22,7 @@ class _Lost:
 
 @dataclass(frozen=True, kw_only=True)
 class StreamedRig(TimedRig):
-    """A rig whose camera streams: frames are taken as pictures stand."""
+    """A rig with a streaming camera, which takes stable frames."""
 
     lost_advice = "Send smaller or fewer frames, by cable where there is one."
 
@@ -34,21 +34,21 @@ class StreamedRig(TimedRig):
 
     @property
     def latency_s(self) -> float:
-        """From the swap of a picture until the first frame that may show some of it has come."""
+        """Time from the swap of a picture to the arrival of the first frame that may show it."""
         return self.timing.soonest_s
 
     @property
     def tally(self) -> Tally:
-        """What the last frames cost."""
+        """Counts and times of the last frames."""
         return self.acquisition.tally
 
     @property
     def least_s(self) -> float:
-        """Latency and two frame periods: what a picture alone takes; on their way with others, pictures take less."""
+        """Latency and two frame periods, the time of a single picture; pipelined pictures can take less."""
         return self.timing.soonest_s + 2 * self.timing.period_s
 
     def account(self) -> Mapping[str, object]:
-        """The same, and what the camera changed by itself."""
+        """As for every timed rig, and automatic changes of the camera."""
         changed = {"after_white_percent": round(100 * self.timing.adapted, 1), **self.acquisition.changes}
         return {**super().account(), "camera_changed": changed}
 
@@ -78,7 +78,7 @@ class StreamedRig(TimedRig):
 def streamed(
     projector: FlippingProjector, camera: StreamingCamera, identity: dict[str, str], refresh_hz: float | None = None
 ) -> StreamedRig:
-    """A rig whose latency has been measured, which takes about seven seconds.
+    """Calibrate the latency, which takes about seven seconds, and return the rig.
 
     Raises DeviceError if the camera does not see the projector, is frozen, or delivers nothing.
     """

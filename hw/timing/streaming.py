@@ -1,8 +1,8 @@
-"""Frames of pictures from a camera that streams, each verified (`standing_frames.py` has how they are taken).
+"""Takes and verifies frames of a streaming camera (`standing_frames.py` takes them).
 
-That a frame is of the right picture, and not of one that waited in a queue, prove the pictures that light every place
-alike together, or an even number of times (`verification.py`). Those are taken while others are on their way; where one
-was missed, or frames do not add up, all land, and it is taken at rest. What nothing proves is taken at rest.
+Complementary sums and parity verify that a frame shows its picture and not one that waited in a queue
+(`verification.py`). Such pictures are pipelined. A missed picture, frames that fail verification, and pictures that
+nothing verifies are taken at rest.
 """
 
 import logging
@@ -27,13 +27,13 @@ from hw.timing.verification import FrameVerification, Group
 
 log = logging.getLogger(__name__)
 
-_MOST_UNFOUNDED = 3  # doubts that were the scene's own: where sums are never level, they prove nothing
+_MOST_UNFOUNDED = 3  # failed verifications that the scene caused, after which sums are not used any more
 
 
 class StreamAcquisition:
-    """Takes the frames; `tally` is what they cost, `doubted` how many did not add up with others at first, `standing`
-    how they are taken. A capture begins and ends with one picture that shows the `changes` that the camera has made by
-    itself in between, in per cent.
+    """Takes verified frames. `tally`: counts and times; `doubted`: how many frames failed verification at first.
+
+    A capture begins and ends with a reference picture, which shows automatic `changes` of the camera in per cent.
     """
 
     def __init__(
@@ -57,9 +57,9 @@ class StreamAcquisition:
         level: Sequence[Sequence[int]] = (),
         unpaired: Sequence[Sequence[int]] = (),
     ) -> Iterator[Frame]:
-        """A frame of each image, when it is verified. `level`: the numbers of images that light every place alike
-        together; `unpaired`: of images of black and white that one more picture is to verify. With `exposures_us`,
-        which take turns, nothing is verified but that each picture stands.
+        """Yield a verified frame of each image, in order. `level`: groups of image numbers that sum to uniform light;
+        `unpaired`: groups of binary images to verify by parity. With `exposures_us`, which are used cyclically, frames
+        are only checked to be stable.
 
         Raises DeviceError, and whatever `images` raises.
         """
@@ -94,8 +94,8 @@ class StreamAcquisition:
         return appearance(self.standing.at_rest(self._reference).image, self._rest.lit)
 
     def _same_view(self, first: Appearance) -> Appearance:
-        """How the reference picture looks by now. Raises DeviceError if the camera sees another one. That is not seen
-        in the size of its frames: OpenCV makes those of a stream as large as the first were, and tells nobody.
+        """The reference picture as it looks now. Raises DeviceError if it has changed. The frames' size does not show
+        this, because OpenCV silently scales the frames of a stream to the size of the first.
         """
         now = self._appearance()
         if is_another_view(first, now):
@@ -106,7 +106,7 @@ class StreamAcquisition:
         return now
 
     def _all(self, first: Appearance | None) -> Iterator[None]:
-        """Take them in their order; after each one, and what had to be taken again."""
+        """Take all frames in order; yields after each one and its repetitions."""
         number = 0
         while self._pictures.has(number):
             with closing(self.standing.in_flight(self._flying(number))) as flight:
@@ -130,7 +130,7 @@ class StreamAcquisition:
             yield
 
     def _flying(self, number: int) -> Iterator[Image]:
-        """Pictures in a row, from that one on, that others prove."""
+        """Successive pictures from this number on that can be verified."""
         while self._pictures.has(number) and self._may_fly(number):
             yield self._pictures[number]
             number += 1
@@ -139,10 +139,10 @@ class StreamAcquisition:
         return self._unfounded < _MOST_UNFOUNDED and self._verification.lacks(number)
 
     def _note(self, number: int, frame: Frame, before: int) -> None:
-        """Take in the frame of a picture, which was shown after that of the number `before`, if there is one.
+        """Store the frame of a picture that was shown after the picture number `before`, −1 for none.
 
-        A frame that stood holds no share of another picture, but it may be another picture altogether. Of those
-        without inverses that shows in the parity; edges of others are not looked for.
+        A stable frame contains no share of another picture, but may show another one altogether. Parity finds that,
+        so the edges of other pictures are not searched.
         """
         self._taken[number] = frame
         self._verification.stood_beside(number, [] if number in self._even or before < 0 else [before])
@@ -157,8 +157,8 @@ class StreamAcquisition:
             self._prove(group, first)
 
     def _prove(self, group: Group, first: Appearance | None) -> None:
-        """Take frames again that do not add up, unless it is the scene that makes them so, as the camera sees it at
-        `first`.
+        """Repeat frames that fail verification, unless the scene is the cause. `first`: the reference picture, to check
+        that the camera was not moved.
         """
         verification = self._verification
         for attempt in range(ATTEMPTS):
@@ -170,7 +170,7 @@ class StreamAcquisition:
             self.doubted += 0 if attempt else len(suspects)
             self.tally.retriggered += len(suspects)
             looked = verification.look(suspects)
-            self.standing.at_rest(self._blank)  # what was late is there by then, or so late that it shows
+            self.standing.at_rest(self._blank)  # a late frame arrives by then, or is so late that verification finds it
             last = -1
             for number in suspects if attempt % 2 else suspects[::-1]:
                 self._note(number, self.standing.at_rest(self._pictures[number]), last)

@@ -1,8 +1,7 @@
-"""Synchronisation without a trigger line, of a camera and a projector that know nothing of each other.
+"""Synchronises a triggered camera and a projector without a trigger line.
 
-A picture is on the wall some tens of milliseconds after the graphics card has swapped it in; how many nobody says, so
-flashes measure it. With that, several pictures are on their way at once (`pipelined.py`); where that does not work, a
-picture leaves when the last one has been exposed (`sequential.py`).
+A picture reaches the wall some tens of milliseconds after its swap. Flashes measure this latency. Acquisition is then
+pipelined (`pipelined.py`), or sequential where that does not work (`sequential.py`).
 """
 
 import logging
@@ -22,10 +21,10 @@ from hw.timing.trigger_schedule import pace
 
 log = logging.getLogger(__name__)
 
-# Beyond the slowest flash: flips wait for the screen's refresh, clocks and schedulers are not exact.
+# Margin beyond the slowest flash, for vertical sync and inexact clocks and schedulers.
 _MARGIN_S = 0.004
 _ROUNDS = 8
-# Pipelined, a picture's time is short, and what it takes beside the exposure counts for every frame.
+# Pipelined, the margin costs time in every frame.
 _PIPELINED_MARGINS_S = (0.001, 0.003, 0.006, 0.012, 0.024)
 _REHEARSED_PIPELINED = 8
 
@@ -33,11 +32,10 @@ _REHEARSED_PIPELINED = 8
 def _rehearsed_sequential(
     calibration: LatencyCalibration, projector: BufferedProjector, camera: TriggeredCamera, latency_s: float
 ) -> Timing:
-    """Sequential acquisition, as soon after a flip as frames of black and white show that they may be.
+    """Find the shortest delay of sequential acquisition, by rehearsing it with frames of black and white.
 
-    What shows in the rehearsal is a picture that came too late, or, where pictures and frames overlap, the next one
-    that came too early: into the last rows of a rolling shutter, or into an exposure that began late. Raises
-    DeviceError if the light does not settle.
+    The rehearsal shows pictures that arrive too late. With overlap it also shows the next picture arriving too early:
+    in the last rows of a rolling shutter, or in a late exposure. Raises DeviceError if the light does not settle.
     """
     timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
@@ -48,7 +46,7 @@ def _rehearsed_sequential(
         if timing.overlaps:
             timing = replace(timing, overlaps=False)
         else:
-            late_s = max(_MARGIN_S, missing * camera.exposure_s)  # a tail of light fades slower than its share tells
+            late_s = max(_MARGIN_S, missing * camera.exposure_s)  # light may decay more slowly than its share suggests
             timing = Timing(timing.latency_s + late_s, timing.delay_s + late_s, overlaps=False)
     raise DeviceError(
         f"projector: its light does not settle: {1e3 * timing.delay_s:.0f} ms after a flip, an exposure still differs "
@@ -64,10 +62,10 @@ def _rehearsed_pipelined(
     camera: TriggeredCamera,
     sequential: SequentialAcquisition,
 ) -> PipelinedAcquisition | None:
-    """Pipelined acquisition as dense as frames of black and white show that they may be; None if they may not at all.
+    """Find the shortest period of pipelined acquisition, by rehearsing it; None if it is not faster or not possible.
 
-    What shows is what does in sequential acquisition, and whatever makes pictures later, or sooner, when others are on
-    their way, too.
+    The rehearsal shows the same faults as in sequential acquisition, and any change of latency by other pictures on
+    their way.
     """
     for margin_s in _PIPELINED_MARGINS_S:
         rhythm = pace(measured, camera, margin_s)
@@ -90,8 +88,8 @@ class _Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(TimedRig):
-    """A rig whose camera is triggered, with sequential acquisition, or pipelined, where that was found to work: for one
-    frame of each picture of a capture.
+    """A rig with a triggered camera. Acquisition is pipelined where that works and each picture has one frame;
+    otherwise it is sequential.
     """
 
     lost_advice = LOST_ADVICE
@@ -103,17 +101,17 @@ class SynchronisedRig(TimedRig):
 
     @property
     def latency_s(self) -> float:
-        """From the swap of a picture to its light."""
+        """Time from the swap of a picture to its light."""
         return self.timing.latency_s
 
     @property
     def tally(self) -> Tally:
-        """What the last frames cost."""
+        """Counts and times of the last frames."""
         return self.sequential.tally
 
     @property
     def least_s(self) -> float:
-        """Exposure and, where acquisition is not pipelined, latency."""
+        """The exposure and, in sequential acquisition, the latency."""
         return self.sequential.exposure_s + (0.0 if self._flown.lately else self.timing.latency_s)
 
     def _acquired(
@@ -146,13 +144,13 @@ class SynchronisedRig(TimedRig):
 def synchronised(
     projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
 ) -> SynchronisedRig:
-    """A rig whose latency has been measured, by flashes, and tried out, which takes about four seconds; where the
-    camera has no clock, so long is waited as no projector takes.
+    """Calibrate the latency, rehearse the acquisition (about four seconds), and return the rig.
 
-    Raises DeviceError if the camera does not see the projector, or its light does not settle.
+    For a camera without a clock, the delay is the longest latency of any projector. Raises DeviceError if the camera
+    does not see the projector, or if its light does not settle.
     """
     calibration = LatencyCalibration(projector, camera)
-    if not camera.capabilities.clock:  # flashes tell nothing to a camera that begins to expose nobody knows when
+    if not camera.capabilities.clock:  # flashes measure nothing if the begin of exposures is unknown
         timing = _rehearsed_sequential(calibration, projector, camera, LONGEST_LATENCY_S)
         known = identity | {"light after a flip": f"within {1e3 * timing.delay_s:.0f} ms (waited for)"}
         sequential = SequentialAcquisition(projector, camera, timing)

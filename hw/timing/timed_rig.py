@@ -1,4 +1,4 @@
-"""What rigs of real devices have in common: a measured latency, frames that are taken ahead, and what these cost."""
+"""The base class of rigs of real devices: measured latency, prefetched frames, and their counts and times."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,12 +9,12 @@ from calib.numerics import Image
 from hw.ahead import Ahead
 from hw.rig import Frame, Rig
 
-MOST_AHEAD = 16  # frames that wait for whoever records and decodes them: eight may be proven by one, and come at once
+MOST_AHEAD = 16  # prefetched frames; one frame may complete the verification of eight, which then arrive at once
 
 
 @dataclass
 class Tally:
-    """How many frames there have been, how long that took, and how many were taken again."""
+    """Counts of frames and repetitions, and the elapsed time."""
 
     taken: int = 0
     retriggered: int = 0
@@ -22,18 +22,18 @@ class Tally:
     _begun_s: float = 0.0
 
     def begin(self) -> None:
-        """Count from now on."""
+        """Start counting."""
         self.taken = self.retriggered = 0
         self.elapsed_s, self._begun_s = 0.0, time.monotonic()
 
     def take(self) -> None:
-        """One more."""
+        """Count a frame."""
         self.taken += 1
         self.elapsed_s = time.monotonic() - self._begun_s
 
     @property
     def seconds_per_frame(self) -> float:
-        """Time from one frame to the next, whatever was done with it included; 0 before the first."""
+        """Mean time per frame, including its processing; 0 before the first."""
         return self.elapsed_s / max(1, self.taken)
 
 
@@ -46,28 +46,26 @@ class _Lately:
 
 @dataclass(frozen=True, kw_only=True)
 class TimedRig(Rig):
-    """A rig of real devices, of which it was measured how late light follows a picture. What kind of camera it has,
-    subclasses know.
-    """
+    """A rig of real devices with a measured latency. Subclasses handle the kinds of cameras."""
 
     lost_advice: ClassVar[str]
-    """What to do where many frames have to be taken again."""
+    """Advice if many frames have to be repeated."""
 
     _lately: _Lately = field(default_factory=_Lately)
 
     @property
     def latency_s(self) -> float:
-        """From the swap of a picture to its light; of a camera that streams, to the first frame that may show it."""
+        """Time from the swap of a picture to its light; for a streaming camera, to the first frame that may show it."""
         raise NotImplementedError
 
     @property
     def tally(self) -> Tally:
-        """What the last frames cost."""
+        """Counts and times of the last frames."""
         raise NotImplementedError
 
     @property
     def least_s(self) -> float:
-        """What one of the last frames had to cost, the way in which they were taken."""
+        """The shortest possible time per frame, for the kind of acquisition of the last frames."""
         raise NotImplementedError
 
     def _acquired(
@@ -77,11 +75,11 @@ class TimedRig(Rig):
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        """The frames of `photograph`, each taken when it is asked for."""
+        """The frames of `photograph`, each taken on request."""
         raise NotImplementedError
 
     def _measured(self) -> Mapping[str, object]:
-        """What is worth recording of synchronisation beside what all such rigs record."""
+        """Further metadata of synchronisation for the recording."""
         raise NotImplementedError
 
     def photograph(
@@ -93,25 +91,24 @@ class TimedRig(Rig):
     ) -> Iterator[Frame]:
         """A frame of each image, taken when its light is on the wall. Raises DeviceError.
 
-        Images of which some prove each other are a capture: its frames are taken some ahead of who asks for them. All
-        others are taken when they are asked for.
+        With groups to verify, frames are prefetched in a thread. Otherwise each is taken on request.
         """
         frames = self._acquired(images, exposures_us, level, unpaired)
         self._lately.ahead = Ahead(frames, MOST_AHEAD) if level or unpaired else None
         return iter(self._lately.ahead or frames)
 
     def stop(self) -> None:
-        """Return when no frame is being taken, before the devices are closed."""
+        """Stop prefetching and wait until no frame is being taken, before the devices are closed."""
         if self._lately.ahead is not None:
             self._lately.ahead.stop()
 
     @property
     def overhead(self) -> float:
-        """Time per frame beyond the least, relative to that."""
+        """Time per frame beyond the shortest possible, relative to that."""
         return self.tally.seconds_per_frame / self.least_s - 1
 
     def account(self) -> Mapping[str, object]:
-        """What synchronisation measured, and what the frames so far cost over what was unavoidable."""
+        """Latency, repetitions and overhead of the frames so far, for the recording."""
         ahead = self._lately.ahead
         return {
             "synchronisation": {

@@ -1,6 +1,6 @@
-"""When each picture leaves for the wall, how it is known that it did, and which pictures are there before and after it.
+"""Schedules pictures in slots, records their swaps, and knows which pictures are on the wall before and after each.
 
-Pictures leave one after the other, each in a slot of its own; a picture that was missed may have another one later.
+A missed picture may get another slot later.
 """
 
 import time
@@ -12,19 +12,20 @@ from hw.timing.devices import BufferedProjector, Swap, TriggeredCamera
 from hw.timing.latency import Latency
 
 _STILL_THERE = 2
-SLACK_S = 0.002  # what trigger and swap may be late without a picture being missed, as long as nobody knows better
-# Of the margin before the next picture's light: a frame that ends in it is right if the picture proves it, and costs
-# less than one that is taken again.
+SLACK_S = 0.002  # initial allowance for late triggers and swaps
+# An exposure may end this far within the margin before the next picture's light: verification finds wrong frames, and
+# repeating every such frame would cost more.
 _GRACE_S = 0.0007
-HEADWAY_S = 0.0005  # pictures follow each other so much slower than frames: what one is late, the next ones make up for
+HEADWAY_S = 0.0005  # pictures follow each other this much more slowly than frames, so that the camera catches up
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Light comes `soonest_s` after the begin of a swap, or later, and is all there `latest_s` after its end, margins
-    included; swaps take `swapping_s`. Pictures are `least_s` apart at least, lest the light of two falls into one
-    exposure, even if the camera is told in time and then begins `wait_s` later, and `cycle_s`, for the camera to be
-    ready again.
+    """Timing of pipelined acquisition, margins included.
+
+    Light arrives no sooner than `soonest_s` after the begin of a swap, and completely `latest_s` after its end; swaps
+    take `swapping_s`. Pictures are at least `least_s` apart, so that no exposure contains two, even if the camera
+    begins `wait_s` after its trigger. `cycle_s`: until the camera is ready again.
     """
 
     soonest_s: float
@@ -36,24 +37,24 @@ class Pace:
 
     @property
     def period_s(self) -> float:
-        """How far apart pictures are, as long as no frame has told more."""
+        """Initial time between pictures."""
         return max(self.least_s + SLACK_S, self.cycle_s + HEADWAY_S)
 
     @property
     def outstanding(self) -> int:
-        """How many pictures are on their way to the wall at most."""
+        """The largest number of pictures on their way to the wall."""
         return ceil(self.lead_s / self.period_s)
 
     @property
     def lead_s(self) -> float:
-        """From when a picture leaves until it may be exposed."""
+        """Time from the begin of a swap until its picture may be exposed."""
         return self.latest_s + self.swapping_s
 
 
 def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
-    """The shortest period for light that comes so soon, and so late, with a margin for either.
+    """The shortest pace for a measured latency, with a margin on either side.
 
-    In the light of every picture there is time for a whole exposure, whenever the camera begins.
+    The light of every picture lasts for a whole exposure, whenever the camera begins.
     """
     soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
     uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
@@ -63,31 +64,31 @@ def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
 
 
 class TriggerSchedule:
-    """Slots of pictures, which have numbers; `slot` is the one whose picture is to be exposed next."""
+    """Assigns numbered pictures to slots; `slot` is the one to be exposed next."""
 
     def __init__(self, projector: BufferedProjector, rhythm: Pace) -> None:
         self._projector = projector
         self._rhythm = rhythm
         self._order: dict[int, int] = {}  # the picture in each slot
-        self._planned: dict[int, float] = {}  # slots that have not been kept so far, and when they are due
+        self._planned: dict[int, float] = {}  # slots whose swap has not happened yet, and their times
         self._swaps: dict[int, Swap] = {}
         self._flip_s = 0.0
-        self._end = 0  # the first slot that nobody has
-        self._before: list[int] = []  # what may be on the wall: from the last picture on of which there is a frame
+        self._end = 0  # the first free slot
+        self._before: list[int] = []  # pictures that may be on the wall, from the last captured one on
         self._reference: tuple[int, float] | None = None  # a slot, and when the camera was ready for it
         self.slot = 0
 
     @property
     def outstanding(self) -> list[int]:
-        """The pictures that are to be exposed, in the order of their slots."""
+        """The pictures to be exposed, in the order of their slots."""
         return [self._order[slot] for slot in range(self.slot, self._end)]
 
     def wants(self, period_s: float) -> bool:
-        """Whether one more has to be appointed before the next picture is exposed."""
+        """Whether another picture must be scheduled before the next one is exposed."""
         return self._end - self.slot <= ceil(self._rhythm.lead_s / period_s) + 1
 
     def appoint(self, number: int, image: Image, period_s: float) -> None:
-        """Give a picture the next slot, so long after the one before it, or later if it cannot be kept any more."""
+        """Assign the next slot to a picture, `period_s` after the previous one, or as soon as still possible."""
         when_s = max(self._flip_s + period_s, time.monotonic())
         if self._reference is not None:
             known, begin_s = self._reference
@@ -98,30 +99,30 @@ class TriggerSchedule:
         self._end += 1
 
     def light_s(self) -> float:
-        """When the light of the next picture is all there; waits until the picture has left."""
+        """When the light of the next picture is complete; waits for its swap."""
         while self.slot not in self._swaps:
             self._hear(wait=True)
         return self._swaps[self.slot].done_s + self._rhythm.latest_s
 
     def latest_begin_s(self, exposure_s: float) -> float:
-        """When an exposure has to have begun, lest it sees the next picture."""
+        """The latest begin of an exposure that does not contain the next picture."""
         while self._planned and self._hear(wait=False):
             pass
         after = self.slot + 1
         if after in self._swaps:
             next_s = self._swaps[after].begun_s
         elif after in self._planned:
-            next_s = self._planned[after]  # it does not leave sooner
+            next_s = self._planned[after]  # the earliest possible swap
         else:
             return float("inf")
         return next_s + self._rhythm.soonest_s + _GRACE_S - exposure_s
 
     def beside(self) -> list[int]:
-        """The pictures whose light may be in the next one's frame: before it and, if it is on its way, after it."""
+        """The pictures whose light may be in the next frame: those before it, and the one after it if scheduled."""
         return [*self._before, *([self._order[self.slot + 1]] if self.slot + 1 in self._order else ())]
 
     def pass_on(self, begin_s: float | None = None) -> int:
-        """Go on to the next slot; returns the picture in this one. `begin_s`: when its exposure began, if it did."""
+        """Advance to the next slot; returns this one's picture. `begin_s`: when its exposure began; None if missed."""
         if begin_s is not None:
             self._reference = self.slot, begin_s
         number = self._order.pop(self.slot)
@@ -131,14 +132,14 @@ class TriggerSchedule:
         return number
 
     def seen(self) -> None:
-        """There is a frame of the picture that was passed on last: it was there, and none of those before is."""
+        """The last picture was captured, so none before it is on the wall any more."""
         self._before = self._before[-1:]
 
     def settle(self, *shown: int) -> list[int]:
-        """Let everything that is on its way be shown; returns what was to be exposed, which has no slots any more.
+        """Wait for all scheduled swaps; returns the pictures that were not exposed, and clears their slots.
 
-        `shown`: pictures that have left since, otherwise than by this schedule. Between those and the next there may be
-        less than a period, so that the last but one may still be on the wall.
+        `shown`: pictures shown since, outside this schedule. They may follow each other within less than a period, so
+        that the last but one may still be on the wall.
         """
         while self._planned:
             self._hear(wait=True)

@@ -1,5 +1,6 @@
-"""Frame verification: groups of them that light every place alike together, or an even number of times, judged when all
-that may show in them is known: the frames themselves, and those of the pictures that were on the wall beside them.
+"""Frame verification in groups, by complementary sums or parity.
+
+A group is judged once its frames are known, and those of the pictures that were on the wall before and after them.
 """
 
 from collections.abc import Collection, Iterable, Sequence
@@ -16,15 +17,15 @@ Group = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Look:
-    """What some frames looked like before they were taken again, and what was on the wall beside their pictures."""
+    """Frames before they are repeated, and the pictures that were on the wall before and after each."""
 
     frames: dict[int, Floats]
     beside: dict[int, set[int]]
 
 
 class FrameVerification:
-    """Of the frames of some pictures; groups are of numbers: `level` ones light every place alike together, `even` ones
-    an even number of times (`hw/timing/parity_check.py`). `judged`: groups that can be judged and are not proven yet.
+    """Verifies frames in groups of picture numbers: `level` groups sum to uniform light, `even` groups light every
+    place an even number of times (`hw/timing/parity_check.py`). `judged`: groups that can be judged and are still open.
     """
 
     def __init__(
@@ -44,24 +45,24 @@ class FrameVerification:
 
     @property
     def tolerance(self) -> float:
-        """The largest share that is not told from noise."""
+        """The largest share of another picture that cannot be distinguished from noise."""
         return self._sums.tolerance
 
     def lacks(self, number: int) -> bool:
-        """Whether a picture's group is not proven yet."""
+        """Whether a picture's group still has to be verified."""
         return number in self._unproven
 
     def are_together(self, number: int, others: Iterable[int]) -> bool:
-        """Whether one of the others is in the group of a picture."""
+        """Whether one of the others is in the same group as a picture."""
         group = self._unproven.get(number, ())
         return any(other in group for other in others)
 
     def stood_beside(self, number: int, others: Iterable[int]) -> None:
-        """These pictures were on the wall before and after that one, when it was last taken, pipelined."""
+        """Record the pictures before and after a pipelined picture, when it was last taken."""
         self._beside[number] = {*others} - {number}
 
     def stood_in_row(self, numbers: Sequence[int], before: Collection[int]) -> None:
-        """These pictures followed each other, each at rest when it was taken."""
+        """Record that these pictures followed each other, each taken at rest."""
         self.stood_beside(numbers[0], before)
         for number in numbers[1:]:
             self.stood_beside(number, ())
@@ -70,21 +71,21 @@ class FrameVerification:
             self._beside[other] |= {one} - {other}
 
     def stood_alone(self, number: int) -> None:
-        """Nothing else was on the wall, even if the picture came later than any."""
+        """Record that no other picture can have been on the wall."""
         self._beside[number] = set()
 
     def note(self, number: int, image: Image) -> None:
-        """The frame that was taken of a picture."""
+        """Record the frame of a picture."""
         self._seen[number] = self._sums.seen(image)
 
     def judge(self) -> None:
-        """All groups that can be."""
+        """Add all groups that can be judged now to `judged`."""
         for group in dict.fromkeys(self._unproven.values()):
             if group not in self.judged and self._can_be_judged(group):
                 self.judged.append(group)
 
     def foreign_share(self, group: Group) -> float:
-        """Of a group, as it is now."""
+        """The share of other pictures in the present frames of a group."""
         if self.is_even(group):
             return max([odd_share(group, self._seen), *(self._mixed_share(number) for number in group[1:])])
         pictures = [self._pictures[number] for number in group]
@@ -95,42 +96,41 @@ class FrameVerification:
         return group in self._even
 
     def suspects(self, group: Group) -> Group:
-        """Those frames of a group whose share of another picture is too large, if that can be told; else all."""
+        """The frames of a group whose share of another picture is too large, if they are known; otherwise all."""
         if not self.is_even(group) or odd_share(group, self._seen) > self.tolerance:
             return group
         return tuple(number for number in group[1:] if self._mixed_share(number) > self.tolerance)
 
     def look(self, group: Group) -> Look:
-        """Of frames, to be compared with what they look like when they have been taken again."""
+        """Keep the present frames, to compare them with the repeated ones."""
         return Look(
             {number: self._seen[number] for number in group}, {number: self._beside[number] for number in group}
         )
 
     def is_as_before(self, look: Look) -> bool:
-        """Whether the sum of frames does not depend on what was on the wall beside their pictures."""
+        """Whether repeated frames look the same, whatever was on the wall before and after them."""
         group = tuple(look.frames)
         pictures = [self._pictures[number] for number in group]
         either = {number: self._beside[number] | look.beside[number] for number in group}
         return self._sums.changed_share(group, pictures, look.frames, self._seen, either) <= self.tolerance
 
     def reopen(self, group: Group) -> None:
-        """Forget its frames, for all of them are to be taken again, and to be judged then."""
+        """Forget the frames of a group, because all are repeated and judged again."""
         self.judged.remove(group)
         for number in group:
             del self._seen[number]
 
     def settle(self, group: Group) -> None:
-        """The group is proven, as far as it can be; if nothing foreign is found but in frames beside it, when those are
-        right it is judged anew.
-        """
+        """Close a group. It stays open if only neighbouring frames are wrong, and is judged again after those."""
         self.judged.remove(group)
         if self.foreign_share(group) <= self.tolerance and not self._has_witnesses(group):
             return
         self._unproven = {number: of for number, of in self._unproven.items() if of != group}
 
     def _mixed_share(self, number: int) -> float:
-        """Of a frame in an even group; where those beside it cannot tell, it counts as wrong. Rest proves nothing: a
-        picture that came a refresh late was not there yet.
+        """The share of other pictures in a frame of an even group; 1 if the neighbouring frames do not determine it.
+
+        Frames at rest are checked as well: a picture may have arrived a refresh late.
         """
         beside = sorted(self._beside[number])
         if not beside:
@@ -147,7 +147,7 @@ class FrameVerification:
         return all(number in self._seen and self._beside[number] <= self._seen.keys() for number in group)
 
     def _has_witnesses(self, group: Group) -> bool:
-        """Whether the frames beside those of an even group, whose edges are looked for, are right themselves."""
+        """Whether the neighbouring frames of an even group, whose edges are used, are verified themselves."""
         if not self.is_even(group):
             return True
         others = {self._unproven.get(other, group) for number in group for other in self._beside[number]} - {group}

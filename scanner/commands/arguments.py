@@ -13,7 +13,7 @@ from scanner.commands.shared_arguments import (
     add_quiet,
     add_result,
 )
-from scanner.exporting import DEFAULT_POINTS, FORMATS
+from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
 
 _LONGEST_WATCH_S = 3600.0
@@ -171,10 +171,25 @@ def of_export(parser: ArgumentParser) -> None:
     formats = "; ".join(f"{name}: {target.about}" for name, target in FORMATS.items())
     parser.add_argument("--to", required=True, choices=list(FORMATS), metavar="FORMAT", help=formats)
     parser.add_argument(
-        "--out", type=Path, metavar="PATH", help="file to write, a folder for colmap (default: beside the result)"
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="file to write, a folder for colmap and mapping (default: beside the result)",
     )
     parser.add_argument(
         "--points", type=int, metavar="N", help=f"colmap: at most this many points (default: {DEFAULT_POINTS:,})"
+    )
+    parser.add_argument(
+        "--eye",
+        metavar="X,Y,Z",
+        help="mapping: the viewer's eye, in metres in the axes of mapping.glb, as in --eye=0.5,0.2,-1 "
+        "(default: straight on to the largest wall)",
+    )
+    parser.add_argument(
+        "--gamma",
+        type=float,
+        metavar="G",
+        help=f"mapping: blend maps are stored as weight^(1/G) (default: {DEFAULT_GAMMA})",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
     add_quiet(parser)
@@ -308,7 +323,11 @@ def of_room(parser: ArgumentParser) -> None:
 
 def of_network(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "captures", type=Path, nargs="+", metavar="CAPTURE", help="folders named <camera>-<projector>, in any order"
+        "captures",
+        type=Path,
+        nargs="*",
+        metavar="CAPTURE",
+        help="folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config",
     )
     add_config(parser, required=False)
     parser.add_argument(

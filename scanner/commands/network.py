@@ -1,10 +1,12 @@
 """Calibrate several cameras and projectors together, from captures of their pairs."""
 
 from argparse import Namespace
+from functools import partial
 
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
-from scanner.networks.job import network
+from scanner.errors import InputError
+from scanner.networks.job import network, scan_network
 from scanner.networks.solve import KnownDistance
 from scanner.networks.verdict import verdict_on
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, default_out
@@ -16,14 +18,11 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     out = args.out or default_out("network", overwrite=args.overwrite)
     known = KnownDistance.parse(args.distance) if args.distance else None
-    solved = network(
-        args.captures,
-        load_config(args.config, args.set),
-        out,
-        known=known,
-        overwrite=args.overwrite,
-        terminal=terminal,
-    )
+    config = load_config(args.config, args.set)
+    if not args.captures and args.config is None:
+        raise InputError("name captures of pairs, or the devices that are to take them with --config")
+    how = partial(network, args.captures) if args.captures else scan_network
+    solved = how(config, out, known=known, overwrite=args.overwrite, terminal=terminal)
     estimate = solved.estimate
     for name in estimate.names:
         focal, sigma = estimate.intrinsics(name).focal_px[0], float(estimate.sigmas(name)[0])

@@ -23,6 +23,8 @@ _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _LARGEST_SIDE_PX = 32768
 _MOST_EARLIER = 64
+_MOST_DEVICES = 8
+_NAME = re.compile(r"\w+")
 # Of a recording's `capture.yaml`.
 CONFIGURATION_KEY = "configuration"
 
@@ -249,6 +251,29 @@ class ScaleSettings(Section):
 _PRESET_OF_SLOW: PresetName = "quick"
 
 
+class NetworkSettings(Section):
+    """Named cameras and projectors of a network: for each what differs from the other keys of this file."""
+
+    cameras: dict[str, dict[str, Any]] = Field(
+        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {serial: 1234}}}."
+    )
+    projectors: dict[str, dict[str, Any]] = Field(
+        min_length=1,
+        max_length=_MOST_DEVICES,
+        description="As in {stage: {rig: {screen: 1}}, side: {rig: {screen: 2}}}.",
+    )
+
+    @model_validator(mode="after")
+    def _named(self) -> "NetworkSettings":
+        names = [*self.cameras, *self.projectors]
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"{name!r} is no name of a device: expected letters, digits and underscores")
+        if len(set(names)) < len(names):
+            raise ValueError("a camera and a projector have the same name")
+        return self
+
+
 class Config(Section):
     """Everything that can be configured. What a command needs and does not find is an InputError when it asks."""
 
@@ -262,6 +287,9 @@ class Config(Section):
     corner: CornerSettings = Field(default=CornerSettings(), description="What is known of the corner.")
     lens: LensSettings = Field(default=LensSettings(), description="What is known of both lenses.")
     scale: ScaleSettings | None = Field(default=None, description="A known length.")
+    rigs: NetworkSettings | None = Field(
+        default=None, description="The devices of a network, of which rig is one pair."
+    )
     earlier: tuple[Path, ...] = Field(
         default=(),
         max_length=_MOST_EARLIER,
@@ -297,6 +325,26 @@ class Config(Section):
         if self.rig is None:
             raise InputError("the configuration has no 'rig': name the devices, as in rig: {backend: simulated}")
         return self.rig
+
+    @property
+    def pairs(self) -> dict[tuple[str, str], "Config"]:
+        """The configuration of each pair of a network's devices, by camera and projector: projector by projector.
+
+        Raises InputError if no network is configured, or what differs for a device is impossible.
+        """
+        if self.rigs is None:
+            raise InputError(
+                "the configuration has no 'rigs': name a network's devices, as in rigs: {cameras: {left: {}, right: "
+                "{rig: {serial: 1234}}}, projectors: {stage: {}}}"
+            )
+        common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
+        return {
+            (camera, projector): validate(
+                Config, _merged(_merged(common, of_camera), of_projector), f"rigs: {camera} with {projector}"
+            )
+            for projector, of_projector in self.rigs.projectors.items()
+            for camera, of_camera in self.rigs.cameras.items()
+        }
 
     @property
     def camera_size(self) -> Size:
@@ -394,3 +442,13 @@ def _apply(override: str, data: dict[str, Any]) -> None:
             raise InputError(f"--set {override}: '{section}' is a value, not a section, so it has no '{name}'")
         place = inner
     place[name] = parse_yaml(text, f"--set {override}")
+
+
+def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one section with the keys of another in their places, at any depth."""
+    both = {key: _merged(one[key], value) for key, value in other.items() if _are_sections(one.get(key), value)}
+    return {**one, **other, **both}
+
+
+def _are_sections(one: object, other: object) -> bool:
+    return isinstance(one, Mapping) and isinstance(other, Mapping)

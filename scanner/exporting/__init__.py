@@ -3,4 +3,4 @@
 A format is a row of `FORMATS` and a module with `export(request)`.
 """
 
-from scanner.exporting.formats import DEFAULT_POINTS, FORMATS, Request
+from scanner.exporting.formats import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, Request

@@ -7,18 +7,22 @@ from pathlib import Path
 from scanner.errors import InputError
 
 DEFAULT_POINTS = 20_000
+DEFAULT_GAMMA = 2.2
 
 
 @dataclass(frozen=True)
 class Request:
     """An export and its destination. `result` is a result folder; `most_points` applies to formats that hold a subset
-    of the points.
+    of the points. Of a mapping: `eye`, from where its content is seen, in metres in the axes of its GLB (None: straight
+    on), and `gamma` of its blend maps.
     """
 
     result: Path
     out: Path
     overwrite: bool = False
     most_points: int = DEFAULT_POINTS
+    eye: tuple[float, float, float] | None = None
+    gamma: float = DEFAULT_GAMMA
 
 
 @dataclass(frozen=True)
@@ -74,5 +78,12 @@ FORMATS: dict[str, Format] = {
         (".glb", ".ply", ".obj"),
         "mesh",
         "Blender and MeshLab read it.",
+    ),
+    "mapping": Format(
+        "projectors as cameras, and maps for players: warp, blend, depth, position",
+        "-mapping",
+        (),
+        "mapping",
+        "Blender reads mapping.glb, players the maps of each projector; mapping.yaml says how.",
     ),
 }

@@ -6,13 +6,14 @@ colours are the camera's, lit by the projector, so materials are unlit and show 
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import Intrinsics, Motion
 from calib.numerics import Floats
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh
 
@@ -41,8 +42,26 @@ def write_glb(path: Path, mesh: Mesh, metres_per_unit: float) -> None:
     write_pieces(path, [Piece(mesh)], metres_per_unit)
 
 
-def write_pieces(path: Path, pieces: Sequence[Piece], metres_per_unit: float) -> None:
-    """The same of a mesh in pieces, with their pictures in the file. Raises OSError."""
+@dataclass(frozen=True, eq=False)
+class GlbCamera:
+    """A device as a camera with its place, X = rotation X_device + translation, in the frame and unit of the mesh.
+
+    glTF's cameras have no lens shift: this one looks along the device's axis with its focal length, and what
+    programs need beyond that is in `extras`. `far`: of the clipping plane; the nearer one is at `near`.
+    """
+
+    name: str
+    device: Intrinsics
+    place: Motion
+    near: float
+    far: float
+    extras: Mapping[str, object]
+
+
+def write_pieces(
+    path: Path, pieces: Sequence[Piece], metres_per_unit: float, cameras: Sequence[GlbCamera] = ()
+) -> None:
+    """The same of a mesh in pieces, with their pictures in the file, and with cameras. Raises OSError."""
     binary = _Binary()
     primitives: list[dict[str, object]] = []
     materials: list[dict[str, object]] = []
@@ -68,6 +87,13 @@ def write_pieces(path: Path, pieces: Sequence[Piece], metres_per_unit: float) ->
         "bufferViews": binary.views,
         "buffers": [{"byteLength": binary.length}],
     }
+    if cameras:
+        document["scenes"] = [{"nodes": list(range(1 + len(cameras)))}]
+        document["nodes"] = [
+            {"name": "scan", "mesh": 0},
+            *(_camera_node(camera, number, metres_per_unit) for number, camera in enumerate(cameras)),
+        ]
+        document["cameras"] = [_camera(camera) for camera in cameras]
     if images:
         document["images"] = images
         document["samplers"] = [
@@ -75,6 +101,25 @@ def write_pieces(path: Path, pieces: Sequence[Piece], metres_per_unit: float) ->
         ]
         document["textures"] = [{"source": number, "sampler": 0} for number in range(len(images))]
     path.write_bytes(_container(json.dumps(document).encode(), b"".join(binary.parts)))
+
+
+def _camera_node(camera: GlbCamera, number: int, metres_per_unit: float) -> dict[str, object]:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Y_UP_FROM_CAMERA[:, None] * camera.place.rotation * Y_UP_FROM_CAMERA
+    matrix[:3, 3] = metres_per_unit * Y_UP_FROM_CAMERA * camera.place.translation
+    columns = matrix.T.ravel().tolist()
+    return {"name": camera.name, "camera": number, "matrix": columns, "extras": dict(camera.extras)}
+
+
+def _camera(camera: GlbCamera) -> dict[str, object]:
+    (fx, fy), (width, height) = camera.device.focal_px, camera.device.size
+    lens = {
+        "yfov": 2 * float(np.arctan(height / (2 * fy))),
+        "aspectRatio": width * fy / (height * fx),
+        "znear": camera.near,
+        "zfar": camera.far,
+    }
+    return {"name": camera.name, "type": "perspective", "perspective": lens}
 
 
 class _Binary:

@@ -23,9 +23,10 @@ from scanner.io.matches_file import (
     refuse_one_axis,
     write_matches,
 )
+from scanner.io.network_file import StoredDevice, StoredNetwork, read_network
 from scanner.io.new_folders import missing_folders, remove_empty
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
-from scanner.io.png import write_png
+from scanner.io.png import png_of, write_png
 from scanner.io.poses_file import read_poses, write_poses
 from scanner.io.room_file import StoredRoom, StoredStation, read_room, write_room
 from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate

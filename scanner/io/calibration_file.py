@@ -36,7 +36,9 @@ _Three = Annotated[tuple[_Sigma, _Sigma, _Sigma], _repeated(3)]
 _Terms = Annotated[tuple[_Sigma, ...], Field(max_length=5), _repeated(1)]
 
 
-class _DeviceEntry(Entry):
+class DeviceEntry(Entry):
+    """A device's intrinsics."""
+
     width: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
     height: Whole = Field(ge=1, le=LONGEST_SIDE_PX)
     focal_px: tuple[_Focal, _Focal]
@@ -44,11 +46,12 @@ class _DeviceEntry(Entry):
     distortion: list[_Term] = Field(default=[], max_length=5)
 
     @model_validator(mode="after")
-    def _has_a_size_that_is_read(self) -> "_DeviceEntry":
+    def _has_a_size_that_is_read(self) -> "DeviceEntry":
         refuse_more_pixels(self.width, self.height)
         return self
 
     def intrinsics(self) -> Intrinsics:
+        """Terms that are missing are zero."""
         k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * (5 - len(self.distortion)))
         return Intrinsics(self.width, self.height, self.focal_px, self.principal_point_px, (k1, k2, p1, p2, k3))
 
@@ -79,8 +82,8 @@ class _SigmaEntry(Entry):
 
 
 class _CalibrationEntry(Entry):
-    camera: _DeviceEntry
-    projector: _DeviceEntry
+    camera: DeviceEntry
+    projector: DeviceEntry
     rotation: tuple[_Row, _Row, _Row]
     translation: tuple[_Length, _Length, _Length]
     unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")  # brackets are markup in a terminal

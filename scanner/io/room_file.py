@@ -18,11 +18,23 @@ _Row = tuple[_Cosine, _Cosine, _Cosine]
 _ROUNDED = 1e-6  # of a rotation that someone has written with few digits
 
 
-class _StationEntry(Entry):
-    name: str = Field(min_length=1, max_length=1000)
-    folder: str = Field(pattern=r"^captures/[0-9]{1,6}$")
+class PlacedEntry(Entry):
+    """What stands somewhere: X_room = rotation X + translation."""
+
     rotation: tuple[_Row, _Row, _Row]
     translation: tuple[_Length, _Length, _Length]
+
+    def place(self, what: str) -> Motion:
+        """Raises InputError about `what` if the rotation is none."""
+        rotation = np.array(self.rotation)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0:
+            raise InputError(f"{what}: its rotation is none: the rows are not orthonormal and right-handed")
+        return Motion(rotation, np.array(self.translation))
+
+
+class _StationEntry(PlacedEntry):
+    name: str = Field(min_length=1, max_length=1000)
+    folder: str = Field(pattern=r"^captures/[0-9]{1,6}$")
 
 
 class _RoomEntry(Entry):
@@ -61,11 +73,7 @@ def write_room(path: Path, entries: dict[str, Any]) -> None:
 def read_room(path: Path) -> StoredRoom:
     """Raises InputError if the file is missing or malformed, or holds no rotation."""
     entry = validate(_RoomEntry, read_yaml(path), str(path))
-    stations = []
-    for station in entry.stations:
-        rotation = np.array(station.rotation)
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED:
-            raise InputError(f"{path}: the rotation of station {station.name} is none: its rows are not orthonormal")
-        place = Motion(rotation, np.array(station.translation))
-        stations.append(StoredStation(station.name, station.folder, place))
+    stations = (
+        StoredStation(each.name, each.folder, each.place(f"{path}: station {each.name}")) for each in entry.stations
+    )
     return StoredRoom(entry.unit, tuple(stations))

@@ -4,14 +4,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calib.geometry import NO_FACE, Size
+import numpy as np
+
+from calib.geometry import FACES, NO_FACE, Size
 from calib.refusal import RefusalError
-from scanner.capture import open_capture
+from scanner.capture import Recording, open_capture
 from scanner.configuration import Config
+from scanner.decoding import MirroredError
 from scanner.errors import InputError
 from scanner.pipeline import decode_recording
 from scanner.reconstruction import label
-from scanner.results import Decoded
+from scanner.results import CAPTURE_FOLDER, Decoded
 from scanner.ui import Terminal
 
 Pair = tuple[str, str]
@@ -25,7 +28,7 @@ class Captures:
     sizes: Mapping[str, Size]
 
 
-def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
+def read_pairs(folders: Sequence[Path], config: Config, terminal: Terminal) -> Captures:
     """Decode all captures, and find the corner in those that show one.
 
     Raises InputError for names that are none, a pair that is given twice, a device whose images differ in size.
@@ -42,7 +45,7 @@ def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
     if roles:
         raise InputError(f"'{min(roles)}' names a camera in one capture and a projector in another; give it one role")
     sizes: dict[str, tuple[Size, Path]] = {}
-    recordings = {pair: open_capture(folder) for pair, folder in named.items()}
+    recordings = {pair: open_capture(_recording_in(folder)) for pair, folder in named.items()}
     for pair, recording in recordings.items():
         for name, size in zip(pair, (recording.camera_size, recording.projector_size), strict=True):
             known, where = sizes.setdefault(name, (size, recording.folder))
@@ -51,8 +54,13 @@ def read_pairs(folders: Sequence[Path], terminal: Terminal) -> Captures:
                     f"{recording.folder}: {name} has {size} pixels here and {known} in {where}; "
                     "a device keeps its size, or has another name"
                 )
-    decoded = {pair: _labelled(decode_recording(recording, terminal)) for pair, recording in recordings.items()}
+    decoded = {pair: labelled(_decoded(recording, terminal), config) for pair, recording in recordings.items()}
     return Captures(decoded, {name: size for name, (size, _) in sizes.items()})
+
+
+def _recording_in(folder: Path) -> Path:
+    """The capture folder itself, or that in what `scan network --config` keeps of a pair."""
+    return folder / CAPTURE_FOLDER if (folder / CAPTURE_FOLDER).is_dir() else folder
 
 
 def _pair_of(folder: Path) -> Pair:
@@ -65,13 +73,21 @@ def _pair_of(folder: Path) -> Pair:
     return camera, projector
 
 
-def _labelled(capture: Decoded) -> Decoded:
-    """With faces, where there is a corner; without one it is joined by what it shares with others. Nothing is known of
-    any camera beforehand.
-    """
+def _decoded(recording: Recording, terminal: Terminal) -> Decoded:
     try:
-        (found,) = label([capture], [capture], Config())
+        return decode_recording(recording, terminal)
+    except MirroredError as error:
+        raise MirroredError(f"{recording.folder}: {error}") from error
+
+
+def labelled(capture: Decoded, config: Config) -> Decoded:
+    """With faces and further planes where there is a corner; others are joined by what they share with it."""
+    try:
+        (found,) = label([capture], [capture], config)
     except RefusalError as refusal:
         return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
-    matches = found.matches
-    return found.with_matches(matches.with_faces(matches.labels.clip(NO_FACE)), None)
+    face, plane = found.matches.labels.clip(NO_FACE), found.plane
+    if plane is not None:
+        further = (face == NO_FACE) & (plane >= 0) & ~np.isin(plane, np.unique(plane[face >= 0]))
+        face = np.where(further, len(FACES) + plane, face).astype(np.int32)
+    return found.with_matches(found.matches.with_faces(face), None)

@@ -1,12 +1,12 @@
-"""The job of a network: from captures that exist."""
+"""The jobs of networks: from captures that exist, and live."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.errors import InputError
-from scanner.networks.captures import read_pairs
+from scanner.networks.captures import Captures, read_pairs
+from scanner.networks.live import pairs_to_take, take_pairs
 from scanner.networks.save import save_network
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
 from scanner.networks.verdict import verdict_on
@@ -25,17 +25,35 @@ def network(
     terminal: Terminal,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
-    if config.camera.principal_point.known is not None:
-        raise InputError(
-            "camera.principal_point.known belongs to one camera, but a network has several and measures their points: "
-            "leave it out, as with --set 'camera.principal_point={prior: centre}'"
-        )
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
-        captures = read_pairs(folders, terminal)
-        refuse_unknown(known, captures)
-        solved = solve_network(captures, known, config.corner.squareness_deg, terminal)
-        verdict = verdict_on(solved)
-        save_network(solved, verdict, folder, config)
-        if verdict.grade == "refused":
-            raise RefusalError(verdict.headline, verdict.advice)
+        return _saved(read_pairs(folders, config, terminal), config, folder, known, terminal)
+
+
+def scan_network(
+    config: Config,
+    out: Path,
+    *,
+    known: KnownDistance | None = None,
+    overwrite: bool = False,
+    terminal: Terminal,
+) -> SolvedNetwork:
+    """Capture all pairs of the configured devices, and calibrate them together.
+
+    Raises InputError, DeviceError, RefusalError.
+    """
+    pairs = pairs_to_take(config)
+    made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
+    with made as folder, saying_why(folder, config):
+        return _saved(take_pairs(pairs, folder, terminal), config, folder, known, terminal)
+
+
+def _saved(
+    captures: Captures, config: Config, folder: Path, known: KnownDistance | None, terminal: Terminal
+) -> SolvedNetwork:
+    refuse_unknown(known, captures)
+    solved = solve_network(captures, known, config, terminal)
+    verdict = verdict_on(solved)
+    save_network(solved, verdict, folder, config)
+    if verdict.grade == "refused":
+        raise RefusalError(verdict.headline, verdict.advice)
     return solved

@@ -77,7 +77,9 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
         for projector, surface in network.surfaces.items()
         for each in surface.disagreements
     ]
-    return {"unit": network.unit, "devices": devices, "planes": planes, "disagreements": disagreements}
+    gains = {projector: surface.gain for projector, surface in network.surfaces.items() if np.isfinite(surface.gain)}
+    of_surfaces = {"disagreements": disagreements, "sigma_gains": gains}
+    return {"unit": network.unit, "devices": devices, "planes": planes, **of_surfaces}
 
 
 def cloud_of(network: SolvedNetwork) -> NetworkCloud:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.networks import Joined, NetworkEstimate, estimate_network, joined
+from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures
 from scanner.quantities import UNKNOWN_UNIT, parse_length
+from scanner.reconstruction import lenses_by_name, shifts_of
 from scanner.ui import Progress
 
 _METRES = "m"
@@ -51,13 +53,21 @@ def refuse_unknown(known: KnownDistance | None, captures: Captures) -> None:
         raise InputError(f"--distance: {known.first} is given twice; a distance is between two devices")
 
 
-def solve_network(
-    captures: Captures, known: KnownDistance | None, squareness_deg: float, progress: Progress
-) -> SolvedNetwork:
-    """Raises RefusalError if no corner calibrates a pair, or a device does not connect."""
+def solve_network(captures: Captures, known: KnownDistance | None, config: Config, progress: Progress) -> SolvedNetwork:
+    """Raises RefusalError if no corner calibrates a pair, or a device does not connect; InputError."""
     matches = {pair: capture.matches for pair, capture in captures.decoded.items()}
+    cameras, projectors = ({pair[role]: captures.sizes[pair[role]] for pair in matches} for role in (0, 1))
+    lenses = lenses_by_name(config, cameras, projectors)
+    points = {name: config.principal_point(size) for name, size in cameras.items()}
     with progress.step("Calibrating all devices together"):
-        estimate = estimate_network(matches, captures.sizes, squareness_deg=squareness_deg)
+        estimate = estimate_network(
+            matches,
+            captures.sizes,
+            squareness_deg=config.corner.squareness_deg,
+            lenses=lenses,
+            points=points,
+            shifts={pair: shifts_of(capture) for pair, capture in captures.decoded.items()},
+        )
     factor, unit = 1.0, UNKNOWN_UNIT
     if known is not None:
         ends = [estimate.device(name).pose.translation for name in (known.first, known.second)]

@@ -4,84 +4,107 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.refinement import Noise
+from calib.networks import Disagreement
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import percent
-from scanner.results import MEASUREMENT_GRADE, Verdict
+from scanner.results import MEASUREMENT_GRADE, Grade, Verdict
 
-# Of the depth, and of what noise makes of it: cameras that are further apart do not see one surface.
-_APART, _OF_NOISE = 0.002, 3.0
-_FAR_APART = 0.02
-# Projector pixels: cells of matches that are off by more follow another network than all others.
-_STRAINED_PX, _FOREIGN_PX = 0.25, 1.0
+# Of the depth, and of what sigmas make of it: cameras that are further apart do not see one surface.
+_APART, _FAR_APART, _OF_SIGMAS = 0.002, 0.02, 3.0
+# Of what noise makes of cells, across the line on which a wall that is not flat moves them; and projector pixels that
+# lenses and decoding leave. Cells that are further off follow another network than all others.
+_STRAINED, _FOREIGN = 3.0, 15.0
+_STRAINED_PX, _FOREIGN_PX = 0.1, 0.3
+_NO_WALLS = 0.005  # of the distance: heights over planes that are none
+# χ² of pixels that are not square, and by how much: walls that are not flat make 15 of it, one per cent of keystone
+# correction more than 200, and focal lengths that are off by a tenth.
+_SKEWED, _SKEW = 50.0, 0.001
 
 MOVED = "Something moved between the captures, or a folder has another device's name: take these two again."
+KEYSTONE = (
+    "Turn off keystone correction, digital zoom and aspect correction in the projectors' menus, and take all again."
+)
+CHECK = "Check that nothing moved between the captures, and that the projectors correct no keystone."
+
+_Finding = tuple[Grade, str, str]  # with headline and advice
 
 
 def verdict_on(network: SolvedNetwork) -> Verdict:
     """The most serious finding decides."""
-    estimate, reasons = network.estimate, tuple(_reasons(network))
-    found = [each for surface in network.surfaces.values() for each in surface.disagreements]
-    worst = max(found, key=lambda each: each.relative, default=None)
-    names = f"{len(estimate.names)} devices are one network"
-    strained = max(estimate.noise, key=lambda pair: _off_px(estimate.noise[pair]))
-    off_px = _off_px(estimate.noise[strained])
-    if off_px > _FOREIGN_PX:
-        return Verdict(
+    reasons = tuple(_reasons(network))
+    for grade, headline, advice in (*_refusals(network), *_doubts(network)):
+        return Verdict(grade, headline, reasons, advice)
+    return Verdict("good", f"{_together(network)}, and the cameras agree where they see the same light.", reasons)
+
+
+def _together(network: SolvedNetwork) -> str:
+    return f"{len(network.estimate.names)} devices are one network"
+
+
+def _refusals(network: SolvedNetwork) -> Iterator[_Finding]:
+    estimate = network.estimate
+    skewed = any(each.significance > _SKEWED and each.off_square > _SKEW for each in estimate.shapes)
+    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].across_px)
+    if strain.across_px > max(_FOREIGN_PX, _FOREIGN * strain.noise_px):
+        off = f"off by {strain.across_px:.2g} projector px"
+        yield (
             "refused",
-            f"{strained[0]} in the light of {strained[1]} contradicts the others: off by {off_px:.2g} projector px.",
-            reasons,
-            MOVED,
+            f"{pair[0]} in the light of {pair[1]} contradicts the others: {off}.",
+            KEYSTONE if skewed else MOVED,
         )
-    if worst is not None and worst.relative > _FAR_APART:
-        return Verdict(
-            "refused",
-            f"{worst.first} and {worst.second} do not see one surface: they are {percent(worst.relative)} apart.",
-            reasons,
-            MOVED,
-        )
-    if worst is not None and worst.relative > max(_APART, _OF_NOISE * worst.expected):
-        return Verdict(
-            "fair",
-            f"{names}, but {worst.first} and {worst.second} are {100 * worst.relative:.2g} % of the depth apart.",
-            reasons,
-            "Check that nothing moved between the captures, and that the projectors correct no keystone.",
-        )
-    if off_px > _STRAINED_PX:
-        return Verdict(
-            "fair",
-            f"{names}, but {strained[0]} in the light of {strained[1]} is off by {off_px:.2g} projector px.",
-            reasons,
-            "Check that nothing moved between the captures, and that the projectors correct no keystone.",
-        )
+    if skewed:
+        yield "refused", "The devices cannot all have square pixels, as all have that correct no keystone.", KEYSTONE
+    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].uneven)
+    if strain.uneven > _NO_WALLS:
+        off = f"off flat by {percent(strain.uneven)} of their distance"
+        yield "refused", f"{pair[0]} in the light of {pair[1]} sees walls that are {off}.", MOVED
+    for each in _disagreements(network):
+        if each.relative > max(_FAR_APART, _OF_SIGMAS * each.expected):
+            off = f"they are {percent(each.relative)} apart"
+            yield "refused", f"{each.first} and {each.second} do not see one surface: {off}.", MOVED
+
+
+def _doubts(network: SolvedNetwork) -> Iterator[_Finding]:
+    estimate, names, found = network.estimate, _together(network), _disagreements(network)
+    for each in found:
+        if each.relative > max(_APART, _OF_SIGMAS * each.expected):
+            off = f"{100 * each.relative:.2g} % of the depth apart"
+            yield "fair", f"{names}, but {each.first} and {each.second} are {off}.", CHECK
+    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].across_px)
+    if strain.across_px > max(_STRAINED_PX, _STRAINED * strain.noise_px):
+        off = f"off by {strain.across_px:.2g} projector px"
+        yield "fair", f"{names}, but {pair[0]} in the light of {pair[1]} is {off}.", CHECK
     loose = max(estimate.names, key=lambda name: float(estimate.sigmas(name)[0]))
     sigma = float(estimate.sigmas(loose)[0])
     if sigma > MEASUREMENT_GRADE:
-        return Verdict(
-            "fair",
-            f"{names}, but the focal length of {loose} is known to {100 * sigma:.2g} % only.",
-            reasons,
-            "Let it see, or light, more of the walls that other devices share, from another side.",
+        beside = [f"{one} and {other}" for one, other, _ in estimate.alike if loose in (one, other)]
+        advice = (
+            f"{beside[0]} stand almost in one place: move one of them further away."
+            if beside
+            else "Let it see, or light, more of the walls that other devices share, from another side."
         )
+        yield "fair", f"{names}, but the focal length of {loose} is known to {100 * sigma:.2g} % only.", advice
     if not found:
-        return Verdict("fair", f"{names}, but no two cameras see the same light, so nothing checks it.", reasons)
-    return Verdict("good", f"{names}, and the cameras agree where they see the same light.", reasons)
+        yield "fair", f"{names}, but no two cameras see the same light, so nothing checks it.", ""
 
 
-def _off_px(noise: Noise) -> float:
-    """What stays in the means of cells, rough and smooth."""
-    return float(np.hypot(noise.systematic_px, noise.smooth_px))
+def _disagreements(network: SolvedNetwork) -> list[Disagreement]:
+    """The largest first."""
+    found = (each for surface in network.surfaces.values() for each in surface.disagreements)
+    return sorted(found, key=lambda each: -each.relative)
 
 
 def _reasons(network: SolvedNetwork) -> Iterator[str]:
     estimate = network.estimate
+    for one, other, apart in estimate.alike:
+        yield f"{one} and {other} stand almost in one place, {percent(apart)} of the distance of what they see apart."
     sigma = max(float(estimate.sigmas(name)[0]) for name in estimate.names)
     yield f"All focal lengths are known to {100 * sigma:.2g} % or better."
     for projector, surface in network.surfaces.items():
         for each in surface.disagreements:
             yield (
                 f"In the light of {projector}, {each.first} and {each.second} are {100 * each.relative:.2g} % of the "
-                f"depth apart at {each.count:,} places; noise alone makes it {100 * each.expected:.2g} %."
+                f"depth apart at {each.count:,} places; by the sigmas it is {100 * each.expected:.2g} %."
             )
         if np.isfinite(surface.gain):
             yield f"Points of {projector} that several cameras see have sigmas {surface.gain:.2f} times smaller."

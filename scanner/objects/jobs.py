@@ -7,6 +7,7 @@ from calib.refusal import NoMeasurementError
 from hw.moving import moves_by_itself
 from scanner.configuration import Config
 from scanner.errors import InputError
+from scanner.exporting.open3d_module import open3d
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
@@ -15,7 +16,6 @@ from scanner.results import new_result
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import saying_why
 from scanner.rooms.live import check_stations, take_turned
-from scanner.rooms.open3d_module import open3d
 from scanner.ui import Terminal
 
 _SILENT = Terminal(quiet=True)

@@ -1,18 +1,15 @@
-"""The thing as triangles: all stations' depths fused, or a closed surface by screened Poisson where holes are filled.
-
-Kazhdan and Hoppe, "Screened Poisson surface reconstruction", 2013, by Open3D.
-"""
+"""The thing as triangles: all stations' depths fused, or a closed surface by Poisson where holes are filled."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import MergedCloud
+from scanner.exporting.poisson import mesh_of, poisson
 from scanner.exporting.triangles import Mesh
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.rooms.blended_cloud import blended_of, grid_of
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused_of
-from scanner.rooms.open3d_module import open3d
 
 _AROUND = 3.0  # of the size: within so large a cube a surface closes of which half was seen
 _DEEPEST = 9  # of the octree: 512 cells to a side
@@ -81,24 +78,12 @@ def _sigma(solved: SolvedObject) -> float:
 
 
 def _closed(cloud: MergedCloud) -> Mesh:
-    o3d = open3d()
-    points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points.astype(np.float64)))
-    points.normals = o3d.utility.Vector3dVector(cloud.normals.astype(np.float64))
-    points.colors = o3d.utility.Vector3dVector(cloud.colours / 255.0)
     size = float(np.max(np.ptp(cloud.points, axis=0)))
     depth = int(np.clip(np.ceil(np.log2(_AROUND * size / (2 * cloud.grid))), 5, _DEEPEST))
-    mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(points, depth=depth, scale=_AROUND, n_threads=1)
+    mesh = poisson(cloud.points, cloud.normals, cloud.colours, depth=depth, scale=_AROUND)
     cluster, _, area = mesh.cluster_connected_triangles()
     mesh.remove_triangles_by_mask(np.asarray(cluster) != int(np.argmax(np.asarray(area))))
-    mesh.remove_unreferenced_vertices()
-    mesh.compute_vertex_normals()
-    return Mesh(
-        np.asarray(mesh.vertices).astype(np.float64),
-        np.asarray(mesh.vertex_normals).astype(np.float64),
-        np.rint(255 * np.clip(np.asarray(mesh.vertex_colors), 0, 1)).astype(np.uint8),
-        np.asarray(mesh.triangles).astype(np.int64),
-        cloud.unit,
-    )
+    return mesh_of(mesh, cloud.unit)
 
 
 def _turned(mesh: Mesh) -> Mesh:

@@ -5,7 +5,7 @@ from scanner.reconstruction.earlier_captures import read_captures
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 from scanner.reconstruction.guidance import Guidance, guide
 from scanner.reconstruction.known_calibrations import is_calibration
-from scanner.reconstruction.lens_priors import lenses_of
+from scanner.reconstruction.lens_priors import lenses_by_name, lenses_of
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import shifts_of

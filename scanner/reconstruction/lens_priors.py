@@ -1,9 +1,10 @@
-"""Priors of both lenses from a configuration, for every estimate."""
+"""Priors of all lenses from a configuration, for every estimate."""
 
 import logging
+from collections.abc import Mapping
 
 from calib.geometry import DeviceSigmas, Intrinsics, Size
-from calib.refinement import ORDINARY_LENSES, LensPrior
+from calib.refinement import LensPrior
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import read_calibration
@@ -15,36 +16,44 @@ _SUREST = 1e-6  # nothing is known better of a term
 
 
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:
-    """Return the lens priors of camera and projector with images of these sizes.
+    """Return the lens priors of camera and projector with images of these sizes. Raises InputError."""
+    camera, projector = "a camera", "a projector"
+    found = lenses_by_name(config, {camera: camera_size}, {projector: projector_size})
+    return found[camera], found[projector]
 
-    Raises InputError if a named calibration belongs to neither device, or does not state the uncertainty of its lens
+
+def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
+    """Return the lens priors of devices, given their image sizes.
+
+    Raises InputError if a named calibration belongs to none of them, or does not state the uncertainty of its lens
     terms.
     """
     setting = config.lens
-    camera, projector = ORDINARY_LENSES
+    ordinary = LensPrior().with_sigmas(setting.decentering, setting.k3)
+    lenses = dict.fromkeys([*cameras, *projectors], ordinary)
     if setting.source is None:
-        return camera.with_sigmas(setting.decentering, setting.k3), projector.with_sigmas(
-            setting.decentering, setting.k3
-        )
+        return lenses
     file = setting.source / CALIBRATION_FILE if setting.source.is_dir() else setting.source
     calibration = read_calibration(file)
-    known = [
-        _prior_of(device, sigma) if device.size == size else None
-        for device, sigma, size in (
-            (calibration.camera, calibration.sigma.camera, camera_size),
-            (calibration.projector, calibration.sigma.projector, projector_size),
+    sigma = calibration.sigma
+    known = {
+        name: prior
+        for sizes, device, of_device in (
+            (cameras, calibration.camera, sigma.camera),
+            (projectors, calibration.projector, sigma.projector),
         )
-    ]
-    if known == [None, None]:
+        for name, size in sizes.items()
+        if device.size == size and (prior := _prior_of(device, of_device)) is not None
+    }
+    if not known:
+        seen = " or ".join(f"{name} of {size}" for name, size in {**cameras, **projectors}.items())
         raise InputError(
-            f"lens.from: {file} states no distortion with its sigmas for a camera of {camera_size} or a projector of "
-            f"{projector_size} pixels: expected a calibration of devices with images of these sizes, by scan board for "
-            "instance"
+            f"lens.from: {file} states no distortion with its sigmas for {seen} pixels: expected a calibration of "
+            "devices with images of these sizes, by scan board for instance"
         )
-    for name, prior, size in zip(("camera", "projector"), known, (camera_size, projector_size), strict=True):
-        if prior is None:
-            log.info("lens.from: %s states no lens of a %s of %s; it is taken as an ordinary one", file, name, size)
-    return known[0] or camera, known[1] or projector
+    for name in lenses.keys() - known.keys():
+        log.info("lens.from: %s states no lens of %s; it is taken as an ordinary one", file, name)
+    return lenses | known
 
 
 def _prior_of(device: Intrinsics, sigma: DeviceSigmas) -> LensPrior | None:

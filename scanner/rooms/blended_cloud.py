@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration
 from calib.numerics import Bools, Ints
 from calib.pointcloud import NONE, MergedCloud, density
+from scanner.exporting.open3d_module import open3d
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.denoised import denoised
-from scanner.rooms.open3d_module import open3d
 
 _VOXEL_PX = 2.0  # camera pixels at the median distance
 _LEAST_DENSITY = 0.01  # points per pixel

@@ -8,12 +8,12 @@ from pathlib import Path
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError
+from scanner.exporting.open3d_module import open3d
 from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.corner_rig import rig_from_corners
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.live import check_stations, take_stations
-from scanner.rooms.open3d_module import open3d
 from scanner.rooms.save import save_room
 from scanner.rooms.solve import solve_room
 from scanner.rooms.verdict import verdict_on

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
+from scanner.exporting.open3d_module import open3d
 from scanner.exporting.triangles import Mesh
 from scanner.rooms.blended_cloud import grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.denoised import denoised
-from scanner.rooms.open3d_module import open3d
 
 _VOXELS = 1.5  # edges of the cloud's voxels
 _TRUNCATED = 4.0  # edges of this grid's voxels: signed distances are kept so far on either side of a surface

@@ -188,6 +188,21 @@ def room(folder: Path) -> Run:
     return guarded(read)
 
 
+def network(folder: Path) -> Run:
+    """`network.yaml`."""
+    from scanner.io import read_network
+    from tests.support.mapped_room import write_network
+
+    path = write_network(folder / "hall", np.random.default_rng(0)) / "network.yaml"
+    seed = yaml.safe_load(path.read_text())
+
+    def read(rng: Random) -> None:
+        path.write_bytes(of_yaml(seed, rng))
+        read_network(path)
+
+    return guarded(read)
+
+
 def imports(folder: Path) -> Run:
     """Others' folders: names of files, and what is written beside the frames."""
     from scanner.importing import LAYOUTS, find_frames

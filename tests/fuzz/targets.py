@@ -13,7 +13,15 @@ from tests.fuzz.mutations import Random
 
 _MADE_IN = (
     *(readers.capture, readers.configuration, readers.calibration, readers.matches, readers.cloud, readers.poses),
-    *(readers.room, readers.imports, pictures.masks, pictures.photos, programs.results, programs.calibrating),
+    *(
+        readers.room,
+        readers.network,
+        readers.imports,
+        pictures.masks,
+        pictures.photos,
+        programs.results,
+        programs.calibrating,
+    ),
     *(commands.board, commands.batch, beside.refusal, beside.log, beside.row, beside.left_behind, beside.compared),
     *(beside.asked,),
 )

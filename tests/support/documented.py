@@ -44,6 +44,7 @@ NOT_RUN = {
     "scan object": "needs a thing's stations; its own tests have them",
     "scan --config configs/thing-sim.yaml": "runs for minutes",
     "scan export thing": "needs a thing's result; its own tests have one",
+    "scan export hall-network": "needs a network's result; its own tests have one",
     "scan batch": "starts workers; its own tests do",
     "make": "installs packages, or runs for minutes",
     "python": "runs for minutes, or changes files of this repository",

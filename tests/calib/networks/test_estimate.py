@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -6,8 +7,11 @@ import pytest
 from calib.geometry import Size
 from calib.networks import NetworkEstimate, estimate_network
 from calib.numerics import Floats
+from calib.refinement import LensPrior
 from calib.refusal import RefusalError
-from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
+from calib.self_calibration import PrincipalPoint
+from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
+from calib.synthetic.rooms import random_waves
 
 OPTIONS = RoomOptions(boxes=1, count=15_000)
 
@@ -56,12 +60,144 @@ def test_all_devices_follow_from_one_corner(cameras: int, projectors: int, focal
     assert 0.05 < np.sqrt(np.mean(relative**2)) < 2.2  # errors of one network go together
 
 
+@pytest.mark.parametrize(("walls", "sights"), [(0, 0), (1, 1)])
+def test_a_camera_that_sees_less_than_two_faces_follows_by_shared_points(walls: int, sights: int) -> None:
+    """Boxes, of which no labels are known, and one wall or none."""
+    made = random_network(np.random.default_rng(4), 2, 1, replace(OPTIONS, boxes=5))
+    captures = {
+        pair: each.with_faces(np.where(each.labels < 3, each.labels, -1)) for pair, each in made.captures.items()
+    }
+    seen = made.captures["camera2", "projector1"]
+    seen = seen[(seen.labels >= 3) | (seen.labels < walls)]
+    captures["camera2", "projector1"] = replace(seen, face=None)
+
+    estimate = estimate_network(captures, sizes_of(made))
+
+    focals, places, relative = errors(estimate, made)
+    assert sum(sight.camera == estimate.names.index("camera2") for sight in estimate.sights) == sights
+    assert 0 < focals.max() < 0.02
+    assert 0 < places.max() < 0.02
+    assert 0.05 < np.sqrt(np.mean(relative**2)) < 2.0
+    assert 0.7 < estimate.noise["camera2", "projector1"].match_px / OPTIONS.noise_px < 1.6
+
+
+def test_a_sight_that_is_on_another_plane_has_a_plane_of_its_own() -> None:
+    """The floor is 5 cm higher for one pair."""
+    made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
+    pair = ("camera2", "projector2")
+    seen = made.captures[pair]
+    camera, projector = (made.devices[name] for name in pair)
+    at, light = (made.poses[name] for name in pair)
+    normals, offsets = made.scene.solids[0]
+    rays = camera.unproject(seen.camera_px) @ at.rotation.T
+    higher = offsets[0] + 0.05 * np.sign(at.translation @ normals[0] - offsets[0])
+    points = at.translation + rays * ((higher - at.translation @ normals[0]) / (rays @ normals[0]))[:, None]
+    lit = projector.project((points - light.translation) @ light.rotation)
+    on = (seen.labels == 0) & np.isfinite(lit[:, 0])
+    moved = replace(seen, projector_px=np.where(on[:, None], np.nan_to_num(lit), seen.projector_px))
+
+    estimate = estimate_network({**made.captures, pair: moved}, sizes_of(made))
+
+    planes = {sight.plane for sight in estimate.sights if sight.capture == list(estimate.noise).index(pair)}
+    others = {sight.plane for sight in estimate.sights if sight.capture != list(estimate.noise).index(pair)}
+    (own,) = planes - others
+    floor = estimate.network.planes[0]
+    first, second = (made.poses[name].translation for name in estimate.seed)
+    apart = estimate.network.planes[own].offset - floor.offset
+    assert abs(abs(apart) * np.linalg.norm(second - first) - 0.05) < 0.003
+    assert estimate.noise[pair].smooth_px < 0.02
+    assert 0 < errors(estimate, made)[0].max() < 0.004
+
+
+def test_a_wall_that_is_not_flat_is_told_and_widens_sigmas(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_the_floor(rng: np.random.Generator, options: RoomOptions) -> Floats:
+        return random_waves(rng, options) * (np.arange(6) == 0)[:, None, None]
+
+    monkeypatch.setattr(networks, "random_waves", of_the_floor)
+    made = random_network(np.random.default_rng(3), 2, 2, replace(OPTIONS, wavy=0.003))
+
+    estimate = estimate_network(made.captures, sizes_of(made))
+
+    first, second = (made.poses[name].translation for name in estimate.seed)
+    waves = estimate.waves * np.linalg.norm(second - first)
+    assert 0.001 < waves[0] < 0.006
+    assert waves[1:].max() < 0.001
+    assert 0.05 < np.sqrt(np.mean(errors(estimate, made)[2] ** 2)) < 1.5
+
+
+def test_what_is_known_of_a_device_is_used() -> None:
+    made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
+    known = {name: PrincipalPoint(made.devices[name].principal_point_px, 0.0) for name in ("camera1", "camera2")}
+    lens = LensPrior().with_sigmas(decentering=0.0)
+
+    usual = estimate_network(made.captures, sizes_of(made))
+    told = estimate_network(made.captures, sizes_of(made), points=known, lenses={"projector1": lens})
+
+    for name, point in known.items():
+        np.testing.assert_allclose(told.device(name).lens[1:3], point.px, rtol=1e-12)
+        assert not told.sigmas(name)[1:3].any()
+        assert 0 < told.sigmas(name)[0] < 0.9 * usual.sigmas(name)[0]
+    assert not told.device("projector1").lens[5:7].any()
+    assert usual.device("projector1").lens[5:7].all()
+    assert 0.05 < np.sqrt(np.mean(errors(told, made)[2] ** 2)) < 1.5
+
+
 def test_a_device_that_shares_no_light_is_named() -> None:
     made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
     apart = {pair: made.captures[pair] for pair in (("camera1", "projector1"), ("camera2", "projector2"))}
 
-    with pytest.raises(RefusalError, match=r"^camera(.), projector\1: not connected with camera(.), projector\2\."):
+    with pytest.raises(
+        RefusalError, match=r"^camera(.), projector\1: not connected with camera(.), projector\2\."
+    ) as no:
         estimate_network(apart, sizes_of(made))
+
+    assert "No capture is of one of these" in no.value.reason
+    assert re.match(
+        r"Take one of camera(.) in the light of projector(.), or of camera\2 in that of projector\1", no.value.advice
+    )
+
+
+@pytest.mark.parametrize(
+    ("split", "reason", "advice"),
+    [
+        (
+            True,
+            r"In the picture of projector1, camera. sees its (left|right) part and camera. its",
+            "Let camera. see what",
+        ),
+        (False, "in the picture of projector1, .* does not place it: all of it is on one plane", "a second wall"),
+    ],
+)
+def test_where_an_overlap_is_missing_is_told(split: bool, reason: str, advice: str) -> None:
+    """Two cameras see one half of the projector's picture each, or one of them the floor only."""
+    made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
+    one, other = made.captures.values()
+    if split:
+        right = (each.projector_px[:, 0] > made.devices["projector1"].width / 2 for each in (one, other))
+        one, other = one[next(right)], other[~next(right)]
+    else:
+        other = other[other.labels == 0]
+
+    with pytest.raises(RefusalError) as no:
+        estimate_network(dict(zip(made.captures, (one, other), strict=True)), sizes_of(made))
+
+    assert re.search(reason, no.value.reason)
+    assert re.search(advice, no.value.advice)
+
+
+def test_a_mirrored_picture_is_named() -> None:
+    made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
+    across = made.devices["projector2"].width - 1
+    captures = dict(made.captures)
+    for pair in (("camera1", "projector2"), ("camera2", "projector2")):
+        right = captures[pair].projector_px
+        captures[pair] = replace(captures[pair], projector_px=np.stack([across - right[:, 0], right[:, 1]], axis=1))
+
+    with pytest.raises(RefusalError, match="picture of projector2 is seen as in a mirror"):
+        estimate_network(captures, sizes_of(made))
+    captures["camera1", "projector2"] = made.captures["camera1", "projector2"]
+    with pytest.raises(RefusalError, match="camera2 in the light of projector2 is seen as in a mirror, but not"):
+        estimate_network(captures, sizes_of(made))
 
 
 def test_what_cannot_be_a_network_is_told() -> None:

@@ -9,7 +9,6 @@ from calib.refinement import CAMERA, CUBIC, PROJECTOR, SHARED, Cells, Shifts, mo
 from calib.refinement.parameters import TANGENTIAL
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
-from calib.rooms.patches import predict_patch
 from calib.rooms.room import PER_PLACE
 from calib.rooms.ties import tie_scores
 from calib.synthetic import RoomOptions
@@ -149,7 +148,7 @@ def test_a_view_of_another_plane_gets_one_of_its_own(case: Case) -> None:
     station, plane = patch.station, patch.plane
     nearer = replace(truth.planes[plane], offset=truth.planes[plane].offset + 0.04 / case.made.calibration.baseline)
     with_box = replace(truth, planes=(*truth.planes[:plane], nearer, *truth.planes[plane + 1 :]))
-    shift = predict_patch(with_box, patch)[0] - predict_patch(truth, patch)[0]
+    shift = patch.predict(with_box)[0] - patch.predict(truth)[0]
     cells = list(case.cells)
     projector_px = cells[station].projector_px.copy()
     projector_px[cells[station].plane == case.plane_of[station].index(plane)] += shift

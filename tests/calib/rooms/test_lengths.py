@@ -15,7 +15,7 @@ from tests.support.numeric import gradient_of
 
 def at(found: RoomEstimate, room: Room) -> RoomEstimate:
     """As if that were the most likely room."""
-    return replace(found, fit=replace(found.fit, room=room))
+    return replace(found, fit=replace(found.fit, layout=room))
 
 
 def sigma_by_differences(found: RoomEstimate, value: Callable[[RoomEstimate], float]) -> float:

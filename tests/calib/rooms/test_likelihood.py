@@ -3,8 +3,9 @@ import pytest
 
 from calib.refinement import ORDINARY_LENSES, ROTATION, SHARED, Knowledge, KnownRig
 from calib.rooms import RigPrior, Room
-from calib.rooms.likelihood import RoomPrior, evaluate
+from calib.rooms.likelihood import evaluate
 from calib.rooms.patches import patches_of
+from calib.rooms.priors import RoomPrior
 from tests.calib.rooms.conftest import Case
 from tests.support.numeric import gradient_of
 

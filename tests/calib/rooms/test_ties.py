@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import chi2
 
 from calib.numerics import Bools, Floats
-from calib.rooms.likelihood import Fit, RoomPrior, minimise
+from calib.rooms import Room
+from calib.rooms.likelihood import Fit, minimise
+from calib.rooms.priors import RoomPrior
 from calib.rooms.ties import plane_scores, tie_scores
 from tests.calib.rooms.conftest import Case
 from tests.calib.rooms.test_likelihood import prior_of
@@ -32,7 +34,7 @@ def free(case: Case, prior: RoomPrior) -> Bools:
     return prior.free(np.ones(len(case.truth.planes), np.bool_))
 
 
-def fitted(case: Case, prior: RoomPrior, variances: list[Floats], free: Bools) -> Fit:
+def fitted(case: Case, prior: RoomPrior, variances: list[Floats], free: Bools) -> Fit[Room]:
     return minimise(case.found.patches, case.found.room, prior, variances, free)
 
 

@@ -10,7 +10,7 @@ from calib.numerics import Floats
 from calib.refinement import SHARED
 from calib.rooms import Room, RoomPlane, Sight
 from calib.rooms.followed import find_tracks
-from calib.rooms.likelihood import rig_of
+from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
 from calib.synthetic.stations import Errors, Paint, random_room, ring, seen_from

@@ -9,6 +9,9 @@ import yaml
 
 from calib.geometry import Intrinsics
 from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
+from scanner.decoding import MirroredError
+from scanner.networks import captures
+from scanner.results import Decoded
 from tests.support.command_line import run
 from tests.support.network_captures import write_captures
 from tests.support.small_capture import write_capture
@@ -86,6 +89,20 @@ def test_what_is_no_network(
 
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "hall").exists()
+
+
+def test_a_mirrored_capture_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mirrored(*_: object) -> Decoded:
+        raise MirroredError("the horizontal coordinate runs backwards")
+
+    folders = [write_capture(tmp_path / name) for name in ("a-p", "b-p")]
+    monkeypatch.setattr(captures, "decode_recording", mirrored)
+
+    assert run("network", *folders, "--out", tmp_path / "hall") == 2
+
+    assert "a-p: the horizontal coordinate runs backwards" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_device_of_two_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

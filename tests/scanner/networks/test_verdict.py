@@ -1,31 +1,73 @@
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from calib.geometry import Matches, Motion, mapped
 from calib.networks import estimate_network, joined
-from calib.synthetic import RoomOptions, random_network
+from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
 from scanner.networks.captures import Captures
 from scanner.networks.solve import SolvedNetwork
 from scanner.networks.verdict import verdict_on
+from scanner.results import Verdict
 
 
-@pytest.mark.parametrize(("turned_px", "grade"), [(0.0, "good"), (3.0, "refused")])
-def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, grade: str) -> None:
-    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=2, count=15_000))
-    moved = made.captures["camera2", "projector2"]
-    matches = {
-        **made.captures,
-        ("camera2", "projector2"): replace(moved, camera_px=moved.camera_px + np.array([turned_px, 0.0])),
-    }
+def verdict_of(made: SyntheticNetwork, captures: Mapping[tuple[str, str], Matches]) -> Verdict:
     sizes = {name: each.size for name, each in made.devices.items()}
-    estimate = estimate_network(matches, sizes)
+    estimate = estimate_network(captures, sizes)
     surfaces = {
-        projector: joined(estimate, projector, {c: each for (c, p), each in matches.items() if p == projector})
-        for projector in ("projector1", "projector2")
+        projector: joined(estimate, projector, {c: each for (c, p), each in captures.items() if p == projector})
+        for projector in sorted({p for _, p in captures})
     }
+    return verdict_on(SolvedNetwork(Captures({}, sizes), estimate, surfaces, 1.0, "baseline"))
 
-    verdict = verdict_on(SolvedNetwork(Captures({}, sizes), estimate, surfaces, 1.0, "baseline"))
+
+@pytest.mark.parametrize(
+    ("turned_px", "wavy", "grade"), [(0.0, 0.0, "good"), (0.0, 0.005, "good"), (1.0, 0.0, "refused")]
+)
+def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, wavy: float, grade: str) -> None:
+    """And walls with waves of half a centimetre are not taken for it."""
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000, wavy=wavy))
+    moved = made.captures["camera2", "projector2"]
+    turned = replace(moved, camera_px=moved.camera_px + np.array([turned_px, 0.0]))
+
+    verdict = verdict_of(made, {**made.captures, ("camera2", "projector2"): turned})
 
     assert verdict.grade == grade, verdict
     assert ("contradicts the others" in verdict.headline) == (grade == "refused")
+    assert "keystone" not in verdict.advice
+
+
+def test_a_projector_that_corrects_keystone_is_told() -> None:
+    """Its picture is 1 % narrower at one edge."""
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000))
+    width, height = made.devices["projector2"].size
+    to_middle = np.array([[1.0, 0, -width / 2], [0, 1, 0], [0, 0, 1]])
+    keystone = np.linalg.inv(to_middle) @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.01 / height, 1]]) @ to_middle
+    captures = {
+        pair: replace(each, projector_px=mapped(keystone, each.projector_px)) if pair[1] == "projector2" else each
+        for pair, each in made.captures.items()
+    }
+
+    verdict = verdict_of(made, captures)
+
+    assert verdict.grade == "refused"
+    assert "in the projectors' menus" in verdict.advice
+
+
+def test_two_devices_in_one_place_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = networks._poses
+
+    def close(*args: Any) -> dict[str, Motion]:
+        poses = apart(*args)
+        beside = poses["camera1"].translation + np.array([0.03, 0.02, 0.0])
+        return {**poses, "camera2": Motion(poses["camera1"].rotation, beside)}
+
+    monkeypatch.setattr(networks, "_poses", close)
+    made = random_network(np.random.default_rng(3), 2, 1, RoomOptions(boxes=1, count=15_000))
+
+    verdict = verdict_of(made, made.captures)
+
+    assert any("camera1 and camera2 stand almost in one place" in reason for reason in verdict.reasons)

@@ -1,0 +1,158 @@
+"""What makes devices other than the estimate takes them for: mirrored pictures, pixels that are not square (keystone
+correction), and two that stand almost alike.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from calib.geometry import Matches, Size
+from calib.networks.network import Network
+from calib.networks.overlaps import PairName
+from calib.networks.raster import Raster, SeenAt
+from calib.networks.sights import Sight
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, evenly, median
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refusal import RefusalError
+from calib.rooms.likelihood import Fit
+from calib.rooms.scores import score
+
+_SAMPLE = 20_000
+_STEP_PX = 0.5
+_ALIKE = 0.03  # of the distance of what they see, as of a rig's baseline in `calib.diagnostics`
+
+
+def refuse_mirrored(captures: Mapping[PairName, Matches], sizes: Mapping[str, Size]) -> None:
+    """Raise RefusalError for devices whose pictures are mirrored in all captures.
+
+    A camera and a projector are on the same side of a surface, so that no map between their pictures is mirrored.
+    """
+    turned = {pair: _is_mirrored(matches, sizes[pair[1]]) for pair, matches in captures.items()}
+    for role, kind in ((1, "projectors"), (0, "cameras")):
+        names = {pair[role] for pair in turned}
+        wrong = {name for name in names if all(turned[pair] for pair in turned if pair[role] == name)}
+        if wrong:
+            raise RefusalError(
+                f"The picture of {' and '.join(sorted(wrong))} is seen as in a mirror.",
+                f"Switch mirroring, as for rear projection, off in the settings of these {kind}; or on, where light "
+                "takes a mirror on its way.",
+            )
+    if any(turned.values()):
+        camera, projector = next(pair for pair, mirrored in turned.items() if mirrored)
+        raise RefusalError(
+            f"{camera} in the light of {projector} is seen as in a mirror, but not in other captures of these two.",
+            "Take it again, with the same settings of all devices.",
+        )
+
+
+def _is_mirrored(matches: Matches, size: Size) -> bool:
+    some = matches[evenly(np.ones(len(matches), np.bool_), _SAMPLE)]
+    by_own = SeenAt.of(Raster.fine(size, [some.projector_px]), some.projector_px, some.camera_px).by_own
+    known = by_own[np.isfinite(by_own).all(axis=(-2, -1))]
+    return len(known) > 0 and float(np.median(np.linalg.det(known))) < 0
+
+
+@dataclass(frozen=True)
+class PixelShape:
+    """By how much pixels are off square along x, and their `skew`, relative; `significance`: χ² of two degrees of
+    freedom.
+    """
+
+    aspect: float
+    skew: float
+    significance: float
+
+    @property
+    def off_square(self) -> float:
+        """The larger of both."""
+        return max(abs(self.aspect), abs(self.skew))
+
+
+def pixel_shapes(
+    sights: Sequence[Sight], fit: Fit[Network], covariance: Floats, variances: Sequence[Floats]
+) -> list[PixelShape]:
+    """Of each device, what a fit would gain if its pixels were parallelograms, to first order: Rao's score."""
+    network, found = fit.layout, []
+    for number in range(len(network.devices)):
+        slope, information, across = np.zeros(2), np.zeros((2, 2)), np.zeros((2, network.size))
+        for sight, residual, variance in zip(sights, fit.residuals, variances, strict=True):
+            if number not in (sight.camera, sight.projector):
+                continue
+            predicted, jacobian, depths = sight.predict(network)
+            own = _by_shape(sight, network, predicted, number)
+            size = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
+            weight = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12)) / variance
+            weight[~(depths > 0).all(axis=1)] = 0.0
+            slope += np.einsum("n,na,nai->i", weight, residual, own)
+            information += np.einsum("n,nai,naj->ij", weight, own, own)
+            across[:, sight.columns(network)] += np.einsum("n,nai,nac->ic", weight, own, jacobian)
+        if not information.any():
+            found.append(PixelShape(0.0, 0.0, 0.0))
+            continue
+        told = score(slope, information, across, covariance, np.zeros(network.size))
+        found.append(PixelShape(float(told.step[0]), float(told.step[1]), told.value))
+    return found
+
+
+def _by_shape(sight: Sight, network: Network, predicted: Floats, number: int) -> Floats:
+    """Derivatives (N, 2, 2) of a sight's predictions by aspect and skew of a device's pixels."""
+    own = np.zeros((len(predicted), 2, 2))
+    x0, y0 = network.devices[number].lens[1:3]
+    if number == sight.projector:
+        own[:, 0] = predicted - (x0, y0)
+        return own
+    shift = np.array([_STEP_PX, 0.0])
+    after, before = (sight.predict(network, sight.cells.camera_px + sign * shift)[0] for sign in (1, -1))
+    by_x = (after - before) / (2 * _STEP_PX)
+    own -= by_x[:, :, None] * (sight.cells.camera_px - (x0, y0))[:, None]
+    return own
+
+
+@dataclass(frozen=True)
+class Strain:
+    """How far a pair's cells are off, the median as a standard deviation: `across_px` the line on which a wall that is
+    not flat moves them, where noise makes `noise_px` of it; and as heights over the planes, `uneven`, relative to the
+    camera's distance.
+    """
+
+    across_px: float
+    noise_px: float
+    uneven: float
+
+
+def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
+    """By number of the pair, of all that have a sight."""
+    found: dict[int, list[Floats]] = {}
+    for sight, residual in zip(sights, fit.residuals, strict=True):
+        by_height = sight.predict(fit.layout)[1][:, :, -1]
+        size = np.linalg.norm(by_height, axis=1)
+        across = (by_height[:, 1] * residual[:, 0] - by_height[:, 0] * residual[:, 1]) / size
+        height = np.sum(by_height * residual, axis=1) / size**2
+        eye = fit.layout.devices[sight.camera].pose.translation
+        relative = height / np.linalg.norm(sight.points(fit.layout) - eye, axis=1)
+        found.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
+    return {
+        capture: Strain(SIGMA_PER_MEDIAN * median(across), median(sigma), SIGMA_PER_MEDIAN * median(relative))
+        for capture, each in found.items()
+        for across, sigma, relative in (np.concatenate(each, axis=1),)
+    }
+
+
+def standing_alike(names: Sequence[str], sights: Sequence[Sight], network: Network) -> list[tuple[str, str, float]]:
+    """Devices that are nearly in one place, with their distance over that of what they see."""
+    seen: dict[int, list[Floats]] = {}
+    for sight in sights:
+        points = sight.points(network)
+        for device in (sight.camera, sight.projector):
+            away = np.linalg.norm(points - network.devices[device].pose.translation, axis=1)
+            seen.setdefault(device, []).append(away)
+    found = []
+    for i, j in combinations(sorted(seen), 2):
+        places = [network.devices[number].pose.translation for number in (i, j)]
+        reach = min(float(np.median(np.concatenate(seen[number]))) for number in (i, j))
+        apart = float(np.linalg.norm(places[1] - places[0])) / reach
+        if apart < _ALIKE:
+            found.append((names[i], names[j], apart))
+    return found

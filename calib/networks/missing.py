@@ -1,0 +1,73 @@
+"""Devices that do not connect with a network, and where an overlap is missing."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.geometry import Size
+from calib.networks.growth import Grown
+from calib.numerics import Bools, Floats
+from calib.refusal import RefusalError
+
+_FEWEST = 30  # cells that both see
+_WIDE = 0.75  # of a picture's width or height: more is all of it
+
+
+def not_connected(grown: Grown) -> RefusalError:
+    """Names the devices, and says for one of them what would have to be seen, or taken."""
+    loose = sorted({name for pair in grown.waiting for name in pair} - set(grown.names))
+    reason = f"{', '.join(loose)}: not connected with {', '.join(grown.names)}."
+    bridges = [pair for pair in grown.waiting if any(name in grown.names for name in pair)]
+    if not bridges:
+        camera, projector = grown.waiting[0]
+        placed_camera, placed_projector = grown.names[:2]
+        return RefusalError(
+            f"{reason} No capture is of one of these and one of those.",
+            f"Take one of {placed_camera} in the light of {projector}, or of {camera} in that of {placed_projector}.",
+        )
+    where, advice = _overlap(grown, bridges)
+    return RefusalError(f"{reason} {where}", advice)
+
+
+def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str]:
+    """Of the pair of a placed and a loose device with most in common: what it lacks, and what to do."""
+    found = []
+    for pair in bridges:
+        known, new = pair if pair[0] in grown.names else pair[::-1]
+        partners = [name for other in grown.labelled if known in other for name in other if name != known]
+        by_new, by_others = (
+            np.any([np.isfinite(grown.overlaps.seen[known, each].pixels[..., 0]) for each in names], axis=0)
+            for names in ([new], partners)
+        )
+        found.append((np.count_nonzero(by_new & by_others), known, new, partners[0], by_new, by_others))
+    count, known, new, partner, by_new, by_others = max(found, key=lambda each: each[0])
+    size, centres = grown.knowledge.sizes[known], grown.overlaps.rasters[known].centres
+    seen, lit = ("sees", "see") if known not in grown.knowledge.cameras else ("lights", "light")
+    if count < _FEWEST:
+        here, there = _part(size, centres, by_new), _part(size, centres, by_others)
+        return (
+            f"In the picture of {known}, {new} {seen} {here} and {partner} {there}: nothing that both {lit}.",
+            f"Let {partner} {lit} what {new} {seen} there, or {new} what {partner} {seen}, on surfaces that are not "
+            "all one plane.",
+        )
+    return (
+        f"What {new} and {partner} both {lit} in the picture of {known}, {_part(size, centres, by_new & by_others)}, "
+        "does not place it: all of it is on one plane, or it is too little.",
+        f"Let {new} {lit} a second wall that {partner} {seen}, too, or put things before the first.",
+    )
+
+
+def _part(size: Size, centres: Floats, chosen: Bools) -> str:
+    """Which part of a picture cells (h, w) are, in words."""
+    if not chosen.any():
+        return "nothing"
+    low, high = np.percentile(centres[chosen], [5, 95], axis=0) / np.array(size)
+    names = []
+    for axis, (before, middle, after) in ((1, ("upper", "", "lower")), (0, ("left", "", "right"))):
+        mean = (low[axis] + high[axis]) / 2
+        wide = high[axis] - low[axis] > _WIDE
+        names.append(middle if wide or 0.4 < mean < 0.6 else before if mean < 0.5 else after)
+    words = " ".join(name for name in names if name)
+    if words:
+        return f"its {words} part"
+    return "all of it" if (high - low > _WIDE).all() else "its middle"

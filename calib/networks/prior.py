@@ -1,0 +1,92 @@
+"""What is known of devices and walls before a match is seen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.geometry import FACES, Size
+from calib.networks.network import Device, Network
+from calib.numerics import Floats
+from calib.refinement import PER_DEVICE, SQUARENESS_DEG, LensPrior, of_any_device
+from calib.rooms.priors import squareness
+from calib.self_calibration import PrincipalPoint
+
+_CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
+_EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+_SCALE_SIGMA = 1e-6  # of the first two devices' distance, which is the unit
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPrior:
+    """`mean`, `sigma` (devices, 8): of log f, x_0, y_0 and lens terms of each device; a sigma of 0 holds. `square`:
+    pairs of planes that are perpendicular but for `square_sigma` radians.
+    """
+
+    mean: Floats
+    sigma: Floats
+    square: tuple[tuple[int, int], ...]
+    square_sigma: float
+
+    def cost(self, network: Network) -> tuple[float, Floats, Floats]:
+        """Of a network, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
+        gradient, information = np.zeros(network.size), np.zeros((network.size, network.size))
+        every, cost = np.arange(network.size), 0.0
+        for i, device in enumerate(network.devices):
+            columns = every[network.device_columns(i)][:PER_DEVICE]
+            root = np.where(self.sigma[i] > 0, 1 / np.where(self.sigma[i] > 0, self.sigma[i], 1.0), 0.0)
+            deviation = (np.array([np.log(device.lens[0]), *device.lens[1:]]) - self.mean[i]) * root
+            cost += float(deviation @ deviation)
+            gradient[columns] += deviation * root
+            information[columns, columns] += root**2
+        for off, slope in (*squareness(network, self.square, self.square_sigma), _unit_of_length(network)):
+            cost += off**2
+            gradient += slope * off
+            information += np.outer(slope, slope)
+        return cost, gradient, information
+
+
+def _unit_of_length(network: Network) -> tuple[float, Floats]:
+    """How far the first two devices' distance is from 1, in sigmas, and its slope (size,)."""
+    apart = network.devices[1].pose.translation - network.devices[0].pose.translation
+    length, slope = float(np.linalg.norm(apart)), np.zeros(network.size)
+    slope[network.device_columns(1)][-3:] = apart / length / _SCALE_SIGMA
+    return (length - 1) / _SCALE_SIGMA, slope
+
+
+@dataclass(frozen=True)
+class NetworkKnowledge:
+    """`sizes` of all devices' images, by name; by how much the corner's walls are off square (standard deviation);
+    `lenses` and principal `points` of devices of which more is known than of any.
+    """
+
+    sizes: Mapping[str, Size]
+    cameras: frozenset[str]
+    squareness_deg: float = SQUARENESS_DEG
+    lenses: Mapping[str, LensPrior] = field(default_factory=dict)
+    points: Mapping[str, PrincipalPoint] = field(default_factory=dict)
+
+    def lens(self, name: str) -> LensPrior:
+        """That of an ordinary lens, if none is known."""
+        return self.lenses.get(name, LensPrior())
+
+    def point(self, camera: str) -> PrincipalPoint:
+        """The image's centre, if none is known."""
+        width, height = self.sizes[camera]
+        centre = PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CENTRE_SIGMA * width)
+        return self.points.get(camera, centre)
+
+    def prior(self, names: tuple[str, ...]) -> NetworkPrior:
+        """On these devices, and on planes of which the first three are the corner's."""
+        mean, sigma = np.empty((len(names), PER_DEVICE)), np.empty((len(names), PER_DEVICE))
+        for i, name in enumerate(names):
+            mean[i], sigma[i] = of_any_device(self.sizes[name], self.lens(name))
+            if name in self.cameras:
+                mean[i, 1:3], sigma[i, 1:3] = self.point(name).px, self.point(name).sigma_px
+        pairs = tuple((a, b) for a in FACES for b in FACES if a < b)
+        return NetworkPrior(mean, sigma, pairs, float(np.radians(max(self.squareness_deg, _EXACTLY_SQUARE))))
+
+    def held(self, name: str, device: Device) -> Device:
+        """A device with what is exactly known of it."""
+        prior = self.prior((name,))
+        return replace(device, lens=np.where(prior.sigma[0] > 0, device.lens, prior.mean[0]))

@@ -1,0 +1,138 @@
+"""Matches over one device's image: where others see the light of its pixels, or light what they see, on a grid.
+
+What several devices share is told in the image of the one that they share: a projector's pixel lights one point,
+whichever camera sees it, and a camera's pixel sees one point, whichever projector lights it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib.geometry import Size, nearest_depths, project, unproject
+from calib.networks.network import Device
+from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, median
+
+_MATCHES_PER_CELL = 3
+_LARGEST_CELL = 16  # pixels
+_JUMP = 0.5  # of a cell's width: further off the neighbours' line is another surface
+_STEPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Square cells of `cell` pixels over an image, `height` × `width` of them."""
+
+    cell: int
+    height: int
+    width: int
+
+    @classmethod
+    def fine(cls, size: Size, pixels: Iterable[Floats]) -> "Raster":
+        """With some in each cell of every list of pixels (N, 2)."""
+        cell = max(_cell_of(each, size) for each in pixels)
+        return cls(cell, size.height // cell, size.width // cell)
+
+    @cached_property
+    def centres(self) -> Floats:
+        """Pixels at the cells' centres, (h, w, 2)."""
+        x, y = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return (np.stack([x, y], axis=-1) * self.cell + (self.cell - 1) / 2).astype(np.float64)
+
+    def numbers(self, pixels: Floats) -> tuple[Ints, Bools]:
+        """Numbers of the cells of those pixels that are in one, and which (N,) these are."""
+        column, row = np.floor((pixels + 0.5) / self.cell).astype(np.int64).T
+        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        flat: Ints = (row * self.width + column)[inside]
+        return flat, inside
+
+
+def _cell_of(pixels: Floats, size: Size) -> int:
+    for cell in range(1, _LARGEST_CELL):
+        flat, _ = Raster(cell, size.height // cell, size.width // cell).numbers(pixels)
+        count = np.bincount(flat, minlength=1)
+        if np.median(count[count > 0]) >= _MATCHES_PER_CELL:
+            return cell
+    return _LARGEST_CELL
+
+
+@dataclass(frozen=True, eq=False)
+class SeenAt:
+    """Another device's `pixels` (h, w, 2) at a raster's centres, their derivatives `by_own` (h, w, 2, 2) by the
+    raster's pixels, and the `count` (h, w) of matches. NaN where neighbours are missing, or on another surface.
+
+    `noise_px`: of a match, in the other's pixels, by how far cells are off the mean of their neighbours.
+    """
+
+    pixels: Floats
+    by_own: Floats
+    count: Ints
+    noise_px: float
+
+    @classmethod
+    def of(cls, raster: Raster, own: Floats, other: Floats) -> "SeenAt":
+        """From matches of pixels (N, 2) of the raster's device with the other's."""
+        shape, cell = (raster.height, raster.width), raster.cell
+        flat, inside = raster.numbers(own)
+        count = np.bincount(flat, minlength=shape[0] * shape[1])
+
+        def mean(values: Floats) -> Floats:
+            sums = [np.bincount(flat, column[inside], minlength=len(count)) for column in values.T]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                return (np.stack(sums, axis=1) / count[:, None]).reshape(*shape, 2)
+
+        there, here = mean(other), mean(own)
+        across, moved = np.full((*shape, 2, 2), np.nan), np.full((*shape, 2, 2), np.nan)
+        for axis in (0, 1):  # along x, along y
+            after, before = ((slice(None), slice(2, None)), (slice(None), slice(None, -2)))
+            middle = (slice(None), slice(1, -1))
+            if axis:
+                after, before, middle = after[::-1], before[::-1], middle[::-1]
+            moved[middle][..., axis] = there[after] - there[before]
+            across[middle][..., axis] = here[after] - here[before]
+        determinant = across[..., 0, 0] * across[..., 1, 1] - across[..., 0, 1] * across[..., 1, 0]
+        singular = ~(np.abs(determinant) > 0.1 * cell**2)
+        across[singular] = np.eye(2)
+        by_own = moved @ np.linalg.inv(across)
+        by_own[singular] = np.nan
+        pixels = there - np.einsum("hwij,hwj->hwi", by_own, here - raster.centres)
+        # The mean of the four neighbours is where the cell itself is, unless a surface ends between them.
+        around = np.full_like(pixels, np.nan)
+        around[1:-1, 1:-1] = (pixels[:-2, 1:-1] + pixels[2:, 1:-1] + pixels[1:-1, :-2] + pixels[1:-1, 2:]) / 4
+        width = cell * np.sqrt(np.abs(np.linalg.det(np.nan_to_num(by_own))))
+        off = np.linalg.norm(pixels - around, axis=-1)
+        jumps = ~(off < _JUMP * width)
+        pixels[jumps] = np.nan
+        number = count.reshape(shape)
+        # A cell's mean and that of four neighbours differ by 5/4 of a cell's variance.
+        scatter = (off * np.sqrt(number * 4 / 5))[~jumps]
+        return cls(pixels, by_own, number, median(scatter) / MEDIAN_LENGTH if len(scatter) else np.nan)
+
+
+def depths(own: Device, other: Device, centres: Floats, seen: SeenAt) -> tuple[Floats, Floats]:
+    """Along a device's rays through pixels (h, w, 2), in multiples of rays of z = 1, as another one has it, (h, w).
+
+    And its derivatives (h, w, 2) by the other's pixels. NaN where it sees nothing. The depth is where the point is seen
+    nearest to the other's pixel.
+    """
+    shape = centres.shape[:2]
+    depth, by_px = np.full(shape, np.nan), np.full((*shape, 2), np.nan)
+    at = np.isfinite(seen.pixels).all(axis=-1)
+    if not at.any():
+        return depth, by_px
+    pixels = seen.pixels[at]
+    rays = unproject(own.lens, centres[at])[0] @ own.pose.rotation.T
+    back, _ = unproject(other.lens, pixels)
+    apart = own.pose.translation - other.pose.translation
+    found = nearest_depths(rays, back @ other.pose.rotation.T, apart)[0]
+    turned = rays @ other.pose.rotation
+    for _ in range(_STEPS):
+        predicted, by_point, _ = project(other.lens, found[:, None] * turned + apart @ other.pose.rotation)
+        along = np.einsum("nij,nj->ni", by_point, turned)
+        square = np.sum(along**2, axis=1)
+        found = found + np.sum(along * (pixels - predicted), axis=1) / square
+    good = found > 0
+    depth[at] = np.where(good, found, np.nan)
+    by_px[at] = np.where(good[:, None], along / square[:, None], np.nan)
+    return depth, by_px

@@ -1,0 +1,183 @@
+"""Points that one device shares with several others tie these, whatever surface they are on.
+
+A pixel of the shared device, the hub, is a ray; each other device has a pixel where its own ray meets it. How far along
+the hub's ray the point is, is estimated for each point, and eliminated from the normal equations (the Schur complement
+of bundle adjustment; Triggs et al., "Bundle adjustment – a modern synthesis", 2000).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.geometry import project, unproject
+from calib.networks.network import PER_NODE, Device, Network, turned_by
+from calib.networks.raster import Raster, SeenAt, depths
+from calib.numerics import Bools, Floats, Ints, evenly
+from calib.refinement import PER_DEVICE
+from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.rooms.contacts import alike_in_blocks
+
+_MOST, _FEWEST = 2000, 30
+_STEPS = 4
+_BEHIND = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPoints:
+    """`pixels` (M, 2) of the device `hub`; `seen` (M, K, 2) of the devices `others`, and `variance` (M, K) of each
+    coordinate there, infinite where one does not see the point. `depths` (M,) along the hub's rays of z = 1, roughly.
+    """
+
+    hub: int
+    others: tuple[int, ...]
+    pixels: Floats
+    seen: Floats
+    variance: Floats
+    depths: Floats
+
+    def columns(self, network: Network) -> Ints:
+        """Those of the hub, then of all others, (14 (K + 1),)."""
+        every = np.arange(network.size, dtype=np.int32)
+        return np.concatenate([every[network.device_columns(device)] for device in (self.hub, *self.others)])
+
+    @cached_property
+    def freedom(self) -> Ints:
+        """Of each point (M,): two coordinates in each other's image, less the depth."""
+        number: Ints = 2 * np.count_nonzero(np.isfinite(self.variance), axis=1) - 1
+        return number
+
+    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
+        """Cost under Huber's loss, half its gradient (Q,) and its Gauss–Newton Hessian (Q, Q), of `columns`."""
+        off, by_depth, jacobian, ahead = self._linearised(network)
+        weight = np.where(ahead[:, None], 1 / self.variance, 0.0)
+        size = np.sqrt(np.sum(weight[..., None] * off**2, axis=(1, 2)))
+        limit = ROBUST_SIGMAS * np.sqrt(self.freedom / 2)
+        robust = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+        cost = float(np.sum(robust * size * (2 * size - robust * size))) + _BEHIND * np.count_nonzero(~ahead)
+        weight = weight * robust[:, None]
+        left = jacobian + by_depth[..., None] * _slope_of_depth(weight, by_depth, jacobian)[:, None, None]
+        rows = (left * np.sqrt(weight)[..., None, None]).reshape(-1, left.shape[-1])
+        return cost, rows.T @ (off * np.sqrt(weight)[..., None]).ravel(), rows.T @ rows
+
+    def depth_slopes(self, network: Network) -> Floats:
+        """How the depths along the hub's rays follow `columns`, (M, Q)."""
+        _, by_depth, jacobian, _ = self._linearised(network)
+        return _slope_of_depth(1 / self.variance, by_depth, jacobian)
+
+    def relative(self, network: Network) -> tuple[Floats, Floats]:
+        """χ² of each point, over what half of all points would be below, (M,); and by how many sigmas the first device
+        that sees it is off, across the line that the hub's ray is in its image, (M,).
+        """
+        off, by_depth, _, ahead = self._linearised(network)
+        square = np.sum(off**2 / self.variance[..., None], axis=(1, 2)) / chi2.ppf(0.5, self.freedom)
+        first = np.arange(len(off)), np.argmax(np.isfinite(self.variance), axis=1)
+        own, way = off[first], by_depth[first] / np.linalg.norm(by_depth[first], axis=1, keepdims=True)
+        across = (own[:, 0] * way[:, 1] - own[:, 1] * way[:, 0]) / np.sqrt(self.variance[first])
+        return np.where(ahead, square, np.inf), np.where(ahead, across, 0.0)
+
+    def _linearised(self, network: Network) -> tuple[Floats, Floats, Floats, Bools]:
+        """At the best depths: how far predictions are off (M, K, 2), how these follow the depth, and the columns
+        (M, K, 2, Q), and which points (M,) are ahead of all devices.
+        """
+        hub = network.devices[self.hub]
+        others = [network.devices[number] for number in self.others]
+        rays, by_lens = unproject(hub.lens, self.pixels)
+        turned, depth = rays @ hub.pose.rotation.T, self.depths
+        known = np.isfinite(self.variance)
+        for _ in range(_STEPS):
+            off, by_depth, _ = self._predicted(others, hub, turned, depth)
+            weighted = by_depth / self.variance[..., None]
+            square = np.sum(weighted * by_depth, axis=(1, 2))
+            step = np.sum(weighted * off, axis=(1, 2)) / np.maximum(square, 1e-300)
+            depth = np.where(depth - step > 0.2 * depth, depth - step, 0.2 * depth)
+        off, by_depth, before = self._predicted(others, hub, turned, depth)
+        ahead = (depth > 0) & ((before[..., 2] > 0) | ~known).all(axis=1)
+        by_hub = np.concatenate(
+            [
+                depth[:, None, None] * (hub.pose.rotation @ by_lens),
+                turned_by(depth[:, None] * turned),
+                np.broadcast_to(np.eye(3), (len(depth), 3, 3)),
+            ],
+            axis=2,
+        )
+        jacobian = np.zeros((*off.shape, PER_NODE * (1 + len(others))))
+        for k, other in enumerate(others):
+            _, by_point, by_other = project(other.lens, before[:, k])
+            to_pixels = by_point @ other.pose.rotation.T
+            own = PER_NODE * (k + 1)
+            points = before[:, k] @ other.pose.rotation.T
+            jacobian[:, k, :, :PER_NODE] = to_pixels @ by_hub
+            jacobian[:, k, :, own : own + PER_DEVICE] = by_other
+            jacobian[:, k, :, own + PER_DEVICE : own + PER_DEVICE + 3] = -to_pixels @ turned_by(points)
+            jacobian[:, k, :, own + PER_DEVICE + 3 : own + PER_NODE] = -to_pixels
+        jacobian[~known | ~ahead[:, None]] = 0.0
+        return off, by_depth, jacobian, ahead
+
+    def _predicted(
+        self, others: list[Device], hub: Device, turned: Floats, depth: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Off (M, K, 2) at some depths, the derivatives by these, and the points (M, K, 3) in the others' frames."""
+        points = hub.pose.translation + depth[:, None] * turned
+        before = np.stack([(points - other.pose.translation) @ other.pose.rotation for other in others], axis=1)
+        off, by_depth = np.zeros_like(self.seen), np.zeros_like(self.seen)
+        known = np.isfinite(self.variance)
+        for k, other in enumerate(others):
+            predicted, by_point, _ = project(other.lens, before[:, k])
+            off[:, k] = np.where(known[:, k, None], predicted - self.seen[:, k], 0.0)
+            by_depth[:, k] = np.einsum("mij,mj->mi", by_point, turned @ other.pose.rotation)
+        by_depth[~known] = 0.0
+        return np.nan_to_num(off), np.nan_to_num(by_depth), before
+
+
+def _slope_of_depth(weight: Floats, by_depth: Floats, jacobian: Floats) -> Floats:
+    """Of the best depth under weights (M, K), (M, Q)."""
+    count, weighted = len(weight), weight[..., None] * by_depth
+    along = np.sum(weighted * by_depth, axis=(1, 2))
+    pull = (weighted.reshape(count, 1, -1) @ jacobian.reshape(count, by_depth[0].size, -1))[:, 0]
+    slope: Floats = -pull / np.maximum(along, 1e-300)[:, None]
+    return slope
+
+
+def shared_points(
+    hub: int, raster: Raster, seen: Mapping[int, SeenAt], loose: Bools, network: Network, repeats: Mapping[int, int]
+) -> SharedPoints | None:
+    """Of the cells `loose` (h, w) that two devices or more see; None of too few.
+
+    `seen`: by number of the other device. `repeats`: how many hubs each one's matches are counted in. Variances are as
+    much larger than noise as the residuals show, and as errors that are alike over blocks show.
+    """
+    others = tuple(seen)
+    there = np.stack([np.isfinite(seen[k].pixels).all(axis=-1) for k in others], axis=-1) & loose[..., None]
+    several = there.sum(axis=-1) > 1
+    row, column = np.unravel_index(evenly(several.ravel(), _MOST), several.shape)
+    if len(row) < _FEWEST:
+        return None
+    every = [depths(network.devices[hub], network.devices[k], raster.centres, seen[k]) for k in others]
+    depth = np.stack([each[0][row, column] for each in every], axis=1)
+    sensitive = np.stack([np.linalg.norm(each[1][row, column], axis=1) for each in every], axis=1)
+    depth[~there[row, column]] = np.nan
+    first = np.take_along_axis(depth, np.argmin(np.where(np.isfinite(depth), sensitive, np.inf), axis=1)[:, None], 1)
+    good = np.isfinite(first[:, 0])
+    if np.count_nonzero(good) < _FEWEST:
+        return None
+    row, column = row[good], column[good]
+    pixels = np.stack([seen[k].pixels[row, column] for k in others], axis=1)
+    variance = np.stack(
+        [repeats[k] * seen[k].noise_px ** 2 / np.maximum(seen[k].count[row, column], 1) for k in others], axis=1
+    )
+    known = there[row, column]
+    found = SharedPoints(
+        hub,
+        others,
+        raster.centres[row, column],
+        np.where(known[..., None], pixels, 0.0),
+        np.where(known, variance, np.inf),
+        first[good, 0],
+    )
+    relative, across = found.relative(network)
+    larger = max(1.0, float(np.median(relative)))
+    across = np.clip(across / np.sqrt(larger), -ROBUST_SIGMAS, ROBUST_SIGMAS)
+    return replace(found, variance=found.variance * larger * alike_in_blocks(found.pixels, across))

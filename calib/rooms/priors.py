@@ -1,0 +1,155 @@
+"""What is known of a rig and of a room before any match is seen."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.geometry import tangent_basis
+from calib.numerics import Bools, Floats
+from calib.refinement import (
+    SHARED,
+    TRANSLATION,
+    Knowledge,
+    KnownRig,
+    Pose,
+    State,
+    inverse_of,
+)
+from calib.rooms.likelihood import Layout
+from calib.rooms.room import Room
+
+_EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+
+
+@dataclass(frozen=True, eq=False)
+class RigPrior:
+    """Gaussian prior on the rig: its `mean`, the `precision` (21, 21) of the step from there, and which columns (21,)
+    are `known`, that is, held where the start has them.
+    """
+
+    mean: State
+    precision: Floats
+    known: Bools
+
+    @classmethod
+    def from_knowledge(cls, knowledge: Knowledge, start: State) -> "RigPrior":
+        """What is known of any rig of its image sizes, and of this one's principal point: the prior for stations from
+        whose own matches the start was calibrated, which must not count twice.
+        """
+        pose = Pose(np.eye(3), np.zeros(3))
+        layout = State(start.camera, start.projector, start.rotation, start.translation, np.zeros((1, 3)), (pose,))
+        prior = knowledge.prior(layout)
+        mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
+        precision = np.diag(prior.root_precision[:SHARED] ** 2)
+        return cls(mean, precision, prior.sigma[:SHARED] == 0)
+
+    @classmethod
+    def from_calibration(cls, calibrated: State, covariance: Floats) -> "RigPrior":
+        """A calibration from other matches than the stations', with its `covariance` (21 or more columns, square);
+        a column without variance is known.
+        """
+        of_rig = covariance[:SHARED, :SHARED]
+        known = np.diag(of_rig) <= 0
+        precision = np.zeros((SHARED, SHARED))
+        safe = KnownRig(calibrated, of_rig).safe_covariance
+        precision[np.ix_(~known, ~known)] = inverse_of(safe[np.ix_(~known, ~known)])
+        return cls(rig_of(calibrated), precision, known)
+
+    @classmethod
+    def exactly(cls, calibrated: State) -> "RigPrior":
+        """The rig as it was calibrated, all of it held."""
+        return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
+
+    def holding(self, columns: Sequence[int]) -> "RigPrior":
+        """The same with some columns held where the start has them."""
+        known, precision = self.known.copy(), self.precision.copy()
+        known[list(columns)] = True
+        precision[list(columns)] = precision[:, list(columns)] = 0.0
+        return replace(self, precision=precision, known=known)
+
+    def cost(self, rig: State) -> tuple[float, Floats, Floats]:
+        """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""
+        by_step = np.eye(SHARED)
+        by_step[TRANSLATION, TRANSLATION] = tangent_basis(self.mean.translation).T @ tangent_basis(rig.translation)
+        deviation = self.mean.step_to(rig)
+        pull = self.precision @ deviation
+        return float(deviation @ pull), by_step.T @ pull, by_step.T @ self.precision @ by_step
+
+
+def rig_of(state: State) -> State:
+    """A state's rig, without corners."""
+    return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
+
+
+def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
+    """The step (21,) to the mean of what has a prior; nothing else moves."""
+    told = np.isfinite(sigma) & (sigma > 0)
+    return np.where(told, mean - rig_of(start).additive(), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomPrior:
+    """What is known of a room before its matches are seen.
+
+    `square`: pairs of planes that are perpendicular, with a standard deviation of `square_sigma` radians each. `start`:
+    stations are where it has them but for `place_sigma`, of a turn in radians and of a shift in baselines, which holds
+    what no plane determines.
+    """
+
+    rig: RigPrior
+    square: tuple[tuple[int, int], ...]
+    square_sigma: float
+    start: Room
+    place_sigma: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls,
+        rig: RigPrior,
+        square: Sequence[tuple[int, int]],
+        squareness_deg: float,
+        start: Room,
+        place_sigma: tuple[float, float],
+    ) -> "RoomPrior":
+        """With angles in degrees; 0 is as good as exactly square."""
+        pairs = tuple(sorted({(min(pair), max(pair)) for pair in square}))
+        return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
+
+    def free(self, seen: Bools) -> Bools:
+        """Which columns are estimated, (size,): not what is known of the rig, the first place, planes not `seen`."""
+        free = np.ones(self.start.size, np.bool_)
+        free[:SHARED] = ~self.rig.known
+        free[self.start.place_columns(0)] = False
+        for plane in np.flatnonzero(~seen):
+            free[self.start.plane_columns(int(plane))] = False
+        return free
+
+    def cost(self, room: Room) -> tuple[float, Floats, Floats]:
+        """Of a room, with half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
+        gradient, information = np.zeros(room.size), np.zeros((room.size, room.size))
+        cost, gradient[:SHARED], information[:SHARED, :SHARED] = self.rig.cost(room.rig)
+        sigma = np.repeat(self.place_sigma, 3)
+        step = self.start.step_to(room)
+        for station in range(1, len(room.places)):
+            columns = room.place_columns(station)
+            deviation = step[columns] / sigma
+            cost += float(deviation @ deviation)
+            gradient[columns] += deviation / sigma
+            information[columns, columns] += np.diag(sigma**-2.0)
+        for deviation, slope in squareness(room, self.square, self.square_sigma):
+            cost += deviation**2
+            gradient += slope * deviation
+            information += np.outer(slope, slope)
+        return cost, gradient, information
+
+
+def squareness(layout: Layout, pairs: Sequence[tuple[int, int]], sigma: float) -> Iterator[tuple[float, Floats]]:
+    """How far each of some pairs of planes is from perpendicular, in `sigma` (radians), and its slope (size,)."""
+    for pair in pairs:
+        normals = [layout.planes[plane].normal for plane in pair]
+        slope = np.zeros(layout.size)
+        for plane, own, other in zip(pair, normals, normals[::-1], strict=True):
+            start = layout.plane_columns(plane).start
+            slope[start : start + 2] += tangent_basis(own).T @ other / sigma
+        yield float(normals[0] @ normals[1]) / sigma, slope

@@ -1,0 +1,59 @@
+"""How much each projector gives of the light where several meet: weights that are smooth and add up to one.
+
+The weight of a projector is the square of the distance, in its image, from the edge of what it shows, over the sum of
+all projectors' there. At its edge it comes to zero without a kink. An edge is the image's, the content's, a hole, or
+where a surface hides another behind it.
+"""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from calib.numerics import Bools, Floats
+from scanner.exporting.mapping.eye import Seen
+
+_EDGE = 0.02  # of the depth: the step to a neighbour beyond what a plane has
+_SAME = 0.005  # of the depth: closer ones are one surface
+
+
+def blend_weights(projectors: Sequence[Seen], shown: Sequence[Bools]) -> list[Floats]:
+    """Weights (H, W) in linear light of each projector's pixels, 0 where `shown` (H, W) is false."""
+    inward = [_from_edge(seen, mask) for seen, mask in zip(projectors, shown, strict=True)]
+    weights = []
+    for number, (seen, own) in enumerate(zip(projectors, inward, strict=True)):
+        total = own**2
+        for other, (elsewhere, distance) in enumerate(zip(projectors, inward, strict=True)):
+            if other != number:
+                total = total + _at(elsewhere, distance, seen.points) ** 2
+        weights.append(np.where(shown[number], own**2 / np.where(total > 0, total, 1.0), 0.0))
+    return weights
+
+
+def _from_edge(seen: Seen, shown: Bools) -> Floats:
+    """Distance (H, W) from the nearest edge, over the image's height."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1 / seen.depth  # of a plane it is linear in the image
+    steps = np.zeros(shown.shape)
+    for axis in (0, 1):
+        bent = np.abs(np.diff(inverse, 2, axis=axis, prepend=np.nan, append=np.nan)) * seen.depth
+        steps = np.fmax(steps, bent)
+    inside = np.pad(shown & (steps < _EDGE), 1).astype(np.uint8)
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    # Pixels at the very edge, too, belong to somebody.
+    found: Floats = np.where(shown, np.maximum(distance, 0.5), 0.0) / len(shown)
+    return found
+
+
+def _at(seen: Seen, distance: Floats, points: Floats) -> Floats:
+    """Another projector's distance from its edge where it lights the same points (H, W, 3); 0 where it does not."""
+    place = seen.projector.place
+    before = (points - place.translation) @ place.rotation
+    pixels = np.nan_to_num(seen.projector.intrinsics.project(before), nan=-2.0)
+    at = [pixels[..., 1], pixels[..., 0]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = 1 / map_coordinates(1 / seen.depth, at, order=1, cval=np.nan)
+        same = np.abs(depth - before[..., 2]) < _SAME * before[..., 2]
+    found: Floats = np.where(same, map_coordinates(distance, at, order=1, cval=0.0), 0.0)
+    return found

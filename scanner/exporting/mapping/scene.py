@@ -1,0 +1,79 @@
+"""What light is mapped onto: the projectors of a result, and its surface as triangles, in one frame."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calib.geometry import Motion
+from calib.numerics import Floats
+from scanner.errors import InputError
+from scanner.exporting.poisson import mesh_of, poisson
+from scanner.exporting.triangles import Mesh, build_mesh
+from scanner.io import CloudPoints, StoredDevice, read_cloud, read_network
+from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, OBJECT_FILE, ROOM_FILE, read_finished_scan
+
+_SHALLOWEST, _DEEPEST = 5, 9  # levels of Poisson's octree: 512 cells to a side
+_AROUND = 1.1  # of the extent
+_NEIGHBOURS = 6
+_FAR = 4.0  # times the points' spacing there: further off, a surface is made up
+_FEWEST = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """`projectors` with their places and `mesh`, in the mesh's unit and the frame of the result: y is down.
+    `baseline`: between which devices that unit is, where no length is known.
+    """
+
+    projectors: tuple[StoredDevice, ...]
+    mesh: Mesh
+    baseline: str
+
+
+def read_scene(result: Path) -> Scene:
+    """Of a network, or of a single camera and projector. Raises InputError."""
+    if (result / NETWORK_FILE).is_file():
+        return _of_network(result)
+    for name in (ROOM_FILE, OBJECT_FILE):
+        if (result / name).is_file():
+            raise InputError(
+                f"{result}: rig or thing was moved between its stations, so no projector stands where it stood; "
+                f"export one station, as in {result}/captures/1"
+            )
+    scan = read_finished_scan(result)
+    found = scan.calibration
+    pose = Motion(found.rotation.T.copy(), found.projector_centre)
+    return Scene(
+        (StoredDevice("projector", "projector", found.projector, pose),), build_mesh(scan), "from camera to projector"
+    )
+
+
+def _of_network(result: Path) -> Scene:
+    network = read_network(result / NETWORK_FILE)
+    projectors = tuple(each for each in network.devices if each.kind == "projector")
+    if not projectors:
+        raise InputError(f"{result / NETWORK_FILE}: has no projector, so there is nothing to map")
+    mesh = surface_through(read_cloud(result / NETWORK_CLOUD_FILE), network.unit)
+    if mesh is None:
+        raise InputError(f"{result / NETWORK_CLOUD_FILE}: its points do not hang together as a surface to project on")
+    first, second = (each.name for each in network.devices[:2])
+    return Scene(projectors, mesh, f"from {first} to {second}")
+
+
+def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:
+    """Of all points with a normal, cut off where none is near; small holes are closed. None if nothing is left."""
+    has_normal = np.linalg.norm(cloud.normals, axis=1) > 0.5
+    points: Floats = cloud.points[has_normal]
+    if len(points) < _FEWEST:
+        return None
+    tree = cKDTree(points)
+    spacing = np.asarray(tree.query(points, _NEIGHBOURS)[0])[:, -1]
+    cells = float(np.max(np.ptp(points, axis=0))) / float(np.median(spacing))
+    depth = int(np.clip(np.ceil(np.log2(cells)), _SHALLOWEST, _DEEPEST))
+    mesh = poisson(points, cloud.normals[has_normal], cloud.colours[has_normal], depth=depth, scale=_AROUND)
+    apart, nearest = tree.query(np.asarray(mesh.vertices))
+    mesh.remove_vertices_by_mask(apart > _FAR * spacing[nearest])
+    mesh.remove_degenerate_triangles()
+    return mesh_of(mesh, unit) if len(mesh.triangles) else None

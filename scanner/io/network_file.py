@@ -1,0 +1,52 @@
+"""`network.yaml`: every camera and projector of a network, where it stands, and its intrinsics."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from calib.geometry import Intrinsics, Motion
+from scanner.io.calibration_file import DeviceEntry
+from scanner.io.room_file import PlacedEntry
+from scanner.io.validation import Entry, validate
+from scanner.io.yaml_text import read_yaml
+
+
+class _NetworkDevice(DeviceEntry, PlacedEntry):
+    # It becomes the name of a file.
+    name: str = Field(min_length=1, max_length=200, pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")
+    kind: Literal["camera", "projector"]
+
+
+class _NetworkEntry(Entry):
+    unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
+    devices: list[_NetworkDevice] = Field(min_length=2, max_length=1000)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredDevice:
+    """X_network = rotation X_device + translation, as of `place`."""
+
+    name: str
+    kind: Literal["camera", "projector"]
+    intrinsics: Intrinsics
+    place: Motion
+
+
+@dataclass(frozen=True)
+class StoredNetwork:
+    """The part of a network that other files need. All lengths are in `unit`."""
+
+    unit: str
+    devices: tuple[StoredDevice, ...]
+
+
+def read_network(path: Path) -> StoredNetwork:
+    """Raises InputError if the file is missing or malformed, or holds no rotation."""
+    entry = validate(_NetworkEntry, read_yaml(path), str(path))
+    devices = (
+        StoredDevice(each.name, each.kind, each.intrinsics(), each.place(f"{path}: device {each.name}"))
+        for each in entry.devices
+    )
+    return StoredNetwork(entry.unit, tuple(devices))

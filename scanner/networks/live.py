@@ -1,0 +1,69 @@
+"""Captures of a network by its own devices: each projector shows its sequence to one camera after the other."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from calib.geometry import Size
+from hw.projector.process import ScreenProjector
+from hw.settings import CameraRigSettings
+from scanner.configuration import Config
+from scanner.errors import InputError
+from scanner.networks.captures import Captures, Pair, labelled
+from scanner.pipeline import take
+from scanner.results import CAPTURES_FOLDER
+from scanner.ui import Terminal
+
+
+def pairs_to_take(config: Config) -> dict[Pair, Config]:
+    """The configuration of each pair, projector by projector. Raises InputError for what no capture could mend."""
+    pairs = config.pairs
+    if len(pairs) < 2:
+        raise InputError("rigs: a network needs two pairs of devices or more; one camera and one projector are a rig")
+    sizes: dict[str, Size] = {}
+    for pair, own in pairs.items():
+        for name, size in zip(pair, (own.camera_size, own.projector_size), strict=True):
+            if sizes.setdefault(name, size) != size:
+                raise InputError(
+                    f"rigs: {name} has {size} pixels with {' and '.join(pair)}, and {sizes[name]} elsewhere"
+                )
+        own.principal_point(own.camera_size)
+        if own.required_rig.backend != config.required_rig.backend and "simulated" in (
+            own.required_rig.backend,
+            config.required_rig.backend,
+        ):
+            raise InputError(f"rigs: {' and '.join(pair)} mix simulated and real devices")
+    return pairs
+
+
+def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -> Captures:
+    """Capture each pair in turn, each recorded in a folder of its own, while all other projectors show black.
+
+    Raises DeviceError, StorageError; what was captured before stays.
+    """
+    decoded, sizes = {}, {}
+    for number, ((camera, projector), config) in enumerate(pairs.items(), start=1):
+        place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
+        place.mkdir(parents=True)
+        name = f"{camera} sees {projector} ({number} of {len(pairs)})"
+        with _others_black(pairs, projector):
+            taken = take(config.required_rig, config, place, terminal, name)
+        decoded[camera, projector] = labelled(taken, config)
+        sizes |= {camera: config.camera_size, projector: config.projector_size}
+    return Captures(decoded, sizes)
+
+
+@contextmanager
+def _others_black(pairs: Mapping[Pair, Config], projector: str) -> Iterator[None]:
+    """Black on the screens of all other projectors; in a simulated room they are dark by themselves."""
+    others = {name: own for (_, name), own in pairs.items() if name != projector}
+    with ExitStack() as screens:
+        for own in others.values():
+            rig, (width, height) = own.required_rig, own.projector_size
+            if isinstance(rig, CameraRigSettings):
+                screen = screens.enter_context(ScreenProjector(rig.screen, (width, height)))
+                screen.prepare(np.zeros((height, width), np.uint8))
+                screen.flip()
+        yield

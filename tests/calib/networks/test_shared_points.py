@@ -1,0 +1,61 @@
+import numpy as np
+
+from calib.geometry import Motion, project, rotation_about
+from calib.networks.network import Device, Network
+from calib.networks.shared_points import SharedPoints
+from calib.numerics import Floats
+from calib.rooms.planes import RoomPlane
+
+LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
+
+
+def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoints]:
+    """Points that the second of three devices shares with the others; a few of them with one only."""
+    poses = [
+        Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)
+    ]
+    network = Network(
+        tuple(Device(LENS * (1 + 0.05 * i), pose) for i, pose in enumerate(poses)),
+        (RoomPlane(np.array([0.0, 0, 1]), 4.0),),
+    )
+    points = rng.uniform((-1, -1, 3), (1, 1, 5), (80, 3))
+
+    def seen(number: int) -> Floats:
+        device = network.devices[number]
+        return project(device.lens, (points - device.pose.translation) @ device.pose.rotation)[0]
+
+    others = np.stack([seen(0), seen(2)], axis=1) + rng.normal(0, noise_px, (80, 2, 2))
+    variance = np.full((80, 2), noise_px**2)
+    variance[:5, 1] = np.inf
+    ahead = ((points - poses[1].translation) @ poses[1].rotation)[:, 2]
+    return network, SharedPoints(1, (0, 2), seen(1), others, variance, 1.1 * ahead)
+
+
+def test_the_gradient_is_that_of_the_cost() -> None:
+    rng = np.random.default_rng(0)
+    network, shared = made(rng, 0.5)
+    columns = shared.columns(network)
+    cost, gradient, information = shared.misfit(network)
+
+    assert 0.7 < cost / shared.freedom.sum() < 1.3
+    scale = np.sqrt(np.diag(information))
+    for at, column in enumerate(columns):
+        step = np.zeros(network.size)
+        step[column] = 1e-3 / scale[at]
+        after, before = (shared.misfit(network.moved(sign * step))[0] for sign in (1, -1))
+        assert (
+            abs((after - before) / (4 * step[column]) - gradient[at])
+            < 1e-3 * np.abs(gradient / scale).max() * scale[at]
+        )
+    curvature = information[:, columns == 20][:, 0]
+    assert curvature[columns == 20][0] > 0
+
+
+def test_points_err_as_their_variances_say() -> None:
+    network, shared = made(np.random.default_rng(1), 0.2)
+
+    relative, across = shared.relative(network)
+
+    assert shared.freedom[:5].tolist() == [1] * 5
+    assert 0.7 < np.median(relative) < 1.4
+    assert 0.8 < np.std(across) < 1.2

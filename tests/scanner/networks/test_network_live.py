@@ -1,0 +1,108 @@
+"""A network captured by its own devices: two cameras and two projectors in one simulated room."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calib.geometry import Size
+from scanner.commands.main import main as scan
+from scanner.configuration import load_config
+from scanner.errors import InputError
+from scanner.io import read_calibration
+
+HALL = Path(__file__).parents[3] / "configs" / "hall-sim.yaml"
+SMALL = ["camera.width=306", "camera.height=256", "projector.width=320", "projector.height=180"]
+SETTINGS = [word for each in SMALL for word in ("--set", each)]
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("network") / "hall"
+    assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(out), "--quiet"]) == 0
+    return out
+
+
+def test_every_device_is_as_it_is(taken: Path) -> None:
+    document = yaml.safe_load((taken / "network.yaml").read_text(encoding="utf-8"))
+    found = {each["name"]: each for each in document["devices"]}
+    assert {*found} == {"left", "right", "stage", "side"}
+    for camera, projector in (("left", "stage"), ("right", "side")):
+        truth = read_calibration(taken / "captures" / f"{camera}-{projector}" / "truth.yaml")
+        for name, device in ((camera, truth.camera), (projector, truth.projector)):
+            off = found[name]["focal_px"][0] / device.focal_px[0] - 1
+            sigma = found[name]["sigma"]["focal_px"][0] / device.focal_px[0]
+            assert 1e-5 < sigma < 0.01
+            assert abs(off) < 4 * sigma
+    assert found["left"]["focal_px"][0] < 0.97 * found["right"]["focal_px"][0]
+
+
+def test_its_captures_give_the_same_network_again(taken: Path, tmp_path: Path) -> None:
+    pairs = sorted(map(str, (taken / "captures").iterdir()))
+    assert [Path(pair).name for pair in pairs] == ["left-side", "left-stage", "right-side", "right-stage"]
+    again = tmp_path / "again"
+    assert scan(["network", *pairs, "--config", str(HALL), *SETTINGS, "--out", str(again), "--quiet"]) == 0
+    first, second = (yaml.safe_load((each / "network.yaml").read_text(encoding="utf-8")) for each in (taken, again))
+    for one, other in zip(*(sorted(each["devices"], key=_name) for each in (first, second)), strict=True):
+        assert one["name"] == other["name"]
+        np.testing.assert_allclose(one["focal_px"], other["focal_px"], rtol=1e-6)
+
+
+def _name(device: dict[str, str]) -> str:
+    return device["name"]
+
+
+def test_a_pair_is_the_common_keys_with_those_of_its_devices() -> None:
+    config = load_config(HALL, ["rigs.cameras.right.camera={width: 640, height: 480}"])
+    pairs = config.pairs
+    assert [*pairs] == [("left", "stage"), ("right", "stage"), ("left", "side"), ("right", "side")]
+    assert [own.camera_size for own in pairs.values()] == [Size(480, 400), Size(640, 480)] * 2
+    places = [
+        (own.required_rig.model_dump()["pose"], own.required_rig.model_dump()["projector_pose"])
+        for own in pairs.values()
+    ]
+    assert places == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    assert all(own.required_rig.model_dump()["seed"] == 3 for own in pairs.values())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("rigs=null", "no 'rigs'"),
+        ("rigs.cameras.left.rig.poze=1", "rigs: left with stage: unknown key 'rig.poze'"),
+        ("rigs.cameras={le-ft: {}}", "is no name of a device"),
+        ("rigs.cameras={stage: {}}", "the same name"),
+        ("rigs={cameras: {left: {}}, projectors: {stage: {}}}", "two pairs of devices or more"),
+        ("rigs.projectors.side.camera={width: 320, height: 240}", "left has 320 × 240 pixels with left and side"),
+    ],
+)
+def test_what_is_impossible_is_named_before_a_capture(
+    change: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert scan(["network", "--config", str(HALL), "--set", change, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_captures_or_devices_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert scan(["network"]) == 2
+    assert "--config" in capsys.readouterr().err
+
+
+def test_a_device_that_fails_costs_no_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import scanner.networks.live as live
+
+    whole: Callable[..., object] = live.take
+
+    def failing(rig: object, config: object, place: Path, *rest: object) -> object:
+        if place.name == "right-stage":
+            raise InputError("the cable is out")
+        return whole(rig, config, place, *rest)
+
+    monkeypatch.setattr(live, "take", failing)
+    assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    (kept,) = tmp_path.glob("out-incomplete*")
+    (capture,) = kept.glob("captures/*/capture/capture.yaml")
+    assert capture.parent.parent.name == "left-stage"
