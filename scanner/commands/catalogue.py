@@ -139,7 +139,8 @@ The rig rests, and the thing is turned between stations, on a turntable or by ha
 seen again. What rests, table and wall, is told from what moved, and left out. To take them: scan --config FILE
 --object --stations N --calibration FILE.
 
-Exit codes: 4 if no two stations belong together, or if one could as well be turned otherwise, as of a ball.
+Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
+station could as well be turned otherwise, as of a ball.
 """,
     ),
     "live": Command(
