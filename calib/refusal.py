@@ -18,7 +18,7 @@ class RefusalError(Exception):
 
 
 class NoMeasurementError(RefusalError):
-    """A cloud does not determine a trustworthy measurement of an object; `reason` and `advice` as above."""
+    """Clouds do not determine a trustworthy measurement of an object; `reason` and `advice` as above."""
 
     refused = "measurement"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats
 
-FEWEST = 4  # stations, below which chance agrees as well
+FEWEST = 4  # stations, below which chance agrees as well, but not over planes
 _SHARE = 0.3  # of the stations that see anything at a pixel
 _QUANTILE = 0.85  # of their depths: within the farthest third
 _WITHIN, _SIGMAS = 3e-4, 5.0  # of the depth, and of the noise, that depths are apart for being one
@@ -25,10 +25,8 @@ _PLANES, _POINTS, _OF_PLANE, _TRIALS, _LOOSELY = 3, 400, 0.25, 300, 3.0
 def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float]) -> NDArray[np.float32]:
     """Depths (H, W) of what rests, 0 elsewhere, from the stations' (H, W), NaN where there is nothing.
 
-    `noise`: standard deviation of a depth z is `noise` · z². All 0 for fewer stations than can tell.
+    `noise`: standard deviation of a depth z is `noise` · z². Of fewer than FEWEST stations, where all agree.
     """
-    if len(depths) < FEWEST:
-        return np.zeros_like(depths[0])
     stack = np.stack(depths)
     seen = np.count_nonzero(np.isfinite(stack), axis=0)
     order = np.sort(stack, axis=0)  # NaN last
@@ -36,7 +34,7 @@ def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float])
     far = np.take_along_axis(order, index[None], axis=0)[0]
     near = within(stack, far, float(np.median(noise)))
     agreeing = np.count_nonzero(near, axis=0)
-    rests = (agreeing >= np.maximum(_SHARE * seen, FEWEST - 1)) & (seen >= _SHARE * len(depths))
+    rests = (agreeing >= np.maximum(_SHARE * seen, min(FEWEST - 1, len(depths)))) & (seen >= _SHARE * len(depths))
     square = np.ones((_OPENED, _OPENED), np.uint8)
     opened = cv2.morphologyEx(rests.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
     mean = np.sum(np.where(near, stack, 0), axis=0) / np.maximum(agreeing, 1)

@@ -346,7 +346,11 @@ def of_network(parser: ArgumentParser) -> None:
 
 def of_object(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"
+        "stations",
+        type=Path,
+        nargs="+",
+        metavar="STATION",
+        help="captures, results or matches.npz, in any order; a thing's folder stands for its stations",
     )
     add_config(parser, required=True)
     parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")

@@ -139,7 +139,8 @@ The rig is fixed, and the thing is turned between stations, on a turntable or by
 overlap by half. The static background, such as table and wall, is recognised and left out. To take stations: scan
 --config FILE --object --stations N --calibration FILE.
 
-Exit codes: 4 if no two stations belong together, or if one could as well be turned otherwise, as of a ball.
+Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
+station could as well be turned otherwise, as of a ball.
 """,
     ),
     "live": Command(

@@ -3,15 +3,17 @@
 from pathlib import Path
 
 from scanner.io import MATCHES_FILE
-from scanner.results import CALIBRATION_FILE, LOG_FILE
+from scanner.results import CALIBRATION_FILE, LOG_FILE, OBJECT_FILE, ROOM_FILE
 
 SCANS = Path("scans")
+_TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE)
 
 
 def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
     """Result folders in `folder`, the newest first; refused captures too, for they say why."""
     try:
-        found = [path for path in folder.iterdir() if (path / LOG_FILE).is_file() and (path / MATCHES_FILE).is_file()]
+        logged = (path for path in folder.iterdir() if (path / LOG_FILE).is_file())
+        found = [path for path in logged if any((path / name).is_file() for name in _TO_SHOW)]
     except OSError:
         return ()  # nothing was scanned yet
     return tuple(sorted(found, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))

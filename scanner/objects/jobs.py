@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from calib.refusal import RefusalError
+from calib.refusal import NoMeasurementError
 from hw.moving import moves_by_itself
 from scanner.configuration import Config
 from scanner.errors import InputError
@@ -52,5 +52,5 @@ def scan_object(
         surface = save_object(solved, folder, config, terminal, fill=fill)
         verdict = verdict_on(solved)
         if verdict.grade == "refused":
-            raise RefusalError(" ".join([verdict.headline, *verdict.reasons[:1]]), verdict.advice)
+            raise NoMeasurementError(" ".join([verdict.headline, *verdict.reasons[:1]]), verdict.advice)
     return solved, surface

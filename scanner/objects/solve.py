@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats
 from calib.objects import (
+    FEWEST_TO_REST,
     JointEstimate,
     Registered,
     Turntable,
@@ -23,13 +25,13 @@ from calib.objects import (
     within,
 )
 from calib.pointcloud import Cloud, build_cloud
-from calib.refusal import RefusalError
+from calib.refusal import NoMeasurementError
 from calib.rooms.alignment import composed
 from calib.rooms.segments import relative_noise
 from scanner.configuration import Config
 from scanner.objects.contents import OutlierStation, SolvedObject
-from scanner.reconstruction import scaled
-from scanner.results import Decoded
+from scanner.reconstruction import refuse_foreign, scaled
+from scanner.results import Decoded, naming
 from scanner.rooms.contents import RigStart, Station
 from scanner.ui import Progress
 
@@ -37,20 +39,25 @@ _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
 _SIZE_GRAINS = 60.0
 _NAMED = 3
 _ALL_RESTS = 0.9  # of what was seen
+_RESTS = 0.2  # of what was seen, before tables and walls are looked for in few stations
+_TURNED_DEG = 0.3  # at least, between stations of a thing
 
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
-    """Raises RefusalError if no two stations show one surface."""
+    """Raises RefusalError if no two stations show one surface, nothing moved, or the calibration is of another rig."""
     given = start.given or start.calibration
     calibration = scaled(given, None, config.scale)
     clouds = [
         build_cloud(each.matches, each.texture, calibration)
         for each in progress.track(captures, len(captures), "Surfaces")
     ]
+    for capture, cloud in zip(captures, clouds, strict=True):
+        with naming(capture, among=len(captures)):
+            refuse_foreign(cloud.statistics, capture.facts.projector_size)
     with progress.step("Telling the thing from what rests"):
         views, rests = _views(clouds, captures, calibration.camera)
     if rests > _ALL_RESTS and not any(views):
-        raise RefusalError(
+        raise NoMeasurementError(
             f"All of what was seen rests: its surface is at the same place in the {len(captures)} stations.",
             "Turn the thing between stations. If it was turned, it is round about the axis of the turn, as balls and "
             "plates are, and its shape cannot tell how far: stick scraps of paper to it, and put it down elsewhere "
@@ -61,14 +68,27 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     outlier_stations = _outlier_stations(registered, captures)
     members = [(k, view) for k, view in enumerate(views) if view is not None and k in registered.places]
     if len(members) < 2:
-        raise RefusalError(
+        raise NoMeasurementError(
             f"No two stations show the same part of a thing: {outside_text(outlier_stations)}.",
             advice_on(outlier_stations),
         )
     with progress.step("Estimating"):
         joint = estimate_jointly([view for _, view in members], [registered.places[k] for k, _ in members])
         turntable = find_turntable(joint.places, joint.covariance, joint.information, joint.middle)
+    if len(captures) < FEWEST_TO_REST:
+        _refuse_unturned(joint.places)
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
+
+
+def _refuse_unturned(places: Sequence[Motion]) -> None:
+    """Raise if none is turned against the first one: few stations fit together by what rests in all of them."""
+    turns_deg = [np.degrees(Rotation.from_matrix(place.rotation).magnitude()) for place in places]
+    if max(turns_deg) < _TURNED_DEG:
+        raise NoMeasurementError(
+            f"Nothing was turned between the {len(places)} stations, or what rests around the thing outweighs it.",
+            f"Turn the thing between stations, and take {FEWEST_TO_REST} or more of them: from fewer, only flat tables "
+            "and walls can be told from the thing. Or let the rig see nothing but the thing.",
+        )
 
 
 def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> tuple[OutlierStation, ...]:
@@ -108,14 +128,19 @@ def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrins
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
     rest = resting_depth(depths, noise)
     same = [within(depth, rest, own) & (rest > 0) for depth, own in zip(depths, noise, strict=True)]
-    planes = resting_planes(
-        [cloud.points[resting] for cloud, resting in zip(clouds, same, strict=True)], float(np.median(noise))
-    )
-    views, rests, seen = [], 0, 0
+    seen = sum(int(np.count_nonzero(cloud.there)) for cloud in clouds)
+    few = len(clouds) < FEWEST_TO_REST
+    planes: list[Floats] = []
+    if not few or sum(np.count_nonzero(each) for each in same) > _RESTS * seen:
+        planes = resting_planes(
+            [cloud.points[resting] for cloud, resting in zip(clouds, same, strict=True)], float(np.median(noise))
+        )
+    if few:
+        same = [np.zeros_like(each) for each in same]
+    views, rests = [], 0
     for cloud, capture, own, at_rest in zip(clouds, captures, noise, same, strict=True):
         resting = at_rest | in_planes(cloud.points, planes, own)
         rests += int(np.count_nonzero(resting))
-        seen += int(np.count_nonzero(cloud.there))
         behind = np.where(at_rest, rest, np.where(resting, cloud.points[..., 2], np.float32(0)))
         views.append(view_of(cloud.points, cloud.normals, camera, behind, capture.texture))
     return views, rests / max(1, seen)

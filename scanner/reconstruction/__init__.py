@@ -11,4 +11,4 @@ from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import shifts_of
 from scanner.reconstruction.save import MatchesAhead, refusal_saved, save, set_aside
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
-from scanner.reconstruction.triangulate import refuse_misfit, triangulate
+from scanner.reconstruction.triangulate import refuse_foreign, refuse_misfit, triangulate

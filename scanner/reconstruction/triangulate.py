@@ -38,14 +38,14 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
                 refuse_moved(decoded)
                 if decoded.decoding:
                     _refuse_uncrossed(decoded.decoding)
-                _refuse_foreign(cloud.statistics, decoded.metadata.projector_size)
+                refuse_foreign(cloud.statistics, decoded.metadata.projector_size)
             elif capture.solution.method == "refined":  # the paper's leaves out lenses: a misfit is to be expected
                 refuse_misfit(cloud.statistics)
         reconstructed.append(found)
     return tuple(reconstructed)
 
 
-def _refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:
+def refuse_foreign(statistics: CloudStatistics, projector_size: Size) -> None:
     """Raise RefusalError if, by a given calibration, no rays meet, or all miss by more than lenses explain."""
     if statistics.kept == 0:
         raise RefusalError("The calibration puts no point in front of both camera and projector.", _OF_ANOTHER_RIG)

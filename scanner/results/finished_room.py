@@ -6,7 +6,9 @@ from pathlib import Path
 from calib.geometry import Motion
 from scanner.io import read_room
 from scanner.results.finished_scan import FinishedScan, read_finished_scan
-from scanner.results.names import OBJECT_FILE, ROOM_FILE
+from scanner.results.names import OBJECT_CLOUD_FILE, OBJECT_FILE, ROOM_CLOUD_FILE, ROOM_FILE
+
+_CLOUDS = {ROOM_FILE: ROOM_CLOUD_FILE, OBJECT_FILE: OBJECT_CLOUD_FILE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,18 +30,23 @@ class PlacedScan:
 
 @dataclass(frozen=True)
 class FinishedRoom:
-    """All lengths are in `unit`."""
+    """All lengths are in `unit`; `cloud`: the file of all stations' cloud; `is_thing`: of a thing, not of a room."""
 
     unit: str
     stations: tuple[PlacedScan, ...]
+    cloud: Path
+    is_thing: bool
 
 
 def read_finished_room(folder: Path) -> FinishedRoom | None:
     """None if the folder holds neither. Raises InputError if what it holds is malformed."""
-    file = next((folder / name for name in (ROOM_FILE, OBJECT_FILE) if (folder / name).is_file()), None)
-    if file is None:
+    name = next((name for name in _CLOUDS if (folder / name).is_file()), None)
+    if name is None:
         return None
-    stored = read_room(file)
+    stored = read_room(folder / name)
     return FinishedRoom(
-        stored.unit, tuple(PlacedScan(each.name, folder / each.folder, each.place) for each in stored.stations)
+        stored.unit,
+        tuple(PlacedScan(each.name, folder / each.folder, each.place) for each in stored.stations),
+        folder / _CLOUDS[name],
+        name == OBJECT_FILE,
     )

@@ -16,7 +16,16 @@ from scanner.errors import InputError, StorageError, cannot_write, is_of_the_dis
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
 from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
-from scanner.results.names import CAPTURES_FOLDER, LOG_FILE, OBJECT_FILE, ROOM_FILE, is_occupied, refuse_to_lose, unused
+from scanner.results.names import (
+    CAPTURE_FOLDER,
+    CAPTURES_FOLDER,
+    LOG_FILE,
+    OBJECT_FILE,
+    ROOM_FILE,
+    is_occupied,
+    refuse_to_lose,
+    unused,
+)
 from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
 from scanner.ui import LogFile
 
@@ -137,7 +146,9 @@ class OutputFolder:
             self._publish()
         elif isinstance(error, RefusalError):
             self._publish()
-            kept = "matches and a report are" if (self.out / MATCHES_FILE).exists() else "recording is"
+            kept = "recording is" if (self.out / CAPTURE_FOLDER).exists() else "reason is"
+            if (self.out / MATCHES_FILE).exists():
+                kept = "matches and a report are"
             if (self.out / ROOM_FILE).exists() or (self.out / OBJECT_FILE).exists():
                 kept = "report and everything else are"
             elif (self.out / CAPTURES_FOLDER).exists():

@@ -8,13 +8,15 @@ from calib.geometry import Calibration
 from scanner.capture import CAPTURE_FILE, open_capture
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.io import read_calibration, real_path
+from scanner.io import MATCHES_FILE, read_calibration, real_path
 from scanner.pipeline import decode_recording
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import read_captures
-from scanner.results import Decoded, read_uncertainty
+from scanner.results import CAPTURES_FOLDER, Decoded, read_finished_room, read_uncertainty
 from scanner.rooms.contents import RigStart
 from scanner.ui import Progress
+
+_OF_STATIONS = (CAPTURE_FILE, MATCHES_FILE, CAPTURES_FOLDER)
 
 
 def read_stations(
@@ -23,21 +25,36 @@ def read_stations(
     """Captures are decoded; results and matches are read. In the order given. With a `calibration`, patterns along
     one axis are enough.
 
-    Raises InputError if a file is damaged, belongs to images of another size, or is given twice.
+    A room or a thing stands for all its stations. Raises InputError if a file is damaged, belongs to images of another
+    size, or is given twice.
     """
     twice = [path for number, path in enumerate(paths) if real_path(path) in map(real_path, paths[:number])]
     if twice:
         raise InputError(f"{twice[0]}: given twice; a station counts once")
     stations: list[Decoded] = []
-    for path in paths:
+    for path in (station for given in paths for station in _stations_in(given)):
         if (path / CAPTURE_FILE).is_file():
             stations.append(_decoded(path, config, progress, calibration))
         else:
             one_axis = calibration is not None
             stations += read_captures([path], config.camera_size, config.projector_size, one_axis=one_axis)
     if len(stations) < 2:
-        raise InputError(f"a room needs two stations or more, found {len(stations)}")
+        raise InputError(f"expected two stations or more, found {len(stations)}: {', '.join(map(str, paths))}")
     return stations
+
+
+def _stations_in(path: Path) -> list[Path]:
+    whole = read_finished_room(path)
+    if whole is not None:
+        return [station.folder for station in whole.stations]
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; a station is a recorded capture, a result or a matches.npz")
+    if path.is_dir() and not any((path / name).exists() for name in _OF_STATIONS):
+        raise InputError(
+            f"{path}: expected a station, found none of {', '.join(_OF_STATIONS)}: give the folder of a recorded "
+            "capture or of a result"
+        )
+    return [path]
 
 
 def _decoded(path: Path, config: Config, progress: Progress, calibration: Calibration | None) -> Decoded:

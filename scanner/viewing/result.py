@@ -24,7 +24,6 @@ from scanner.results import (
     CAPTURES_FOLDER,
     MERGED_FILE,
     POSES_FILE,
-    ROOM_CLOUD_FILE,
     TRUTH_FILE,
     FinishedRoom,
     FinishedScan,
@@ -39,7 +38,7 @@ from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
 from scanner.viewing.white_picture import white_picture
 
-ALL_CAPTURES, WHOLE_ROOM = "All captures, merged", "The whole room"
+ALL_CAPTURES, WHOLE_ROOM, WHOLE_THING = "All captures, merged", "The whole room", "The whole thing"
 _PLACING_POINTS = 100_000
 _AT_ONCE = 100_000  # covariances are large
 
@@ -164,7 +163,7 @@ class ViewedResult:
     def _names(self) -> tuple[str, ...]:
         """Return the names of the clouds, the best first."""
         if self._room is not None:
-            return (WHOLE_ROOM, *self._captures)
+            return (WHOLE_THING if self._room.is_thing else WHOLE_ROOM, *self._captures)
         merged = (ALL_CAPTURES,) if (self.folder / MERGED_FILE).is_file() else ()
         return (*merged, *self._captures)
 
@@ -187,7 +186,7 @@ class ViewedResult:
         """Read the cloud called `name`. Raises InputError if its files are missing or damaged."""
         if name == ALL_CAPTURES:
             return self._merged()
-        if name == WHOLE_ROOM and self._room is not None:
+        if name in (WHOLE_ROOM, WHOLE_THING) and self._room is not None:
             return self._whole(self._room)
         folder = self._captures[name]
         scan = read_finished_scan(folder)
@@ -207,9 +206,9 @@ class ViewedResult:
         )
 
     def _whole(self, room: FinishedRoom) -> ViewedCloud:
-        cloud = read_cloud(self.folder / ROOM_CLOUD_FILE)
+        cloud = read_cloud(room.cloud)
         if not len(cloud):
-            raise InputError(f"{self.folder / ROOM_CLOUD_FILE}: the cloud is empty")
+            raise InputError(f"{room.cloud}: the cloud is empty")
         rigs = tuple(
             PlacedRig(scan.calibration, each.place.rotation, each.place.translation, _picture(each.folder, scan))
             for each, scan in ((station, station.scan) for station in reversed(room.stations))

@@ -49,11 +49,11 @@ def test_stripes_are_there_with_and_without_fringes() -> None:
 
 def test_earlier_results_are_listed_newest_first(tmp_path: Path) -> None:
     assert earlier_results(tmp_path / "scans") == ()
-    for age, name in enumerate(("new", "old")):
+    for age, (name, file) in enumerate((("new", "matches.npz"), ("thing", "object.yaml"), ("old", "room.yaml"))):
         folder = tmp_path / "scans" / name
         folder.mkdir(parents=True)
-        (folder / "matches.npz").touch()
+        (folder / file).touch()
         (folder / "scan.log").touch()
         os.utime(folder / "scan.log", (1e9 - age, 1e9 - age))
     (tmp_path / "scans" / "foreign").mkdir()
-    assert [path.name for path in earlier_results(tmp_path / "scans")] == ["new", "old"]
+    assert [path.name for path in earlier_results(tmp_path / "scans")] == ["new", "thing", "old"]

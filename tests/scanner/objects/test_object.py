@@ -1,5 +1,6 @@
 """Stations of a simulated thing, joined: poses, the thing without background, and refusals of ambiguous ones."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, is_closed, volume_of
 from scanner.objects.verdict import verdict_on
 from scanner.rooms.contents import RigStart
+from scanner.rooms.document import read_stations
 from scanner.ui import Terminal
+from scanner.viewing.result import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
 
 CAMERA = (306, 256)
@@ -89,6 +92,26 @@ def test_what_never_moved_or_looks_as_if_it_had_not_is_said_to_rest() -> None:
     assert "round about the axis" in refusal.value.advice
 
 
+def test_a_table_does_not_hold_two_stations_together() -> None:
+    """More than half of what both see rests."""
+    first, second = solved(thing_stations([0, 2], CAMERA, seed=2), pictures=False).stations
+    turn = Rotation.from_matrix(between(first.place, second.place).rotation)
+    assert 0 < abs(np.degrees(turn.magnitude()) - 30) < 0.05
+
+
+def test_two_stations_of_a_thing_that_was_not_turned_are_refused() -> None:
+    with pytest.raises(RefusalError, match="Nothing was turned between the 2 stations") as refusal:
+        solved(thing_stations([0, 0], CAMERA, seed=1))
+    assert "4 or more" in refusal.value.advice
+
+
+def test_a_calibration_of_another_rig_is_refused() -> None:
+    stations = thing_stations([0, 1], CAMERA, seed=1, background=False)
+    other = thing_stations([0], CAMERA, seed=3, background=False)[0].calibration
+    with pytest.raises(RefusalError, match=r"Station 1: With this calibration, rays .* miss by 4\d projector pixels"):
+        solved([replace(each, calibration=other) for each in stations])
+
+
 def test_nothing_in_common_is_refused() -> None:
     one = thing_stations([0], CAMERA, seed=2, background=False)
     other = thing_stations([0], CAMERA, seed=2, background=False, kind="box")
@@ -109,7 +132,17 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     assert surface.closed
     assert 0.2 < surface.bridged < 0.8  # a hundred and fifty degrees of it were seen
     assert surface.volume is None
-    assert len(read_finished_room(tmp_path).stations) == 5
+    whole = read_finished_room(tmp_path)
+    assert whole is not None
+    assert len(whole.stations) == 5
+    viewed = ViewedResult(tmp_path)
+    assert viewed.names[0] == "The whole thing"
+    shown = viewed.cloud("The whole thing")
+    assert len(shown.rigs) == 5
+    size = np.ptp(shown.points, axis=0).max() / found.calibration.baseline
+    assert 0.3 < size < 3
+    again = read_stations([tmp_path], config_for(CAMERA), Terminal(quiet=True))
+    assert [len(each.matches) for each in again] == [len(each.decoded.matches) for each in found.stations]
     assert "5 stations are one thing" in (tmp_path / "report.html").read_text(encoding="utf-8")
     for name in ("stl", "3mf"):
         out = tmp_path / f"thing.{name}"
