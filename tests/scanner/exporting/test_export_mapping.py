@@ -254,6 +254,12 @@ def scatter(folder: Path) -> None:
     (folder / "network.ply").write_bytes(short.encode() + b"\n" + end + body)
 
 
+def in_one_place(folder: Path) -> None:
+    """All points are the first one."""
+    header, end, body = (folder / "network.ply").read_bytes().partition(b"end_header\n")
+    (folder / "network.ply").write_bytes(header + end + body[:27] * (len(body) // 27))
+
+
 def of_stations(folder: Path) -> None:
     (folder / "network.yaml").rename(folder / "room.yaml")
 
@@ -265,6 +271,7 @@ def of_stations(folder: Path) -> None:
         (change("kind: projector", "kind: lamp"), (), "devices[1].kind"),
         (change("name: left", "name: ../left"), (), "devices[1].name"),
         (scatter, (), "do not hang together as a surface"),
+        (in_one_place, (), "do not hang together as a surface"),
         (of_stations, (), "was moved between its stations"),
         (lambda folder: (folder / "network.ply").unlink(), (), "network.ply"),
         (lambda folder: (folder / "network.yaml").unlink(), (), "expected a result folder"),
