@@ -11,7 +11,9 @@ import yaml
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
+from scanner.exporting.mapping.content import largest_wall
 from scanner.exporting.mapping.lens_shift import for_programs
+from scanner.exporting.triangles import Mesh
 from tests.support.command_line import run
 from tests.support.mapped_room import CAMERA, GAMMA, PROJECTORS, SCENE, shown_on_wall, to_network, write_network
 from tests.support.result_folder import write_result
@@ -182,6 +184,34 @@ def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
         assert -matrix[:3, 2] == pytest.approx(ahead, abs=1e-6)
 
 
+def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any]:
+    """Points, normals and triangles of a grid of 20 × 20 points, a millimetre rough."""
+    shares = np.stack(np.meshgrid(*[np.linspace(0, 1, 20)] * 2), axis=-1).reshape(-1, 2)
+    normal = np.cross(across, along) / np.linalg.norm(np.cross(across, along))
+    rough = 1e-3 * np.random.default_rng(0).standard_normal((400, 1)) * normal
+    corner = (np.arange(19)[:, None] * 20 + np.arange(19)).ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 1, 21], corner[:, None] + [0, 21, 20]])
+    return np.array(origin) + shares @ np.array([across, along]) + rough, np.tile(normal, (400, 1)), triangles
+
+
+def test_the_wall_is_the_largest_that_is_upright() -> None:
+    parts = (
+        rectangle((-1.0, -1.0, 3.0), (0, 1.5, 0), (1.0, 0, 0)),
+        rectangle((0.2, -1.0, 4.0), (0, 1.5, 0), (1.6, 0, 0)),
+        rectangle((-3.0, -1.0, 3.5), (0, 1.5, 0), (1.2, 0, 0)),
+        rectangle((-2.0, 1.0, 0.0), (0, 0, 4.0), (4.0, 0, 0)),  # the floor
+    )
+    points, normals = (np.concatenate([part[number] for part in parts]) for number in (0, 1))
+    triangles = np.concatenate([part[2] + 400 * number for number, part in enumerate(parts)])
+    colours = np.zeros((len(points), 3), np.uint8)
+    wall = largest_wall(Mesh(points, normals, colours, triangles, "m"))
+    assert wall.normal == pytest.approx([0, 0, -1], abs=1e-3)
+    assert wall.offset == pytest.approx(-4, abs=1e-3)
+    upright = triangles < 1200
+    floor = largest_wall(Mesh(points, normals, colours, triangles[~upright.any(axis=1)], "m"))
+    assert np.abs(floor.normal) == pytest.approx([0, 1, 0], abs=1e-3)
+
+
 @pytest.mark.parametrize("focal_px", [(900.0, 900.0), (900.0, 870.0)])
 def test_shifts_project_as_the_projector_does(focal_px: tuple[float, float]) -> None:
     """Each program's own formula, from its source or manual, against the pinhole."""
@@ -270,6 +300,7 @@ def of_stations(folder: Path) -> None:
         (change("kind: projector", "kind: camera"), (), "has no projector, so there is nothing to map"),
         (change("kind: projector", "kind: lamp"), (), "devices[1].kind"),
         (change("name: left", "name: ../left"), (), "devices[1].name"),
+        (change("name: left", "name: right"), (), "two devices that are called right"),
         (scatter, (), "do not hang together as a surface"),
         (in_one_place, (), "do not hang together as a surface"),
         (of_stations, (), "was moved between its stations"),
