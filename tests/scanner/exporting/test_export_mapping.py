@@ -1,5 +1,6 @@
 """`scan export --to mapping`: shown by the simulator's projectors in its own room, squares are square and even."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -182,6 +183,17 @@ def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
         assert matrix[:3, 3] == pytest.approx(to_network(projector.centre) * Y_UP, abs=1e-6)
         ahead = to_network(projector.centre + projector.rotation[2]) * Y_UP - matrix[:3, 3]
         assert -matrix[:3, 2] == pytest.approx(ahead, abs=1e-6)
+    data = (mapping / "mapping.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    nodes = {node["name"]: node for node in document["nodes"]}
+    listed = {each["name"]: each for each in listing(mapping)["projectors"]}
+    for name, projector in PROJECTORS.items():
+        optics, lens = projector.optics, document["cameras"][nodes[name]["camera"]]["perspective"]
+        assert np.tan(lens["yfov"] / 2) == pytest.approx(optics.height / 2 / optics.focal_px)
+        assert lens["aspectRatio"] == pytest.approx(optics.width / optics.height)
+        depth = image(mapping / f"{name}-depth.tiff")
+        assert 0 < lens["znear"] < depth[depth > 0].min() < depth.max() < lens["zfar"] < 10
+        assert nodes[name]["extras"] == listed[name]["programs"]
 
 
 def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any]:
