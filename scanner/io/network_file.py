@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from calib.geometry import Intrinsics, Motion
+from scanner.errors import InputError
 from scanner.io.calibration_file import DeviceEntry
 from scanner.io.room_file import PlacedEntry
 from scanner.io.validation import Entry, validate
@@ -43,8 +44,12 @@ class StoredNetwork:
 
 
 def read_network(path: Path) -> StoredNetwork:
-    """Raises InputError if the file is missing or malformed, or holds no rotation."""
+    """Raises InputError if the file is missing or malformed, holds no rotation, or two devices of one name."""
     entry = validate(_NetworkEntry, read_yaml(path), str(path))
+    names = [each.name for each in entry.devices]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: has two devices that are called {twice}; each has a name of its own")
     devices = (
         StoredDevice(each.name, each.kind, each.intrinsics(), each.place(f"{path}: device {each.name}"))
         for each in entry.devices

@@ -103,8 +103,8 @@ def content_on(wall: Wall, projectors: Sequence[Seen], eye: Floats | None) -> Co
     """
     if eye is not None and eye @ wall.normal <= wall.offset:
         raise InputError(
-            f"--eye: is {wall.offset - float(eye @ wall.normal):.3g} behind the largest wall; expected a place in the "
-            "room, in the axes of mapping.glb: x right, y up, z backward, in metres"
+            "--eye: is behind the largest wall; expected a place in the room, in the axes of mapping.glb: x right, "
+            "y up, z backward, in metres"
         )
     vertical = _UP if abs(wall.normal @ _UP) < np.cos(np.radians(5.0)) else np.array([0.0, 0.0, 1.0])
     up = vertical - (vertical @ wall.normal) * wall.normal

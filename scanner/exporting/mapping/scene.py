@@ -64,16 +64,20 @@ def _of_network(result: Path) -> Scene:
 
 def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:
     """Of all points with a normal, cut off where none is near; small holes are closed. None if nothing is left."""
-    has_normal = np.linalg.norm(cloud.normals, axis=1) > 0.5
-    points: Floats = cloud.points[has_normal]
+    _, different = np.unique(cloud.points, axis=0, return_index=True)
+    used = np.sort(different[np.linalg.norm(cloud.normals[different], axis=1) > 0.5])
+    points: Floats = cloud.points[used]
     if len(points) < _FEWEST:
         return None
     tree = cKDTree(points)
     spacing = np.asarray(tree.query(points, _NEIGHBOURS)[0])[:, -1]
     cells = float(np.max(np.ptp(points, axis=0))) / float(np.median(spacing))
     depth = int(np.clip(np.ceil(np.log2(cells)), _SHALLOWEST, _DEEPEST))
-    mesh = poisson(points, cloud.normals[has_normal], cloud.colours[has_normal], depth=depth, scale=_AROUND)
-    apart, nearest = tree.query(np.asarray(mesh.vertices))
+    mesh = poisson(points, cloud.normals[used], cloud.colours[used], depth=depth, scale=_AROUND)
+    vertices = np.asarray(mesh.vertices)
+    if not np.isfinite(vertices).all():  # of points so far away that none are near each other
+        return None
+    apart, nearest = tree.query(vertices)
     mesh.remove_vertices_by_mask(apart > _FAR * spacing[nearest])
     mesh.remove_degenerate_triangles()
     return mesh_of(mesh, unit) if len(mesh.triangles) else None

@@ -1,5 +1,6 @@
 """`scan export --to mapping`: shown by the simulator's projectors in its own room, squares are square and even."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import yaml
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
+from scanner.exporting.mapping.content import largest_wall
 from scanner.exporting.mapping.lens_shift import for_programs
+from scanner.exporting.triangles import Mesh
 from tests.support.command_line import run
 from tests.support.mapped_room import CAMERA, GAMMA, PROJECTORS, SCENE, shown_on_wall, to_network, write_network
 from tests.support.result_folder import write_result
@@ -180,6 +183,45 @@ def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
         assert matrix[:3, 3] == pytest.approx(to_network(projector.centre) * Y_UP, abs=1e-6)
         ahead = to_network(projector.centre + projector.rotation[2]) * Y_UP - matrix[:3, 3]
         assert -matrix[:3, 2] == pytest.approx(ahead, abs=1e-6)
+    data = (mapping / "mapping.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    nodes = {node["name"]: node for node in document["nodes"]}
+    listed = {each["name"]: each for each in listing(mapping)["projectors"]}
+    for name, projector in PROJECTORS.items():
+        optics, lens = projector.optics, document["cameras"][nodes[name]["camera"]]["perspective"]
+        assert np.tan(lens["yfov"] / 2) == pytest.approx(optics.height / 2 / optics.focal_px)
+        assert lens["aspectRatio"] == pytest.approx(optics.width / optics.height)
+        depth = image(mapping / f"{name}-depth.tiff")
+        assert 0 < lens["znear"] < depth[depth > 0].min() < depth.max() < lens["zfar"] < 10
+        assert nodes[name]["extras"] == listed[name]["programs"]
+
+
+def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any]:
+    """Points, normals and triangles of a grid of 20 × 20 points, a millimetre rough."""
+    shares = np.stack(np.meshgrid(*[np.linspace(0, 1, 20)] * 2), axis=-1).reshape(-1, 2)
+    normal = np.cross(across, along) / np.linalg.norm(np.cross(across, along))
+    rough = 1e-3 * np.random.default_rng(0).standard_normal((400, 1)) * normal
+    corner = (np.arange(19)[:, None] * 20 + np.arange(19)).ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 1, 21], corner[:, None] + [0, 21, 20]])
+    return np.array(origin) + shares @ np.array([across, along]) + rough, np.tile(normal, (400, 1)), triangles
+
+
+def test_the_wall_is_the_largest_that_is_upright() -> None:
+    parts = (
+        rectangle((-1.0, -1.0, 3.0), (0, 1.5, 0), (1.0, 0, 0)),
+        rectangle((0.2, -1.0, 4.0), (0, 1.5, 0), (1.6, 0, 0)),
+        rectangle((-3.0, -1.0, 3.5), (0, 1.5, 0), (1.2, 0, 0)),
+        rectangle((-2.0, 1.0, 0.0), (0, 0, 4.0), (4.0, 0, 0)),  # the floor
+    )
+    points, normals = (np.concatenate([part[number] for part in parts]) for number in (0, 1))
+    triangles = np.concatenate([part[2] + 400 * number for number, part in enumerate(parts)])
+    colours = np.zeros((len(points), 3), np.uint8)
+    wall = largest_wall(Mesh(points, normals, colours, triangles, "m"))
+    assert wall.normal == pytest.approx([0, 0, -1], abs=1e-3)
+    assert wall.offset == pytest.approx(-4, abs=1e-3)
+    upright = triangles < 1200
+    floor = largest_wall(Mesh(points, normals, colours, triangles[~upright.any(axis=1)], "m"))
+    assert np.abs(floor.normal) == pytest.approx([0, 1, 0], abs=1e-3)
 
 
 @pytest.mark.parametrize("focal_px", [(900.0, 900.0), (900.0, 870.0)])
@@ -254,6 +296,12 @@ def scatter(folder: Path) -> None:
     (folder / "network.ply").write_bytes(short.encode() + b"\n" + end + body)
 
 
+def in_one_place(folder: Path) -> None:
+    """All points are the first one."""
+    header, end, body = (folder / "network.ply").read_bytes().partition(b"end_header\n")
+    (folder / "network.ply").write_bytes(header + end + body[:27] * (len(body) // 27))
+
+
 def of_stations(folder: Path) -> None:
     (folder / "network.yaml").rename(folder / "room.yaml")
 
@@ -264,7 +312,9 @@ def of_stations(folder: Path) -> None:
         (change("kind: projector", "kind: camera"), (), "has no projector, so there is nothing to map"),
         (change("kind: projector", "kind: lamp"), (), "devices[1].kind"),
         (change("name: left", "name: ../left"), (), "devices[1].name"),
+        (change("name: left", "name: right"), (), "two devices that are called right"),
         (scatter, (), "do not hang together as a surface"),
+        (in_one_place, (), "do not hang together as a surface"),
         (of_stations, (), "was moved between its stations"),
         (lambda folder: (folder / "network.ply").unlink(), (), "network.ply"),
         (lambda folder: (folder / "network.yaml").unlink(), (), "expected a result folder"),
