@@ -13,7 +13,7 @@ from calib.geometry import NO_FACE, Matches, Motion
 from calib.networks.labels import label_map, read
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
-from calib.networks.placement import placed, triangulated
+from calib.networks.placement import placed, placed_before_wall, sees, triangulated
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import Sight, points_on
@@ -29,7 +29,7 @@ _NEARLY_ALL = 0.9  # of a pair's matches on a plane that have labels: the others
 _PARALLEL, _ON_PLANE = float(np.cos(np.radians(3.0))), 0.01  # the latter of the distance
 _SAMPLE = 3_000
 _ROUNDS = 2
-_FOLLOWS_PX = 20.0  # median: a device that sees known points further off was not placed by them
+_FEWEST = 30  # known points, to place a device
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,20 @@ class Grown:
                 return self._with_pair(pair)
             if any(there):
                 candidates.append((pair, *self._known_points(pair)))
-        for pair, points, pixels in sorted(candidates, key=lambda each: -len(each[1])):
-            if (more := self._with_device(pair, points, pixels)) is not None:
-                return more
+        candidates.sort(key=lambda each: -len(each[1]))
+        for on_one_plane in (False, True):
+            for pair, points, pixels in candidates:
+                new = pair[0] if pair[0] not in self.names else pair[1]
+                width = self.knowledge.sizes[new].width
+                if len(points) < _FEWEST:
+                    continue
+                found = (
+                    placed_before_wall(points, pixels, width, self.knowledge.point(new).px)
+                    if on_one_plane
+                    else placed(points, pixels)
+                )
+                if found is not None and sees(found, points, pixels, width):
+                    return self._with_device(pair, new, found)
         return None
 
     def free(self, network: Network) -> Bools:
@@ -145,12 +156,8 @@ class Grown:
             label[unlabelled] = read(raster, told, pixels_of(matches, role)[unlabelled])
         return matches.with_faces(label)
 
-    def _with_device(self, pair: PairName, points: Floats, pixels: Floats) -> "Grown | None":
-        """The device of a pair that is not placed yet, by points that it sees."""
-        found = placed(points, pixels) if len(points) else None
-        if found is None:
-            return None
-        new = pair[0] if pair[0] not in self.names else pair[1]
+    def _with_device(self, pair: PairName, new: str, found: Device) -> "Grown":
+        """With the device of a pair that was not placed before."""
         network = replace(self.network, devices=(*self.network.devices, self.knowledge.held(new, found)))
         more = replace(self, names=(*self.names, new), network=network)._with_pair(pair)
         alone = np.zeros(more.network.size, np.bool_)

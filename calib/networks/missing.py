@@ -52,8 +52,8 @@ def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str
         )
     return (
         f"What {new} and {partner} both {lit} in the picture of {known}, {_part(size, centres, by_new & by_others)}, "
-        "does not place it: all of it is on one plane, or it is too little.",
-        f"Let {new} {lit} a second wall that {partner} {seen}, too, or put things before the first.",
+        f"is too little to place {new}.",
+        f"Let {new} {lit} more of what {partner} {seen}, on more than one wall.",
     )
 
 

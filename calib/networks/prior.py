@@ -70,11 +70,11 @@ class NetworkKnowledge:
         """That of an ordinary lens, if none is known."""
         return self.lenses.get(name, LensPrior())
 
-    def point(self, camera: str) -> PrincipalPoint:
-        """The image's centre, if none is known."""
-        width, height = self.sizes[camera]
+    def point(self, name: str) -> PrincipalPoint:
+        """The image's centre, if none is known; with a sigma that is a camera's."""
+        width, height = self.sizes[name]
         centre = PrincipalPoint(((width - 1) / 2, (height - 1) / 2), _CENTRE_SIGMA * width)
-        return self.points.get(camera, centre)
+        return self.points.get(name, centre)
 
     def prior(self, names: tuple[str, ...]) -> NetworkPrior:
         """On these devices, and on planes of which the first three are the corner's."""
