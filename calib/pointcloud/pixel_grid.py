@@ -22,7 +22,7 @@ class Organised:
 
     `points` (H, W, 3) in the camera's frame, NaN where there is none; `residual_px` (H, W): ray miss of the point, or
     of one dropped for it, NaN where no rays met; `match` (H, W): index of each point's match. `outside_image`,
-    `behind`, `disagreeing`, `shared_pixel`: as in `CloudStatistics`. `misses`: model of the ray misses; `trend_px`: root
+    `behind`, `disagreeing`, `shared_pixel`: as in `CloudStatistics`. `misses`: model of the misses; `trend_px`: root
     mean square of their smooth part.
     """
 

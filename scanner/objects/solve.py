@@ -53,7 +53,7 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     ]
     for capture, cloud in zip(captures, clouds, strict=True):
         with naming(capture, among=len(captures)):
-            refuse_foreign(cloud.statistics, capture.facts.projector_size)
+            refuse_foreign(cloud.statistics, capture.metadata.projector_size)
     with progress.step("Telling the thing from what rests"):
         views, rests = _views(clouds, captures, calibration.camera)
     if rests > _ALL_RESTS and not any(views):
