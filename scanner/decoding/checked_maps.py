@@ -13,17 +13,17 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
 
 
-def checked_maps(accumulators: Accumulators, learnt: Learnt, seen: Seen, *, odd: bool) -> tuple[Maps, bool]:
+def checked_maps(accumulators: Accumulators, learnt: Learnt, seen: Seen, *, is_anomalous: bool) -> tuple[Maps, bool]:
     """The maps, and whether each pixel has a coordinate of its own, of fringes or between edges, or that of its cell.
 
-    `odd`: something about the frames was. Raises InputError if neighbours contradict each other all over the picture,
-    RefusalError if something moved between codes and fringes.
+    `is_anomalous`: whether the frames have an anomaly. Raises InputError if neighbours contradict each
+    other all over the picture, RefusalError if something moved between codes and fringes.
     """
     plan = accumulators.plan
-    maps = coordinate_maps(accumulators, learnt.decoders, seen.moved, seen.spoilt)
+    maps = coordinate_maps(accumulators, learnt.decoders, seen.moved, seen.corrupted)
     if seen.moved is not None and not seen.code_shifts:
         mask_wrong_bits(plan, maps, seen.moved)
-    elif odd and not plan.fringes:
+    elif is_anomalous and not plan.fringes:
         # Before stripes tell coordinates between their edges, of which those of wrong bits are as smooth as others.
         mask_wrong_bits(plan, maps, None)
     undecided = maps.reason == np.uint8(MaskReason.UNDECIDED)
@@ -33,6 +33,6 @@ def checked_maps(accumulators: Accumulators, learnt: Learnt, seen: Seen, *, odd:
     refined = refine_by_edges(accumulators, maps, seen.noise, undecided)
     with blaming_shifts(plan, seen.code_shifts):
         check_cycles(plan, maps.projector_px)
-    if odd and seen.moved is None and plan.fringes:
+    if is_anomalous and seen.moved is None and plan.fringes:
         mask_wrong_bits(plan, maps, None)
     return maps, refined or bool(plan.fringes)

@@ -13,7 +13,7 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import leave_out_lost_fringes
@@ -26,12 +26,12 @@ from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import (
     CoarseFrames,
     CodeShift,
+    InconsistentPixels,
     MotionFound,
     TileSample,
-    Unrest,
     blaming_shifts,
     broken_between,
-    find_unrest,
+    find_inconsistent_pixels,
     measure_motion,
     shifts_of_codes,
 )
@@ -46,8 +46,8 @@ from scanner.errors import InputError
 class Seen:
     """What frames have in common, beside their patterns: noise, light and motion. `levels`: of the sample, as taken.
 
-    `unrest`: where something moved, if the frames agree elsewhere. Motion of the devices is measured while other things
-    go on; between which frames fringes were `broken`, only if asked.
+    `inconsistent`: where something moved, if the frames agree elsewhere. Motion of the devices is measured while other
+    things go on; between which frames fringes were `broken`, only if asked.
     """
 
     levels: Image
@@ -58,17 +58,17 @@ class Seen:
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
     broken: Callable[[], tuple[int, int] | None]
-    unrest: Unrest | None = None
+    inconsistent: InconsistentPixels | None = None
 
     @property
     def moved(self) -> Bools | None:
         """(H, W): where something moved; None if nothing did."""
-        return None if self.unrest is None else self.unrest.moved
+        return None if self.inconsistent is None else self.inconsistent.moved
 
     @property
-    def spoilt(self) -> Bools | None:
+    def corrupted(self) -> Bools | None:
         """(H, W): where no coordinate can be had for it; None if nothing moved."""
-        return None if self.unrest is None else self.unrest.spoilt
+        return None if self.inconsistent is None else self.inconsistent.corrupted
 
     @property
     def motion(self) -> MotionFound | None:
@@ -96,20 +96,20 @@ def look(
     accumulators.forget_peaks(saturation)
     shown = accumulators.plan
     noise = measure_noise(shown, sample, saturation)
-    unrest = _unrest(shown, sample, coarse, noise)
-    flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
+    inconsistent = _inconsistent_pixels(shown, sample, coarse, noise)
+    flicker = _equalise(accumulators, sample, tiles, coarse, inconsistent)
     if coarse.are_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
     notes += leave_out_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:
-        unrest = _unrest(accumulators.plan, sample, coarse, noise)
-    if unrest is not None:
-        rests = sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]]
-        unrest = unrest if agree(accumulators.plan, rests, noise, saturation) else None
-    if unrest is not None:
-        tiles.leave_out(unrest.moved)
-        notes.append(unrest.said(accumulators.plan))
+        inconsistent = _inconsistent_pixels(accumulators.plan, sample, coarse, noise)
+    if inconsistent is not None:
+        resting_levels = sample.levels[:, inconsistent.resting.reshape(-1)[sample.pixels]]
+        inconsistent = inconsistent if agree(accumulators.plan, resting_levels, noise, saturation) else None
+    if inconsistent is not None:
+        tiles.leave_out(inconsistent.moved)
+        notes.append(inconsistent.message(accumulators.plan))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -123,14 +123,16 @@ def look(
         shifts_of_codes(plan, (x, y), noise, tiles.resting),
         tuple(notes),
         lambda: broken_between(plan, tiles, noise),
-        unrest,
+        inconsistent,
     )
 
 
-def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
+def _inconsistent_pixels(
+    plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel
+) -> InconsistentPixels | None:
     """Where something moved, if enough rests to tell, and exchanged frames are not why it looks so."""
-    found = find_unrest(plan, coarse, noise)
-    if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
+    found = find_inconsistent_pixels(plan, coarse, noise)
+    if found is None or np.count_nonzero(found.resting.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
         return None
     levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
     return None if an_exchange_explains(plan, levels, found.frames) else found
@@ -152,18 +154,22 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
 
 
 def _equalise(
-    accumulators: Accumulators, sample: Sample, tiles: TileSample, coarse: CoarseFrames, unrest: Unrest | None
+    accumulators: Accumulators,
+    sample: Sample,
+    tiles: TileSample,
+    coarse: CoarseFrames,
+    inconsistent: InconsistentPixels | None,
 ) -> float | None:
     """Make frames of different brightness alike, in the samples and for good; returns the flicker, None if unknown.
 
-    `unrest`: where something moved, which makes frames brighter or darker there.
+    `inconsistent`: where something moved, which makes frames brighter or darker there.
     """
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
-    if unrest is not None:
-        resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
+    if inconsistent is not None:
+        resting = lit[inconsistent.resting.reshape(-1)[sample.pixels[lit]]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
     few = sample.pixels[lit]
     middle, brightest = (
@@ -201,9 +207,9 @@ class Learnt:
 
 
 def learn(
-    accumulators: Accumulators, sample: Sample, seen: Seen, oddities: list[Oddity], *, as_taken: bool
+    accumulators: Accumulators, sample: Sample, seen: Seen, anomalies: list[Anomaly], *, as_taken: bool
 ) -> Learnt | AmbientLightChange:
-    """Check the frames, adding to the `oddities`, and learn tolerances from the sample. Raises InputError.
+    """Check the frames, adding to the `anomalies`, and learn tolerances from the sample. Raises InputError.
 
     If light was switched that had better be taken out, unless frames are decoded `as_taken`, that is the answer.
     """
@@ -215,36 +221,39 @@ def learn(
     with ThreadPoolExecutor(1) as aside:
         # What is wrong with the frames is said first, whatever comes of it here.
         calibrating = aside.submit(calibrated_decoders, plan, seen.noise, seen.saturation, thin, sample.levels)
-        odd, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
+        found, switch = check_frames(plan, seen.levels.astype(np.float32), levels, seen.noise, seen.saturation)
         if not as_taken and switch is not None and switch.is_harmful:
             return switch
-        oddities += odd
-        odd_codes = check_codes(
+        anomalies += found
+        code_anomalies = check_codes(
             plan, accumulators.codes, seen.noise, accumulators.middle, accumulators.brightest, moved
         )
-        oddities += _passed_over(plan, odd_codes, oddities, seen.unrest)
+        anomalies += _passed_over(plan, code_anomalies, anomalies, seen.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, seen.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
-                oddities += check_fringes(plan, decoder, signals)
+                anomalies += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
         return Learnt(decoders, modulation(decoders, thin))
 
 
 def _passed_over(
-    plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity], unrest: Unrest | None
-) -> Sequence[Oddity]:
+    plan: SequencePlan,
+    code_anomalies: Sequence[Anomaly],
+    seen: Sequence[Anomaly],
+    inconsistent: InconsistentPixels | None,
+) -> Sequence[Anomaly]:
     """The odd codes, if pairs of their bits were `seen` not to add up, or something moved in their frames or next to.
 
     Raises InputError if one was not: an exchange between pairs is known from their sums, but nothing else tells others.
     """
-    moved = set() if unrest is None else _with_next(plan, unrest.frames)
-    suspected = {frame for oddity in seen for frame in oddity.frames}
-    for oddity in odd_codes:
-        doubted = suspected.intersection(oddity.frames)
-        if not moved & {*oddity.frames} and not any({*pair} <= doubted for pair in plan.complements):
-            raise InputError(oddity.said)
-    return odd_codes
+    moved = set() if inconsistent is None else _with_next(plan, inconsistent.frames)
+    suspected = {frame for anomaly in seen for frame in anomaly.frames}
+    for anomaly in code_anomalies:
+        doubted = suspected.intersection(anomaly.frames)
+        if not moved & {*anomaly.frames} and not any({*pair} <= doubted for pair in plan.complements):
+            raise InputError(anomaly.message)
+    return code_anomalies
 
 
 def _with_next(plan: SequencePlan, frames: Sequence[int]) -> set[int]:

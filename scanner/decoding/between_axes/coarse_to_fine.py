@@ -41,7 +41,7 @@ _Pictures = tuple[Floats32, Floats32]
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _TileObservations:
     """What tiles show beside a motion: the `design` (T, 2, 8) of their shifts, which minimise dᵀ N d − 2 bᵀ d.
 
     `centre_px` (T, 2), `normal` N (T, 2, 2), `pull` b (T, 2). From `huber` standard deviations on, tiles count less.
@@ -61,15 +61,15 @@ class _Scales:
     """
 
     blurred: Callable[[float], _Pictures]
-    at_rest: _Seen
-    coarsely: _Seen
+    at_rest: _TileObservations
+    coarsely: _TileObservations
 
 
 def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
     blurred = cache(partial(_blurred, pictures))
-    coarsely = _seen_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
-    scales = _Scales(blurred, _seen(pictures, edges, edges.decoded, _AT_REST), coarsely)
+    coarsely = _observe_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
+    scales = _Scales(blurred, _observe(pictures, edges, edges.decoded, _AT_REST), coarsely)
     fit = _measured(scales, edges, _EXPECTED_PX)
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
     sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
@@ -90,7 +90,7 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
         return fit
     motion = step.motion
     for blur_px in _COARSE_TO_FINE_PX[1:]:
-        step = _least_squares(_seen_beside(scales.blurred, edges, motion, blur_px), expected_px)
+        step = _least_squares(_observe_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
     if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > _EXPLAINED:
         return replace(step, motion=motion)
@@ -98,7 +98,7 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
         return fit
     camera = _AT_REST.copy()
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _least_squares(_seen(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
+        fit = _least_squares(_observe(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
         camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
     return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
@@ -110,13 +110,15 @@ def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
     return before, after
 
 
-def _seen_beside(blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
+def _observe_beside(
+    blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float
+) -> _TileObservations:
     """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
 
     While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
     """
     reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
-    return _seen(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+    return _observe(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
 
 
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
@@ -132,14 +134,16 @@ def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
     return 1 - left / max(differ, 1e-12)
 
 
-def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False) -> _Seen:
+def _observe(
+    pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False
+) -> _TileObservations:
     """What there is beside a motion (8,); a border that may be `anywhere` has no light of its own, and no outliers."""
     of_scene, of_border = edges.warps(motion)
     scene = shifts_of_tiles(pictures, shown.scene, of_scene)
     border = shifts_of_tiles(pictures, shown.border, of_border, own_light=not anywhere)
     known = np.isfinite(shown.of_border[border.tiles]).all(axis=(1, 2))
     at_border = border.tiles[known]
-    return _Seen(
+    return _TileObservations(
         edges.centre[np.concatenate([scene.tiles, at_border])],
         np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
@@ -148,7 +152,7 @@ def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, an
     )
 
 
-def _least_squares(seen: _Seen, expected_px: Floats) -> Fit:
+def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
     """Robust least squares of the motion (8,), with what is expected where nothing is seen."""
     design = seen.design
     expected = np.diag(1 / expected_px**2)

@@ -39,7 +39,7 @@ _LIKELIER = 1.3
 
 
 @dataclass(frozen=True)
-class _Course:
+class _Timing:
     """A motion between two frames, of which x and y are shifted against each other by a `share`, with its `sigma`."""
 
     share: float = 1.0
@@ -53,7 +53,7 @@ class _Course:
         return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
 
 
-_BETWEEN = _Course()
+_BETWEEN = _Timing()
 
 
 def motion_between(
@@ -80,28 +80,28 @@ def motion_between(
     edges = Edges(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
     )
-    fit, course = motion_of(lit.pictures, edges), _BETWEEN
+    fit, timing = motion_of(lit.pictures, edges), _BETWEEN
     for other in _within_halves(lit, edges):
         of_other = motion_of(lit.pictures_of(other.before, other.after), edges)
         # Between the halves it looks smaller than it was.
         larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
         if larger and of_other.significance > SIGNIFICANT_SIGMAS:
-            fit, course = of_other, _course(lit, plan, other)
+            fit, timing = of_other, _timing_of(lit, plan, other)
     _, camera_px = turns_px(fit.motion)
-    shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
+    shift = Disturbance(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
     significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > _LEAST_PX
-    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(course.share**2 * fit.covariance)]
+    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,
         significant=significant,
         slow=False,
-        first=plan.repeats * (first.last if course.first is None else course.first),
-        last=plan.repeats * (second.first if course.last is None else course.last),
+        first=plan.repeats * (first.last if timing.first is None else timing.first),
+        last=plan.repeats * (second.first if timing.last is None else timing.last),
         size_px=size_px,
         explained=1.0,
         shift=shift,
-        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
+        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in timing.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
         largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
@@ -137,7 +137,7 @@ def _stripe_px(lit: EvenlyLit) -> dict[tuple[int, int], float]:
     }
 
 
-def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
+def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Timing:
     """What a change at this moment does to the coordinates: half of a code's edges are those of its finest bit."""
     done = dict(zip(lit.of_pairs, moment.done.tolist(), strict=True))
     of_halves = []
@@ -148,7 +148,7 @@ def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
     places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.of_pairs]
     before, after = places[max(moment.before)], places[min(moment.after)]
     mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
-    return _Course(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
+    return _Timing(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
 
 
 def _independent(covariance: Floats) -> Floats:

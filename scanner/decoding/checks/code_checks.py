@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
@@ -81,7 +81,7 @@ def check_codes(
     middle: Image,
     brightest: Image,
     moved: Bools | None = None,
-) -> list[Oddity]:
+) -> list[Anomaly]:
     """Where the bits of a Gray code do not follow each other as they must.
 
     `middle` (H, W): grey level half-way between lit and unlit; `brightest` (H, W): when lit; `moved` (H, W): where
@@ -100,11 +100,11 @@ def check_codes(
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
             suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
-            said = (
+            message = (
                 f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
                 f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
             )
-            found.append(Oddity(said, tuple(suspects)))
+            found.append(Anomaly(message, tuple(suspects)))
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.errors import InputError
@@ -24,23 +24,23 @@ from scanner.errors import InputError
 _MOST_BROKEN = 0.35
 # Distance from the epipolar line in projector pixels that a lens without a model, or a poor sigma, may explain.
 EPIPOLAR_PX = 3.0
-_MOST_OFF = 0.15
+_MOST_OUTLIERS = 0.15
 _MOST_MATCHES = 4000
 _SEED = 5
 
 
 @contextmanager
-def suspecting(oddities: Sequence[Oddity]) -> Iterator[None]:
+def suspecting(anomalies: Sequence[Anomaly]) -> Iterator[None]:
     """Names what is odd about the frames in an InputError that follows from it."""
     try:
         yield
     except InputError as error:
-        if not oddities:
+        if not anomalies:
             raise
-        raise InputError(f"{_said(oddities)}; and {error}") from error
+        raise InputError(f"{_description(anomalies)}; and {error}") from error
 
 
-def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one_axis: bool = False) -> str:
+def judge(anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, one_axis: bool = False) -> str:
     """A sentence for the operator about odd frames that do no harm; of all pixels the `reasons` (H, W).
 
     `one_axis`: the matches were put on the lines of an epipolar geometry, so that it cannot judge them.
@@ -52,28 +52,30 @@ def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > _MOST_BROKEN:
         raise InputError(
-            f"{_said(oddities)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
+            f"{_description(anomalies)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
             "their surface: did something move in most of the picture, or were frames exchanged?"
         )
     if len(matches) < FEWEST_PIXELS:
-        return f"{_said(oddities)}. Too few pixels have a match to assess the effect."
+        return f"{_description(anomalies)}. Too few pixels have a match to assess the effect."
     if one_axis:
-        return f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
-    distance, off = _epipolar(matches)
-    if off > _MOST_OFF:
+        return (
+            f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
+        )
+    distance, outliers = _epipolar(matches)
+    if outliers > _MOST_OUTLIERS:
         raise InputError(
-            f"{_said(oddities)}; and {off:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the "
-            "epipolar geometry of the others"
+            f"{_description(anomalies)}; and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector "
+            "pixels from the epipolar geometry of the others"
         )
     return (
-        f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
+        f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
         f"themselves and with their surface, and fit one epipolar geometry to {distance:.2f} px. Did someone walk "
         "through the picture, or did the light change?"
     )
 
 
-def _said(oddities: Sequence[Oddity]) -> str:
-    return "the frames do not show what the capture says: " + "; ".join(oddity.said for oddity in oddities)
+def _description(anomalies: Sequence[Anomaly]) -> str:
+    return "the frames do not show what the capture says: " + "; ".join(anomaly.message for anomaly in anomalies)
 
 
 def _epipolar(matches: Matches) -> tuple[float, float]:
@@ -89,8 +91,8 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
         return 0.0, 1.0
     distance = from_epipolar_lines(some, matrix)
     sigma = np.zeros(len(chosen)) if matches.sigma_px is None else matches.sigma_px[chosen]
-    off = np.mean(distance > np.maximum(EPIPOLAR_PX, SIGNIFICANT_SIGMAS * sigma))
-    return float(np.median(distance)), float(off)
+    outliers = np.mean(distance > np.maximum(EPIPOLAR_PX, SIGNIFICANT_SIGMAS * sigma))
+    return float(np.median(distance)), float(outliers)
 
 
 def epipolar_matrix(matches: Matches) -> Floats | None:

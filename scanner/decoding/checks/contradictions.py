@@ -27,15 +27,15 @@ _BLURRED_AWAY = 2.0
 
 
 @dataclass(frozen=True)
-class Oddity:
-    """A contradiction, `said` in a few words, and the `frames` that are suspected."""
+class Anomaly:
+    """A contradiction, `message` in a few words, and the `frames` that are suspected."""
 
-    said: str
+    message: str
     frames: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Shown:
+class LitSample:
     """The pixels of the sample that are lit: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
 
     levels: Floats32
@@ -44,7 +44,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class _ShownFringe:
+class _SampledFringe:
     """At those pixels, the `levels` (shifts, P) of a fringe, its least-squares fit `offset`, `cosine`, `sine` (P,), and
     whether it is more than noise.
     """
@@ -63,14 +63,14 @@ class _ShownFringe:
         return amplitude
 
 
-def contradictions(plan: SequencePlan, shown: Shown) -> list[Oddity]:
+def contradictions(plan: SequencePlan, shown: LitSample) -> list[Anomaly]:
     """All that are found."""
     # One that the lenses have blurred away shows nothing, right or wrong.
-    seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
+    seen = [fringe for fringe in (_sampled_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
     return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
 
 
-def _extremes(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
+def _extremes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
     for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
         if frame is None:
             continue
@@ -79,14 +79,14 @@ def _extremes(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
-            yield Oddity(
+            yield Anomaly(
                 f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
                 f"{plan.name(suspect)}",
                 (frame, suspect),
             )
 
 
-def _complements(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
+def _complements(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
     pairs = plan.complements
     if len(pairs) < 2:
         return
@@ -94,14 +94,14 @@ def _complements(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
     wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
     if wrong.max() > _WRONG_SHARE:
         suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
-        yield Oddity(
+        yield Anomaly(
             f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
             f"{plan.names(suspects)}",
             tuple(suspects),
         )
 
 
-def _means(plan: SequencePlan, shown: Shown, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
+def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
     even = [one for one in seen if one.fringe.equal_steps]
     if not even:
         return
@@ -113,13 +113,13 @@ def _means(plan: SequencePlan, shown: Shown, seen: Sequence[_ShownFringe]) -> It
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
-            yield Oddity(
+            yield Anomaly(
                 f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 one.fringe.frames,
             )
 
 
-def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
+def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
     """Measure amplitude and shift of each frame against the fringe that all of them make together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
@@ -128,7 +128,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity
         components = np.stack([one.cosine, one.sine])
         unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
-            yield Oddity(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
+            yield Anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
             continue
         components = components.astype(np.float64)
         gram = components @ components.T
@@ -137,12 +137,12 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity
         wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
-            said = f"{plan.names(suspects)} have another shift or period than their patterns"
-            yield Oddity(said, tuple(suspects))
+            message = f"{plan.names(suspects)} have another shift or period than their patterns"
+            yield Anomaly(message, tuple(suspects))
 
 
-def _shown_fringe(fringe: Fringe, shown: Shown) -> _ShownFringe:
+def _sampled_fringe(fringe: Fringe, shown: LitSample) -> _SampledFringe:
     levels = shown.levels[list(fringe.frames)]
     offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), levels, axes=1)
     spread = medians(np.std(levels, axis=0, ddof=1) / shown.sigma, axis=0)
-    return _ShownFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))
+    return _SampledFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Bools
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
+from scanner.decoding.checks.contradictions import Anomaly, LitSample, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
@@ -49,7 +49,7 @@ _SAME_SHARE = 0.98
 
 def check_frames(
     plan: SequencePlan, levels: Floats32, alike: Floats32, noise: NoiseModel, saturation: float
-) -> tuple[list[Oddity], AmbientLightChange | None]:
+) -> tuple[list[Anomaly], AmbientLightChange | None]:
     """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`; and
     the light that was switched on or off, if some was.
 
@@ -60,7 +60,7 @@ def check_frames(
     sigma = noise.sigma((high + low) / 2)
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
-    shown = Shown(levels[:, lit], swing[lit], sigma[lit])
+    shown = LitSample(levels[:, lit], swing[lit], sigma[lit])
     made_alike = replace(shown, levels=alike[:, lit])
     found = contradictions(plan, shown)
     if not found and not may_be_switched(plan, shown.levels):
@@ -69,11 +69,11 @@ def check_frames(
     made_alike = _with_brighter_white(plan, made_alike)
     if not found and switch is None:
         return [], None
-    switched = [] if switch is None else [Oddity(switch.said(plan), (switch.frame,))]
+    switched = [] if switch is None else [Anomaly(switch.said(plan), (switch.frame,))]
     proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
     if proof:
-        said = "; ".join([*(oddity.said for oddity in found), proof])
-        raise InputError(f"the frames do not show what the capture says: {said}")
+        message = "; ".join([*(anomaly.message for anomaly in found), proof])
+        raise InputError(f"the frames do not show what the capture says: {message}")
     return [*switched, *contradictions(plan, made_alike)], switch
 
 
@@ -84,7 +84,7 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
     lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return False
-    return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
+    return not contradictions(plan, LitSample(levels[:, lit], (high - low)[lit], sigma[lit]))
 
 
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
@@ -107,13 +107,15 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     return False
 
 
-def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, AmbientLightChange | None]:
+def _in_one_light(
+    plan: SequencePlan, shown: LitSample, alike: LitSample
+) -> tuple[LitSample, AmbientLightChange | None]:
     """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
 
     None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one. Nor if
     light flickers and white alone explains it, which no gain is known of: all frames after a dark one have more light.
     """
-    best: tuple[Shown, AmbientLightChange | None] = alike, None
+    best: tuple[LitSample, AmbientLightChange | None] = alike, None
     if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
         return best
     for one in (alike, shown):
@@ -131,7 +133,7 @@ def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown
     return (alike, None) if left[0] <= _ABOUT * left[1] else best
 
 
-def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
+def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
     """The frames with white as many times brighter as makes most sense, for nothing tells its exposure but that it is
     the brightest: devices that expose each frame anew make it a dark one.
     """
@@ -143,10 +145,10 @@ def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
     return brighter if left[0] < _REPAIRED * left[1] else alike
 
 
-def _with_white(plan: SequencePlan, alike: Shown, least: float, most: float) -> Shown:
+def _with_white(plan: SequencePlan, alike: LitSample, least: float, most: float) -> LitSample:
     """The frames with white as many times as bright as makes most sense, within limits."""
 
-    def times(factor: float) -> Shown:
+    def times(factor: float) -> LitSample:
         levels = alike.levels.copy()
         levels[plan.white] *= np.float32(factor)
         return replace(alike, levels=levels)
@@ -158,7 +160,7 @@ def _with_white(plan: SequencePlan, alike: Shown, least: float, most: float) -> 
     return times(float(found.x))
 
 
-def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:
+def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Sequence[Anomaly]) -> str:
     """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
 
     If they were not exchanged, that makes it less consistent by as much. Nor were they if the sample is as consistent
@@ -166,7 +168,7 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
     """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
-    suspects = sorted({frame for oddity in found for frame in oddity.frames})
+    suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = _contradiction(plan, levels, swing)
     least, pair = _contradiction(plan, alike.levels[:, few], swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
@@ -210,9 +212,9 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
     return total / len(swing)
 
 
-def _double(plan: SequencePlan, shown: Shown, found: Sequence[Oddity]) -> str:
+def _double(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:
     """Says which of the suspected frames is the same as another one; '' if none is."""
-    for frame in sorted({frame for oddity in found for frame in oddity.frames}):
+    for frame in sorted({frame for anomaly in found for frame in anomaly.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
         for twin in np.flatnonzero(share > _SAME_SHARE).tolist():

@@ -15,7 +15,7 @@ from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.lines import lines_of
@@ -42,7 +42,7 @@ _LINES = 48
 _FARTHEST_PX = 16
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Oddity]:
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
     """Where the fringes of an axis follow its Gray code or each other badly; on a sample.
 
     Raises InputError if they do not follow at all.
@@ -68,7 +68,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
                     f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
                     f"some of these frames exchanged{_or_code(plan, axis)}?"
                 )
-            yield Oddity(
+            yield Anomaly(
                 f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
                 fringe.frames,
             )
@@ -77,16 +77,16 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         apart = float(np.median(distance))
         if apart <= _ODD_CYCLES * shorter.period:
             continue
-        said = (
+        message = (
             f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
             f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}"
         )
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
-                f"{said}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
+                f"{message}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
                 "interreflection bend the fringes so much that more shifts or shorter periods are needed?"
             )
-        yield Oddity(said, (*longer.frames, *shorter.frames))
+        yield Anomaly(message, (*longer.frames, *shorter.frames))
 
 
 class MirroredError(InputError):

@@ -56,7 +56,7 @@ def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[
         raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
 
 
-def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None:
+def refuse_period_slips(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None:
     """Raise RefusalError if something moved by whole periods between codes and fringes.
 
     All coordinates are then off by these: a projector with another principal point, which nothing contradicts.
@@ -66,14 +66,14 @@ def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Non
         raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
 
 
-def refuse_untold(plan: SequencePlan, odd: Set[int], motion: MotionFound | None) -> None:
+def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: MotionFound | None) -> None:
     """Raise RefusalError if something moved farther than fringes can tell, so that no motion explains what they show,
-    and `odd` frames of several of them show it.
+    and `anomalous` frames of several of them show it.
 
     Those by which shorter fringes are unwrapped may then name another cycle, the same one everywhere. What is wrong
     with a single fringe is a frame of it.
     """
-    broken = [fringe for fringe in plan.fringes if odd & {*fringe.frames}]
+    broken = [fringe for fringe in plan.fringes if anomalous & {*fringe.frames}]
     if len(broken) > 1 and motion is not None and not (motion.linear or motion.significant):
         raise moved(motion)
 

@@ -8,7 +8,7 @@ from calib.numerics import Bools, Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.period_slips import Knock, Offsets, moved_by_periods
+from scanner.decoding.motion.period_slips import Offsets, PeriodSlip, moved_by_periods
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
@@ -43,7 +43,7 @@ def shifts_of_codes(
     """Those that are more than nothing, given the signals of some pixels (P,); those that are `resting` (P,) count."""
     x, y = (_offsets(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
     by_periods = moved_by_periods(x, y) if x is not None and y is not None else (None, None)
-    found = (_shift(each, knock) for each, knock in zip((x, y), by_periods, strict=True) if each is not None)
+    found = (_shift(each, slip) for each, slip in zip((x, y), by_periods, strict=True) if each is not None)
     return tuple(shift for shift in found if shift is not None)
 
 
@@ -90,8 +90,8 @@ def _wrapped(angles: Floats) -> Floats:
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
-def _shift(found: Offsets, knock: Knock | None) -> CodeShift | None:
-    if knock is not None:
-        return CodeShift(found.axis, knock.px, by_periods=True, sure=knock.sure)
+def _shift(found: Offsets, slip: PeriodSlip | None) -> CodeShift | None:
+    if slip is not None:
+        return CodeShift(found.axis, slip.px, by_periods=True, sure=slip.sure)
     is_one = _LEAST_PX <= abs(found.mean_px) <= _MOST_CYCLES * found.period
     return CodeShift(found.axis, found.mean_px) if is_one else None

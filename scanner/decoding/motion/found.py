@@ -126,14 +126,14 @@ class MotionFound:
             _, px = turns_px(self.motion)
             return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        return f"{self._who()} {when.format(self.first, self.last)}"
+        return f"{self._description()} {when.format(self.first, self.last)}"
 
-    def _who(self) -> str:
+    def _description(self) -> str:
         """Who moved, and how far. What is too large may have been larger: fringes tell it but for whole periods."""
         size = "about {:.2g} px or more" if self.is_too_large else _SIZE
         if not self.linear:
             size = f"more than {self.largest_px:.2g} projector pixels"
-        return _likelier(self.motion, size) if self.undecided else who_moved(self.motion, size)
+        return _likelier(self.motion, size) if self.undecided else moved_device(self.motion, size)
 
 
 def largest_bump_px(finest_period: float) -> float:
@@ -157,7 +157,7 @@ def turns_px(motion: Floats) -> tuple[float, float]:
     return projector, camera
 
 
-def who_moved(motion: Floats, size: str = _SIZE) -> str:
+def moved_device(motion: Floats, size: str = _SIZE) -> str:
     """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`: how px are told."""
     projector, camera = turns_px(motion)
     moved = [

@@ -20,7 +20,7 @@ _LEAST_SEEN = 1e-4
 
 
 @dataclass(frozen=True)
-class Follows:
+class MotionResponse:
     """Of P pixels, for a motion of some course: `response`, by how much the position follows a motion of 1 px;
     `motion_px`, the motion that the frames show beside it, and the `precision` of this, the inverse of its variance.
     """
@@ -110,7 +110,7 @@ class FringeFit:
         rest: Floats = residual - shares[0] * waves[0] - shares[1] * waves[1]
         return rest
 
-    def follow(self, course: Floats) -> Follows:
+    def response_to(self, trajectory: Floats) -> MotionResponse:
         """What a motion that has come so far (N,) in the frames does to the fit, and what is seen of it.
 
         The grey levels' slope along the coordinate is A cos θ times one wave plus A sin θ times another, and so is
@@ -118,9 +118,9 @@ class FringeFit:
         """
         cosine, sine, _ = self._found
         waves = [-2 * pi / self.period * wave for wave in (np.sin(self._angles), np.cos(self._angles))]
-        fits = [self._explained(wave * course[:, None]) for wave in waves]
+        fits = [self._explained(wave * trajectory[:, None]) for wave in waves]
         response, motion_px, precision = np.empty((3, len(cosine)))
-        _follow(
+        _fit_response(
             np.stack([cosine, sine]),
             self._unexplained,
             np.stack(waves),
@@ -131,11 +131,11 @@ class FringeFit:
             motion_px,
             precision,
         )
-        return Follows(response, motion_px, precision / self.noise)
+        return MotionResponse(response, motion_px, precision / self.noise)
 
 
 @compiled
-def _follow(
+def _fit_response(
     components: Floats,
     unexplained: Floats,
     waves: Floats,
@@ -163,6 +163,6 @@ def _follow(
             all_of_it += slope * slope
             left += rest * rest
             along += rest * unexplained[n, p]
-        told = left > _LEAST_SEEN * all_of_it
-        motion_px[p] = along / left if told else 0.0
-        seen[p] = left if told else 0.0
+        is_observable = left > _LEAST_SEEN * all_of_it
+        motion_px[p] = along / left if is_observable else 0.0
+        seen[p] = left if is_observable else 0.0

@@ -31,23 +31,23 @@ _MUCH_OF_IT = 0.1
 # Where more than this moved, it is no thing before what rests, unless it passed: where it has left, frames agree again,
 # so that a pixel contradicts itself in about one group of frames, and after a bump in many. Nor is it if the picture as
 # a whole is elsewhere, in pixels of the grid.
-MOST, _MOST_IN_ALL, _PASSED, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
+MOST, _MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
 
 
 @dataclass(frozen=True)
-class Unrest:
-    """Where something `moved` (H, W), a `share` of what is lit; and where what is lit `rests`. `frames`: those that
-    contradict others where something moved. `spoilt` (H, W): where no coordinate can be had for it, which is where
+class InconsistentPixels:
+    """Where something `moved` (H, W), a `share` of what is lit; and where what is lit `resting`. `frames`: those that
+    contradict others where something moved. `corrupted` (H, W): where no coordinate can be had for it, which is where
     fringes changed; what changed in codes only shows in the cycles (cycles.py), if there are fringes.
     """
 
     moved: Bools
-    spoilt: Bools
-    rests: Bools
+    corrupted: Bools
+    resting: Bools
     share: float
     frames: tuple[int, ...]
 
-    def said(self, plan: SequencePlan) -> str:
+    def message(self, plan: SequencePlan) -> str:
         """For the operator."""
         return (
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
@@ -55,7 +55,7 @@ class Unrest:
         )
 
 
-def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
+def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> InconsistentPixels | None:
     """Where something moved, if it is not most of what is lit."""
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
@@ -70,27 +70,29 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     moved = patches(off, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    passed = _passed(groups, off[lit])
-    if not 0 < share <= (_MOST_IN_ALL if passed else MOST):
+    is_transient = _is_transient(groups, off[lit])
+    if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     if plan.fringes:
-        spoilt = _spoilt(plan, levels, lit, moved, noise, passed=passed)
+        corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
-        spoilt = moved & (off | _in_fine_bits(plan, groups, lit)) if passed else moved
-    rests = coarse.at_full_size(lit & ~moved & ~_crowded(off, lit))
-    return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
+        corrupted = moved & (off | _in_fine_bits(plan, groups, lit)) if is_transient else moved
+    resting = coarse.at_full_size(lit & ~moved & ~_dense(off, lit))
+    return InconsistentPixels(
+        coarse.at_full_size(moved), coarse.at_full_size(corrupted), resting, share, tuple(sorted(frames))
+    )
 
 
-def _passed(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
+def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
     """Whether pixels that are off (P,) are so in about one of the groups of frames, which may tell in several ways."""
     times = sum(
         np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
     )
-    return bool(times <= _PASSED * np.count_nonzero(off))
+    return bool(times <= _TRANSIENT * np.count_nonzero(off))
 
 
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
@@ -102,24 +104,24 @@ def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]
     return patches(off, lit)
 
 
-def _spoilt(
-    plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, passed: bool
+def _corrupted(
+    plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, is_transient: bool
 ) -> Bools:
     """Where fringes changed (h, w), pixel by pixel: one that is dark where a shadow falls does not, and stays right.
 
-    Longer fringes than the last of an axis tell its cycle only: where something `passed` during one, the cycle is
+    Longer fringes than the last of an axis tell its cycle only: where something `is_transient` during one, the cycle is
     right, or does not fit, or shows beside that of its surface. What came to stay is seen by some of them only.
     """
-    fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if passed else plan.fringes
+    fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
     off = np.zeros(lit.shape, np.bool_)
     off[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
     near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
     return off & near
 
 
-def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], rests: Bools) -> bool:
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
     """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
-    camera moved. If it was a large thing, its way does not bring into line what `rests` (h, w).
+    camera moved. If it was a large thing, its way does not bring into line what `resting` (h, w).
     """
     even = [group for group in groups if len(group) > 1]
     contradicting, others = (
@@ -135,13 +137,13 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
         return False
     back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
     taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    off, off_as_seen = (float(np.abs(image - before)[rests].sum()) for image in (taken_back, after))
+    off, off_as_seen = (float(np.abs(image - before)[resting].sum()) for image in (taken_back, after))
     return off <= off_as_seen
 
 
 def patches(off: Bools, lit: Bools) -> Bools:
     """Where many lit pixels around are off, (h, w), of enough, as far as they hang together, with a margin."""
-    dense = _crowded(off, lit) & (_around(lit) > _ENOUGH_LIT * _WINDOW**2)
+    dense = _dense(off, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
     large[0] = False
@@ -149,12 +151,12 @@ def patches(off: Bools, lit: Bools) -> Bools:
     return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), kernel).astype(np.bool_))
 
 
-def _crowded(off: Bools, lit: Bools) -> Bools:
+def _dense(off: Bools, lit: Bools) -> Bools:
     """Lit pixels of which many around are off, (h, w)."""
-    return (_around(off & lit) > _DENSE * _around(lit)) & lit
+    return (_count_around(off & lit) > _DENSE * _count_around(lit)) & lit
 
 
-def _around(some: Bools) -> Floats32:
+def _count_around(some: Bools) -> Floats32:
     """How many there are in the window around each pixel, (h, w)."""
     window = (_WINDOW, _WINDOW)
     count = cv2.boxFilter(some.astype(np.float32), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)

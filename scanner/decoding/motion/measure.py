@@ -14,7 +14,7 @@ from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.motion.trajectories import Showing, Trajectory, Witnesses, showings_of
+from scanner.decoding.motion.trajectories import FringeObservation, MotionObserver, Trajectory, observations_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 
 # A bump is looked for at every so many boundaries between frames first: one next to it shows there as well.
@@ -36,10 +36,10 @@ _AS_WELL = 0.9
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _Candidate:
     """A course with the motion that fits best."""
 
-    course: Trajectory
+    trajectory: Trajectory
     fit: Fit
 
 
@@ -56,13 +56,13 @@ class MotionMeter:
         self._pixels, self._repeats = pixels, plan.repeats
         self._finest_period = min(fringe.period for fringe in plan.fringes)
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
-        self._showings = showings_of(plan, tiles, pixels)
-        self._witnesses = Witnesses(self._showings, pixels)
+        self._observations = observations_of(plan, tiles, pixels)
+        self._observer = MotionObserver(self._observations, pixels)
         by_motion = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
         # Of all pixels the shifts of x, then of all those of y.
         self._design = np.concatenate([by_motion[:, 0], by_motion[:, 1]])
         self._tile = np.tile(pixels.tile, 2)
-        self._times = sorted({int(time) for axis in self._showings for one in axis for time in one.times})
+        self._times = sorted({int(time) for axis in self._observations for one in axis for time in one.times})
 
     def measure(self) -> tuple[MotionFound, bool]:
         """The motion that explains the fringes best, and what may be the truth beside it; and whether they contradict
@@ -70,41 +70,43 @@ class MotionMeter:
         """
         slow = Trajectory(self._times[0], self._times[-1], slow=True)
         bumps = [Trajectory(first, last) for first, last in pairwise(self._times)]
-        tried = [self._try(course) for course in [slow, *bumps[::_STRIDE]]]
-        best = max(tried, key=lambda one: one.fit.gained)
+        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::_STRIDE]]]
+        best = max(candidates, key=lambda one: one.fit.gained)
         if self._is_significant(best):
-            tried += [self._try(course) for course in bumps[1::_STRIDE]]
-            best = max(tried, key=lambda one: one.fit.gained)
-        likely = [one for one in tried if one.fit.gained >= _NEARLY * best.fit.gained]
+            candidates += [self._try(trajectory) for trajectory in bumps[1::_STRIDE]]
+            best = max(candidates, key=lambda one: one.fit.gained)
+        likely = [one for one in candidates if one.fit.gained >= _NEARLY * best.fit.gained]
         is_significant = self._is_significant(best)
         refined = self._refined(best) if is_significant else best
         explained = self._explained(refined) if is_significant else 0.0
         shift, *others = (self._disturbance(one) for one in (refined, *likely))
         size_px = self._size_px(refined.fit)
         linear = size_px < _LINEAR_CYCLES * self._finest_period
-        first, last = min(one.course.first for one in likely), max(one.course.last for one in likely)
+        first, last = min(one.trajectory.first for one in likely), max(one.trajectory.last for one in likely)
         contradicted = self._is_overdetermined and is_significant
         found = MotionFound(
             motion=refined.fit.motion,
             significant=contradicted and explained > _LEAST_EXPLAINED,
-            slow=best.course.slow,
-            first=self._repeats * (best.course.first if best.course.slow else first),
-            last=self._repeats * (best.course.last if best.course.slow else last),
+            slow=best.trajectory.slow,
+            first=self._repeats * (best.trajectory.first if best.trajectory.slow else first),
+            last=self._repeats * (best.trajectory.last if best.trajectory.slow else last),
             size_px=size_px,
             explained=explained,
             shift=shift,
             others=tuple(others),
             largest_px=largest_bump_px(self._finest_period),
             linear=linear,
-            undecided=is_significant and (not linear or self._is_undecided(best.course)),
+            undecided=is_significant and (not linear or self._is_undecided(best.trajectory)),
         )
         return found, contradicted
 
-    def _is_undecided(self, course: Trajectory) -> bool:
+    def _is_undecided(self, trajectory: Trajectory) -> bool:
         """Whether the camera alone explains about as much as the projector alone, as before a scene of little depth."""
-        seen, devices = self._witnesses.tell(course), np.arange(COLUMNS) // PER_DEVICE
+        observed, devices = self._observer.observe(trajectory), np.arange(COLUMNS) // PER_DEVICE
         gained = [
-            fit_motion(self._design * (devices == device), seen.motion_px, seen.precision, seen.row, self._tile).gained
+            fit_motion(
+                self._design * (devices == device), observed.motion_px, observed.precision, observed.row, self._tile
+            ).gained
             for device in (0, 1)
         ]
         return min(gained) > _AS_WELL * max(gained)
@@ -112,18 +114,18 @@ class MotionMeter:
     @property
     def _is_overdetermined(self) -> bool:
         """Whether a frame that does not belong to its fringe shows; with three, a bent curve is in the phase."""
-        return all(len(one.times) > COSINE_PARAMETERS for axis in self._showings for one in axis)
+        return all(len(one.times) > COSINE_PARAMETERS for axis in self._observations for one in axis)
 
-    def _try(self, course: Trajectory) -> _Tried:
-        return _Tried(course, self._fit(self._witnesses, course))
+    def _try(self, trajectory: Trajectory) -> _Candidate:
+        return _Candidate(trajectory, self._fit(self._observer, trajectory))
 
-    def _fit(self, witnesses: Witnesses, course: Trajectory) -> Fit:
-        seen = witnesses.tell(course)
-        return fit_motion(self._design, seen.motion_px, seen.precision, seen.row, self._tile)
+    def _fit(self, observer: MotionObserver, trajectory: Trajectory) -> Fit:
+        observed = observer.observe(trajectory)
+        return fit_motion(self._design, observed.motion_px, observed.precision, observed.row, self._tile)
 
-    def _is_significant(self, tried: _Tried) -> bool:
+    def _is_significant(self, candidate: _Candidate) -> bool:
         """Whether it is more than what is measured at rest."""
-        return tried.fit.significance > _SIGNIFICANT and self._size_px(tried.fit) > _LEAST_PX
+        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > _LEAST_PX
 
     def _size_px(self, fit: Fit) -> float:
         """How far the coordinates surely moved: root mean square."""
@@ -131,48 +133,52 @@ class MotionMeter:
         sure = np.maximum((self._design @ fit.motion) ** 2 - _SURE**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
-    def _disturbance(self, tried: _Tried) -> Disturbance:
+    def _disturbance(self, candidate: _Candidate) -> Disturbance:
         """What x and y have taken part in, averaged over their fringes, less what they have in common, which is as if
         the rig had stood there.
         """
-        shares = np.array([_share(axis, tried.course) for axis in self._showings])
-        squares = np.array([np.mean(moved_px**2) for moved_px in self._moved_px(tried.fit)])
+        shares = np.array([_share(axis, candidate.trajectory) for axis in self._observations])
+        squares = np.array([np.mean(moved_px**2) for moved_px in self._moved_px(candidate.fit)])
         common = float(shares @ squares / max(float(squares.sum()), 1e-12))
-        return Disturbance(np.outer(shares - common, tried.fit.motion), *self._sizes)
+        return Disturbance(np.outer(shares - common, candidate.fit.motion), *self._sizes)
 
     def _moved_px(self, fit: Fit) -> list[Floats]:
         """Of x and of y, how far the coordinates of the pixels (P,) moved."""
         return np.split(self._design @ fit.motion, 2)
 
-    def _told(self, tried: _Tried) -> Witnesses:
+    def _with_known_motion(self, candidate: _Candidate) -> MotionObserver:
         x, y = (
-            tuple(one.moved(tried.course, moved_px) for one in axis)
-            for axis, moved_px in zip(self._showings, self._moved_px(tried.fit), strict=True)
+            tuple(one.with_known_motion(candidate.trajectory, moved_px) for one in axis)
+            for axis, moved_px in zip(self._observations, self._moved_px(candidate.fit), strict=True)
         )
-        return Witnesses((x, y), self._pixels)
+        return MotionObserver((x, y), self._pixels)
 
-    def _refined(self, tried: _Tried) -> _Tried:
+    def _refined(self, candidate: _Candidate) -> _Candidate:
         """The same where it is too far for first order (Gauss–Newton)."""
         for _ in range(_ROUNDS):
-            more = self._fit(self._told(tried), tried.course)
-            tried = _Tried(tried.course, Fit(tried.fit.motion + more.motion, more.covariance, tried.fit.gained))
-        return tried
+            more = self._fit(self._with_known_motion(candidate), candidate.trajectory)
+            candidate = _Candidate(
+                candidate.trajectory, Fit(candidate.fit.motion + more.motion, more.covariance, candidate.fit.gained)
+            )
+        return candidate
 
-    def _explained(self, tried: _Tried) -> float:
+    def _explained(self, candidate: _Candidate) -> float:
         """The share of what the fringes show of the course that the motion explains, of a typical pixel."""
-        before, after = (witnesses.tell(tried.course) for witnesses in (self._witnesses, self._told(tried)))
+        before, after = (
+            observer.observe(candidate.trajectory) for observer in (self._observer, self._with_known_motion(candidate))
+        )
         if not len(before.row):
             return 0.0
-        left, all_of_it = (median(seen.precision * seen.motion_px**2) for seen in (after, before))
+        left, all_of_it = (median(observed.precision * observed.motion_px**2) for observed in (after, before))
         return 1.0 - left / max(all_of_it, 1e-12)
 
 
-def _share(fringes: Sequence[Showing], course: Trajectory) -> float:
+def _share(fringes: Sequence[FringeObservation], trajectory: Trajectory) -> float:
     """The share of the motion in the coordinate: that in the shortest fringe, to whose mean others are brought
     (`fringes/systematic_error.py`).
     """
     shortest = fringes[-1]
-    return float(np.mean(shortest.fit.follow(course.at(shortest.times)).response))
+    return float(np.mean(shortest.fit.response_to(trajectory.at(shortest.times)).response))
 
 
 def measure_motion(

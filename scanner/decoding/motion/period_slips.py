@@ -49,7 +49,7 @@ class Offsets:
 
 
 @dataclass(frozen=True)
-class Knock:
+class PeriodSlip:
     """By `px` or more the middle of the picture moved along an axis, whole periods being a part of it. `sure`: it was
     along this axis; else it may have been along the other one alone, by another size.
     """
@@ -58,7 +58,7 @@ class Knock:
     sure: bool
 
 
-def moved_by_periods(x: Offsets, y: Offsets) -> tuple[Knock | None, Knock | None]:
+def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodSlip | None]:
     """How the picture moved along x and y where whole periods are a part of it; else None."""
     axes, width = (x, y), x.axis.length
     seen = np.flatnonzero(x.seen & y.seen)
@@ -79,7 +79,7 @@ def moved_by_periods(x: Offsets, y: Offsets) -> tuple[Knock | None, Knock | None
         else 0.0
         for number, each in enumerate(axes)
     )
-    return Knock(of_x, sure[0]) if of_x else None, Knock(of_y, sure[1]) if of_y else None
+    return PeriodSlip(of_x, sure[0]) if of_x else None, PeriodSlip(of_y, sure[1]) if of_y else None
 
 
 def _blocks(place: Floats, height: float) -> list[Ints]:

@@ -135,16 +135,16 @@ def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float
         return float(towards @ np.linalg.solve(asked.T @ normal @ asked, towards))
 
     times = equations.times
-    courses = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
-    courses += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
+    trajectories = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
+    trajectories += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
 
-    def of_event(course: Trajectory) -> Floats:
-        share = course.at(times) - np.mean(course.at(times))
+    def of_event(trajectory: Trajectory) -> Floats:
+        share = trajectory.at(times) - np.mean(trajectory.at(times))
         along = [projector @ (share * (equations.axis == axis)) for axis in (0, 1)]
         return np.stack([camera[:, :count] @ share, camera[:, count:] @ share, *along], axis=1)
 
     nothing = explained(camera[:, :0])
-    best = max(explained(of_event(course)) for course in courses)
+    best = max(explained(of_event(trajectory)) for trajectory in trajectories)
     return (best - nothing) / max(explained(camera) - nothing, 1e-12)
 
 

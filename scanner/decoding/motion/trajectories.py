@@ -14,7 +14,7 @@ from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Successive fringes tell of a motion between them if their positions follow it at least this differently.
-_APART = 0.05
+_LEAST_RESPONSE_DIFFERENCE = 0.05
 # What bent brightness curves and interreflection do grows with the period: one that is longer by far tells nothing.
 _COMPARABLE = 4.0
 
@@ -38,23 +38,23 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Showing:
+class FringeObservation:
     """All frames of a fringe, repeats among them: the fit to them, and when they were taken, `times` (N,)."""
 
     fit: FringeFit
     times: Ints
 
-    def moved(self, course: Trajectory, motion_px: Floats) -> "Showing":
+    def with_known_motion(self, trajectory: Trajectory, motion_px: Floats) -> "FringeObservation":
         """The same, told of a motion (P,) of its pixels."""
-        return replace(self, fit=replace(self.fit, moved_px=course.at(self.times)[:, None] * motion_px))
+        return replace(self, fit=replace(self.fit, moved_px=trajectory.at(self.times)[:, None] * motion_px))
 
 
 # For x and for y, those of its fringes, longest first.
-Showings = tuple[tuple[Showing, ...], tuple[Showing, ...]]
+FringeObservations = tuple[tuple[FringeObservation, ...], tuple[FringeObservation, ...]]
 
 
 @dataclass(frozen=True)
-class Seen:
+class MotionObservations:
     """What pixels say of a motion: `motion_px` with its `precision` (M,), and which says it: its `row` (M,) among the P
     pixels for x, then the same for y.
     """
@@ -64,10 +64,10 @@ class Seen:
     row: Ints
 
 
-def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showings:
+def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeObservations:
     """Those of a capture."""
 
-    def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> Showing:
+    def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> FringeObservation:
         taken = [
             (shift, time)
             for shift, frame in zip(shifts, frames, strict=True)
@@ -76,43 +76,45 @@ def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showin
         ]
         times = np.array([time for _, time in taken])
         levels = tiles.levels(times.tolist(), pixels.number).astype(np.float64)
-        return Showing(FringeFit(levels, np.array([shift for shift, _ in taken]), period, pixels.noise), times)
+        return FringeObservation(
+            FringeFit(levels, np.array([shift for shift, _ in taken]), period, pixels.noise), times
+        )
 
     x, y = (tuple(of(each.frames, each.shifts, each.period) for each in axis.fringes) for axis in plan.axes)
     return x, y
 
 
 @dataclass(frozen=True)
-class Witnesses:
+class MotionObserver:
     """The fringes, told of a motion, if only of none. What is left they tell."""
 
-    showings: Showings
+    observations: FringeObservations
     pixels: Pixels
 
-    def tell(self, course: Trajectory) -> Seen:
+    def observe(self, trajectory: Trajectory) -> MotionObservations:
         """What they say of a motion of this course, beyond that of which they were told."""
         parts = []
         every = np.arange(len(self.pixels))
-        for axis, (of_axis, apart) in enumerate(zip(self.showings, self._apart, strict=True)):
-            follows = [one.fit.follow(course.at(one.times)) for one in of_axis]
-            found = [(one.motion_px, one.precision) for one in follows]
-            for (before, after), known in zip(pairwise(follows), apart, strict=True):
+        for axis, (of_axis, apart) in enumerate(zip(self.observations, self._position_differences, strict=True)):
+            responses = [one.fit.response_to(trajectory.at(one.times)) for one in of_axis]
+            found = [(one.motion_px, one.precision) for one in responses]
+            for (before, after), known in zip(pairwise(responses), apart, strict=True):
                 if known is not None:
-                    found.append(_between(*known, after.response - before.response))
+                    found.append(_motion_between(*known, after.response - before.response))
             parts += [(*part, every + axis * len(every)) for part in found]
         motion_px, precision, row = (np.concatenate(column) for column in zip(*parts, strict=True))
-        says = precision > 0
-        return Seen(motion_px[says], precision[says], row[says])
+        is_informative = precision > 0
+        return MotionObservations(motion_px[is_informative], precision[is_informative], row[is_informative])
 
     @cached_property
-    def _apart(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
+    def _position_differences(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
         """Of x and y, per two successive fringes: how far their positions are apart (P,), and the variance of that.
 
         Beside noise, they are apart by what interreflection and bent brightness curves do to each, which varies in a
         tile. None where one period is longer by far.
         """
         found = []
-        for axis, of_axis in enumerate(self.showings):
+        for axis, of_axis in enumerate(self.observations):
             of_pairs: list[tuple[Floats, Floats] | None] = []
             # Told of a motion, every fringe puts a pixel where it was before: the longest as well as the others.
             longest = of_axis[0].fit
@@ -135,13 +137,15 @@ def _with_variance(apart_px: Floats, noise: Floats, tile: Ints) -> tuple[Floats,
     return apart_px, noise + max(spread**2 - median(noise), 0.0)
 
 
-def _between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
+def _motion_between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
     """What two fringes say by how far their positions are apart (P,): the motion, and its precision (P,).
 
     `response` (P,): by how much the second follows a motion more than the first.
     """
-    says = np.abs(response) > _APART
-    return np.where(says, apart_px / np.where(says, response, 1.0), 0.0), np.where(says, response**2 / variance, 0.0)
+    is_informative = np.abs(response) > _LEAST_RESPONSE_DIFFERENCE
+    return np.where(is_informative, apart_px / np.where(is_informative, response, 1.0), 0.0), np.where(
+        is_informative, response**2 / variance, 0.0
+    )
 
 
 def _nearest(fit: FringeFit, target: Floats) -> Floats:
