@@ -1,4 +1,4 @@
-"""What contradicts the light that every sequence shows: odd frames, at the lit pixels of a sample."""
+"""Contradictions between frames and the light that their patterns must show, at the lit pixels of a sample."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,25 +10,27 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
+# An exchanged frame is wrong by the whole swing where its pattern differs; a nonlinear camera curve by less than half.
 _WRONG = 0.5
 _WRONG_SHARE = 0.05
-# N times the spread of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames is another pattern;
-# 0.1 to 0.2 from harmonics.
+# N times the scatter of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames shows another
+# pattern, 0.1 to 0.2 from harmonics.
 _WRONG_MEAN = 0.5
-# How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
+# Largest deviation of the amplitude and shift of a frame, as a distance between unit phasors.
 _WRONG_SHIFT = 0.4
-# In a view of less than a third of a cycle shifts cannot be told from amplitudes: ratio of the singular values.
+# If less than a third of a cycle is visible, shifts and amplitudes are not separable: limit on the ratio of singular
+# values.
 _MOST_UNEVEN = 2.0
-# The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
+# Share of the power of a fringe that its fit leaves: 0.05 for a gamma of 2.2, 0.5 for exchanged opposite or next
+# shifts.
 _UNEXPLAINED = 0.25
-# Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
+# Scatter of a fringe's frames in standard deviations of the noise; a barely visible fringe has 3.
 _BLURRED_AWAY = 2.0
 
 
 @dataclass(frozen=True)
 class Anomaly:
-    """A contradiction, `message` in a few words, and the `frames` that are suspected."""
+    """A contradiction, with a short `message` and the suspected `frames`."""
 
     message: str
     frames: tuple[int, ...]
@@ -36,7 +38,7 @@ class Anomaly:
 
 @dataclass(frozen=True)
 class LitSample:
-    """The pixels of the sample that are lit: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
+    """The lit pixels of the sample: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
 
     levels: Floats32
     swing: Floats32
@@ -45,8 +47,9 @@ class LitSample:
 
 @dataclass(frozen=True)
 class _SampledFringe:
-    """At those pixels, the `levels` (shifts, P) of a fringe, its least-squares fit `offset`, `cosine`, `sine` (P,), and
-    whether it is more than noise.
+    """One fringe at the lit pixels: `levels` (shifts, P), and the least-squares fit `offset`, `cosine`, `sine` (P,).
+
+    `is_seen`: whether it exceeds the noise.
     """
 
     fringe: Fringe
@@ -64,8 +67,8 @@ class _SampledFringe:
 
 
 def contradictions(plan: SequencePlan, shown: LitSample) -> list[Anomaly]:
-    """All that are found."""
-    # One that the lenses have blurred away shows nothing, right or wrong.
+    """Return all contradictions between the frames and the sequence."""
+    # A fringe that the lenses have blurred away cannot be checked.
     seen = [fringe for fringe in (_sampled_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
     return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
 
@@ -120,7 +123,7 @@ def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe])
 
 
 def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
-    """Measure amplitude and shift of each frame against the fringe that all of them make together."""
+    """Yield frames whose amplitude or phase shift does not fit the fringe that all of them form together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
         angles = 2 * np.pi * np.array(fringe.shifts)

@@ -1,4 +1,4 @@
-"""Motion during a capture: of the camera, of the projector, of something in the scene."""
+"""Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
 from scanner.decoding.motion.blame import (
     UNSEEN_MOTION,

@@ -1,7 +1,7 @@
-"""Where the frames of a pixel contradict each other while those of other pixels do not: something moved there.
+"""Detection of pixels whose frames contradict each other while those of other pixels agree: something moved there.
 
-A frame that shows another pattern breaks light's arithmetic (light_arithmetic.py) all over the picture. Something that
-moved, or its shadow, breaks it in patches, beside which all frames agree.
+A corrupted frame violates the checks of light_arithmetic.py all over the picture. A moving object or its shadow
+violates them in patches, outside of which all frames agree.
 """
 
 from dataclasses import dataclass
@@ -19,26 +19,30 @@ from scanner.decoding.motion.light_arithmetic import broken_fringes, contradicti
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST
 
-# Pixels that swing less than this share of what the brightest few do are hardly lit.
+# Lit pixels have at least this share of the brightest pixels' swing.
 _LIT = 0.1
-# Every so many-th of the grid's pixels tells quickly that nothing moved: so few contradictions are no patch.
+# A quick test on a subsample of the grid: with so few contradictions, nothing moved.
 _STRIDE, _A_FEW = 3, 4
-# So many of the lit pixels around one are in contradiction where something moved; its edges are lit by both.
+# Window, and least share of inconsistent pixels among the lit ones in it where something moved. The last is the least
+# share of lit pixels in the window; both object and background light its edges.
 _WINDOW, _DENSE, _ENOUGH_LIT = 9, 0.3, 0.3
 _SMALLEST, _MARGIN = 30, 1
-# Frames that contradict the others in so much of where something moved are those in which it did.
+# Frames that contradict the others in at least this share of the moving region.
 _MUCH_OF_IT = 0.1
-# Where more than this moved, it is no thing before what rests, unless it passed: where it has left, frames agree again,
-# so that a pixel contradicts itself in about one group of frames, and after a bump in many. Nor is it if the picture as
-# a whole is elsewhere, in pixels of the grid.
+# Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
+# again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
+# camera. Last, the largest shift of the whole picture, in pixels of the grid.
 MOST, _MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
 
 
 @dataclass(frozen=True)
 class InconsistentPixels:
-    """Where something `moved` (H, W), a `share` of what is lit; and where what is lit `resting`. `frames`: those that
-    contradict others where something moved. `corrupted` (H, W): where no coordinate can be had for it, which is where
-    fringes changed; what changed in codes only shows in the cycles (cycles.py), if there are fringes.
+    """Masks of the pixels where something `moved` (H, W), which is a `share` of the lit ones, and of the lit pixels
+    `resting`.
+
+    `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
+    coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
+    (cycles.py).
     """
 
     moved: Bools
@@ -48,7 +52,7 @@ class InconsistentPixels:
     frames: tuple[int, ...]
 
     def message(self, plan: SequencePlan) -> str:
-        """For the operator."""
+        """Return a sentence for the operator."""
         return (
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
             f"{plan.names(self.frames)}; the affected pixels were masked, and the rest is used."
@@ -56,7 +60,7 @@ class InconsistentPixels:
 
 
 def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> InconsistentPixels | None:
-    """Where something moved, if it is not most of what is lit."""
+    """Return the pixels where something moved; None if nothing did, or nearly all of what is lit."""
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
     lit: Bools = swing > max(_LIT * float(np.quantile(swing, BRIGHTEST)), 1e-6)
@@ -87,7 +91,10 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
 
 
 def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
-    """Whether pixels that are off (P,) are so in about one of the groups of frames, which may tell in several ways."""
+    """Return whether pixels in `off` (P,) are inconsistent in about one group of frames each.
+
+    Several checks may flag the same group.
+    """
     times = sum(
         np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
@@ -96,7 +103,7 @@ def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bo
 
 
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
-    """Where something passed while fine bits were shown (h, w): what is wrong by few cells looks right."""
+    """Return the patches (h, w) that changed during fine bits, where an error of a few cells looks plausible."""
     fine, off = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
     for frames, each in groups:
         if fine.intersection(frames):
@@ -107,10 +114,10 @@ def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]
 def _corrupted(
     plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, is_transient: bool
 ) -> Bools:
-    """Where fringes changed (h, w), pixel by pixel: one that is dark where a shadow falls does not, and stays right.
+    """Return the pixels (h, w) at which fringes changed; a pixel that is dark anyway keeps its coordinate in a shadow.
 
-    Longer fringes than the last of an axis tell its cycle only: where something `is_transient` during one, the cycle is
-    right, or does not fit, or shows beside that of its surface. What came to stay is seen by some of them only.
+    All fringes of an axis but the last only select its period. If a change `is_transient`, an error in them is
+    harmless, or shows as a contradiction or a period slip. A lasting change may show in only some of the fringes.
     """
     fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
     off = np.zeros(lit.shape, np.bool_)
@@ -120,8 +127,10 @@ def _corrupted(
 
 
 def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
-    """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
-    camera moved. If it was a large thing, its way does not bring into line what `resting` (h, w).
+    """Return whether the whole picture, `levels` (frames, h, w), is shifted in the contradicting `frames`: a camera
+    bump.
+
+    If it was a large object instead, undoing its shift does not improve the agreement at the `resting` pixels (h, w).
     """
     even = [group for group in groups if len(group) > 1]
     contradicting, others = (
@@ -142,7 +151,7 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
 
 
 def patches(off: Bools, lit: Bools) -> Bools:
-    """Where many lit pixels around are off, (h, w), of enough, as far as they hang together, with a margin."""
+    """Return connected patches (h, w), with a margin, in which many of the lit pixels are `off`."""
     dense = _dense(off, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
@@ -152,12 +161,12 @@ def patches(off: Bools, lit: Bools) -> Bools:
 
 
 def _dense(off: Bools, lit: Bools) -> Bools:
-    """Lit pixels of which many around are off, (h, w)."""
+    """Return the lit pixels (h, w) around which a large share of the lit ones are `off`."""
     return (_count_around(off & lit) > _DENSE * _count_around(lit)) & lit
 
 
 def _count_around(some: Bools) -> Floats32:
-    """How many there are in the window around each pixel, (h, w)."""
+    """Return the number of such pixels in the window around each pixel, (h, w)."""
     window = (_WINDOW, _WINDOW)
     count = cv2.boxFilter(some.astype(np.float32), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return cast(Floats32, count)

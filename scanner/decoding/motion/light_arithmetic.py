@@ -1,7 +1,7 @@
-"""Where frames break what light's own arithmetic says of them, pixel by pixel.
+"""Checks of the frames of each pixel against the laws that all patterns obey.
 
-A pattern and its inverse make as much light as any other pair; a fringe's mean is the same part of white everywhere;
-its steps lie on a cosine, but for the harmonics of a bent brightness curve, which go with its phase; no bit is
+Pattern and inverse add up to the same light in every pair. The mean of a fringe is the same part of white everywhere.
+Its steps lie on a cosine, apart from the harmonics of a nonlinear brightness curve, which follow its phase. No bit is
 brighter than white or darker than black.
 """
 
@@ -17,27 +17,28 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 
-# A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
-# camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
-# than half of what is lit, so that what most have is told by those that have the least.
+# Thresholds for a contradiction: relative to the pixel's swing, in standard deviations of the noise, and relative to
+# the usual deviation (a nonlinear camera, a projector that sharpens or dims fine stripes). An object may cover more
+# than half of the lit pixels, so that a low quantile tells what is usual.
 _LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 8.0
 _RESTING = 0.3
-# Of bits without inverses, about half are lit at each pixel: those beyond so many are all lit.
+# About half of the bits without inverse are lit at each pixel: those beyond this quantile are all lit.
 _LIT_BITS = 0.7
-# A camera that is not linear sees such pairs of stripes as brighter or darker than others: of black and white next to
-# each other that a lens mixes by up to a quarter of the swing, with the response curve of sRGB.
+# A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
+# adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
 _FINE_BITS, _OF_FINE = 3, 2.5
-# What is lit by a fringe and not by white is lit by way of what moved: flickering lamps do not make half of the swing.
+# Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make half of the swing.
 _FAR_BEYOND = 5.0
 _HARMONICS, _TRIMS = (2, 3), 3
-# So many times what the pixels that rest leave is farther off than three standard deviations.
+# Outliers exceed this multiple of the resting quantile, which is three standard deviations.
 _OFF_RESTING = 5.25
 
 
 @dataclass(frozen=True)
 class _Group:
-    """How far `frames` are `off` each other or the other frames at pixels (P,), in grey levels, and the noise of that
-    for a noise of one. `times`: how many times as much as of others is a contradiction.
+    """Deviations `off` (P,), in grey levels, of `frames` from each other or from the other frames.
+
+    `noise_gain`: noise of `off` for a pixel noise of one. `times`: factor on the threshold for a contradiction.
     """
 
     frames: tuple[int, ...]
@@ -47,14 +48,18 @@ class _Group:
 
 
 def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P)."""
+    """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
+    (frames, P).
+    """
     return _where(_groups(plan, levels), levels, noise)
 
 
 def broken_fringes(
     plan: SequencePlan, fringes: Iterable[Fringe], levels: Floats32, noise: NoiseModel, resting: Bools
 ) -> Bools:
-    """Where some of the fringes contradict themselves or the rest (P,); those `resting` (P,) tell what is usual."""
+    """Return the pixels (P,) at which some of the fringes are inconsistent; the `resting` pixels (P,) give the usual
+    deviation.
+    """
     frames = {fringe.frames for fringe in fringes}
     groups = (group for group in _groups(plan, levels) if group.frames in frames)
     off: Bools = np.any([each for _, each in _where(groups, levels, noise, resting)], axis=0)
@@ -78,8 +83,9 @@ def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
-    """Those of bits that may be finer than what camera and projector resolve, or the scene scatters; where one of them
-    is wrong, so is the coordinate by few cells.
+    """Return the frames of bits that camera, projector or scattering may blur.
+
+    An error in one of them moves the coordinate by a few cells only.
     """
     found: set[int] = set()
     for code in plan.codes:
@@ -89,7 +95,7 @@ def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """What must agree, at lit pixels, `levels` (frames, P)."""
+    """Yield the deviations of all groups of frames that must agree at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
     blurred = set() if plan.fringes else frames_of_fine_bits(plan)
@@ -113,7 +119,7 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 
 
 def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """The brightest step of each fringe, if it is far above white."""
+    """Yield the excess of the brightest step of each fringe over white, which counts only if it is large."""
     if plan.white is not None:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
@@ -121,17 +127,17 @@ def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """The steps of each fringe, if they are enough to tell."""
+    """Yield the deviation from a cosine of each fringe with enough steps."""
     for fringe in plan.fringes:
         if len(fringe.frames) > COSINE_PARAMETERS:
             yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
 
 
 def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
-    """What frames (N, P), each as bright as fits best, leave of the usual light (P,).
+    """Return the deviation of frames (N, P), each scaled to fit best, from the usual light (P,).
 
-    How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
-    to bright light by less.
+    Brightness has mostly been equalised already, but not of the first frames, nor for cameras that respond less to
+    bright light.
     """
     by = usual / np.maximum(levels.mean(axis=0), 1e-6)
     _, left = _fit_most(levels.T, usual[:, None], _alike(by))
@@ -139,8 +145,9 @@ def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
 
 
 def _alike(values: Floats32) -> Bools:
-    """Those of the values (P,) that are closest together, as many as rest at least: what is near a lamp and moves is
-    brighter than all that rests, and would decide a mean.
+    """Return the most concentrated values (P,), as many as the least share of resting pixels.
+
+    A moving object near a lamp is brighter than all that rests, and would bias a mean.
     """
     count = max(1, round(_RESTING * len(values)))
     ordered = np.sort(values)
@@ -149,11 +156,11 @@ def _alike(values: Floats32) -> Bools:
 
 
 def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
-    """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
+    """Return the deviation of the usual light (P,) from a combination of the mean and the ambient light, `parts` (2,
+    P).
 
-    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
-    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
-    motion.
+    A nonlinear projector changes the mean, and adds the harmonic whose order is the number of steps. Interreflection
+    may give this harmonic any phase, so that deviations of its size are not taken for motion.
     """
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
@@ -165,8 +172,9 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
 
 
 def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats32, Floats32]:
-    """By how much to multiply the terms (P, N) to explain the targets (P, K) where pixels agree, as many as rest at
-    least, (N, K); and what is left of these (P, K). `first` (P,): where they agree roughly.
+    """Fit the targets (P, K) by the terms (P, N), trimmed to pixels that agree: factors (N, K) and residuals (P, K).
+
+    `first` (P,): pixels of the first fit.
     """
     kept = first
     for _ in range(_TRIMS):
@@ -178,12 +186,12 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
 
 
 def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """Bits without an inverse, `levels` (frames, P), if white and black tell what they should be between."""
+    """Yield the excess of bits without an inverse, `levels` (frames, P), beyond white and black."""
     alone = [frame for code in plan.codes for frame in code.unpaired.values()]
     if not alone or plan.white is None or plan.black is None:
         return
     ordered = np.sort(levels[alone], axis=0)
-    # Not white alone: it may be the odd one, and harms nothing then.
+    # White itself may be the corrupted frame, which then does no harm.
     most = np.maximum(levels[plan.white], ordered[round(_LIT_BITS * (len(alone) - 1))])
     least = np.minimum(levels[plan.black], ordered[round((1 - _LIT_BITS) * (len(alone) - 1))])
     for frame in alone:
@@ -195,9 +203,9 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
 
 
 def _off_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
-    """What the steps (N, P) of a fringe leave of a cosine and of its harmonics, rms (P,).
+    """Return the rms (P,) of the residuals of a fringe's steps (N, P) from a cosine and its harmonics.
 
-    Harmonics are first told where least is left of the cosine: elsewhere, more than half of it may be motion.
+    The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.
     """
     angles = 2 * np.pi * np.array(fringe.shifts)
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What the fringes of a capture say of a motion that takes a certain course in time."""
+"""Observations of a motion with a given trajectory in time, from the fringes of a capture."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,16 +13,17 @@ from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
 
-# Successive fringes tell of a motion between them if their positions follow it at least this differently.
+# Successive fringes observe a motion between them if their responses to it differ by at least this.
 _LEAST_RESPONSE_DIFFERENCE = 0.05
-# What bent brightness curves and interreflection do grows with the period: one that is longer by far tells nothing.
+# Errors from nonlinear brightness curves and interreflection grow with the period: a much longer one is useless.
 _COMPARABLE = 4.0
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """How far a motion has come: from 0 to 1 at once between the frames `first` and `last`, or evenly from the one to
-    the other if it is `slow`.
+    """The completed share of a motion over time, from 0 to 1.
+
+    It is a step between the frames `first` and `last`, or a linear ramp from the one to the other if it is `slow`.
     """
 
     first: int
@@ -30,7 +31,7 @@ class Trajectory:
     slow: bool = False
 
     def at(self, times: Ints) -> Floats:
-        """The share (N,) of the motion that is done in frames (N,)."""
+        """Return the completed share (N,) of the motion in frames (N,)."""
         if self.slow:
             share: Floats = (times - self.first) / (self.last - self.first)
             return share
@@ -39,24 +40,25 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class FringeObservation:
-    """All frames of a fringe, repeats among them: the fit to them, and when they were taken, `times` (N,)."""
+    """The fit to all frames of a fringe, including repeats, and their `times` (N,) in the sequence."""
 
     fit: FringeFit
     times: Ints
 
     def with_known_motion(self, trajectory: Trajectory, motion_px: Floats) -> "FringeObservation":
-        """The same, told of a motion (P,) of its pixels."""
+        """Return a fit that takes a known motion (P,) of its pixels into account."""
         return replace(self, fit=replace(self.fit, moved_px=trajectory.at(self.times)[:, None] * motion_px))
 
 
-# For x and for y, those of its fringes, longest first.
+# The fringes of x and of y, longest first.
 FringeObservations = tuple[tuple[FringeObservation, ...], tuple[FringeObservation, ...]]
 
 
 @dataclass(frozen=True)
 class MotionObservations:
-    """What pixels say of a motion: `motion_px` with its `precision` (M,), and which says it: its `row` (M,) among the P
-    pixels for x, then the same for y.
+    """Observed motion: `motion_px` with its `precision` (M,).
+
+    `row` (M,): the coordinate observed, numbered by the P pixels for x, then by the same for y.
     """
 
     motion_px: Floats
@@ -65,7 +67,7 @@ class MotionObservations:
 
 
 def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeObservations:
-    """Those of a capture."""
+    """Fit all fringes of a capture at the pixels."""
 
     def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> FringeObservation:
         taken = [
@@ -86,13 +88,13 @@ def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Fr
 
 @dataclass(frozen=True)
 class MotionObserver:
-    """The fringes, told of a motion, if only of none. What is left they tell."""
+    """Fits of fringes that take a known motion, or none, into account; what remains can be observed."""
 
     observations: FringeObservations
     pixels: Pixels
 
     def observe(self, trajectory: Trajectory) -> MotionObservations:
-        """What they say of a motion of this course, beyond that of which they were told."""
+        """Return the motion along this trajectory that remains beside the known motion."""
         parts = []
         every = np.arange(len(self.pixels))
         for axis, (of_axis, apart) in enumerate(zip(self.observations, self._position_differences, strict=True)):
@@ -108,15 +110,15 @@ class MotionObserver:
 
     @cached_property
     def _position_differences(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
-        """Of x and y, per two successive fringes: how far their positions are apart (P,), and the variance of that.
+        """For x and y, per two successive fringes: the difference of their positions (P,), and its variance.
 
-        Beside noise, they are apart by what interreflection and bent brightness curves do to each, which varies in a
-        tile. None where one period is longer by far.
+        Besides noise, the variance contains the scatter within a tile due to interreflection and nonlinear brightness
+        curves. None if one period is much longer than the other.
         """
         found = []
         for axis, of_axis in enumerate(self.observations):
             of_pairs: list[tuple[Floats, Floats] | None] = []
-            # Told of a motion, every fringe puts a pixel where it was before: the longest as well as the others.
+            # With a known motion, every fringe gives the position before it: the longest as well as the others.
             longest = of_axis[0].fit
             coordinate = _nearest(longest, self.pixels.projector_px[:, axis] - longest.mean_moved_px)
             for longer, shorter in pairwise(one.fit for one in of_axis):
@@ -138,9 +140,9 @@ def _with_variance(apart_px: Floats, noise: Floats, tile: Ints) -> tuple[Floats,
 
 
 def _motion_between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
-    """What two fringes say by how far their positions are apart (P,): the motion, and its precision (P,).
+    """Return the motion and its precision (P,) from the difference of the positions of two fringes (P,).
 
-    `response` (P,): by how much the second follows a motion more than the first.
+    `response` (P,): how much more the second position follows a motion than the first.
     """
     is_informative = np.abs(response) > _LEAST_RESPONSE_DIFFERENCE
     return np.where(is_informative, apart_px / np.where(is_informative, response, 1.0), 0.0), np.where(
@@ -149,13 +151,13 @@ def _motion_between(apart_px: Floats, variance: Floats, response: Floats) -> tup
 
 
 def _nearest(fit: FringeFit, target: Floats) -> Floats:
-    """The coordinates (P,) with the fit's positions within the period that are nearest to the target."""
+    """Return the coordinates (P,) nearest to the target with the fit's positions within the period."""
     nearest: Floats = fit.position + fit.period * np.rint((target - fit.position) / fit.period)
     return nearest
 
 
 def _median_of_group(values: Floats, group: Ints) -> Floats:
-    """For each value (P,) the median of those of its group; the groups are in order."""
+    """Return for each value (P,) the median of its group; the groups are in order."""
     ordered = values[np.lexsort((values, group))]
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     counts = np.diff(starts, append=len(values))
