@@ -202,7 +202,7 @@ def measure_motion(
         return None
     found, contradicted = MotionMeter(plan, tiles, pixels, projector_size).measure()
     shifts = shifts_of_frames(plan, tiles, noise, saturation) if contradicted else None
-    if shifts is None or not shifts.is_no_event or not (found.significant or shifts.are_told_from_light):
+    if shifts is None or not shifts.is_no_event or not (found.significant or shifts.are_distinct_from_light):
         return found
     one_by_one = moved_one_by_one(found, plan, shifts, pixels)
     # Large shifts of single frames prove nothing: a bump by many px is not linear, so that no single event explains it

@@ -61,7 +61,7 @@ class FrameShifts:
         return squared > chi2.isf(BY_CHANCE, shifts.size - 2)
 
     @property
-    def are_told_from_light(self) -> bool:
+    def are_distinct_from_light(self) -> bool:
         """Whether the shifts explain what changes of light do not, and many frames are shifted.
 
         A frame with ghosting of the last picture looks as if it and the opposite step were shifted.
