@@ -161,7 +161,7 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     return Places(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
 
 
-def going_on(places: Places, shape: tuple[int, ...]) -> Places:
+def extrapolated(places: Places, shape: tuple[int, ...]) -> Places:
     """Extrapolate the planes to unknown tiles of an image of `shape` (H, W), from the nearest known tile."""
     rows, columns = (size // TILE_PX for size in shape)
     unknown = ~np.isfinite(places.gradient).all(axis=(1, 2))

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.between_axes.borders import Places, going_on, lit_in, near_border, seen_border
+from scanner.decoding.between_axes.borders import Places, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
@@ -104,7 +104,7 @@ class Edges:
     @cached_property
     def _around(self) -> Places:
         """Planes extrapolated to tiles that are partly lit or masked, and beyond the border."""
-        return going_on(self.places, self.projector_px.shape[:2])
+        return extrapolated(self.places, self.projector_px.shape[:2])
 
     @cached_property
     def _of_devices(self) -> Floats:

@@ -120,7 +120,7 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
     """
     if not lit.of_pairs:
         return
-    seen = set()  # both mostly tell the same
+    seen = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
     stripes = [_stripe_px(lit)[pair] for pair in lit.of_pairs]
     shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)

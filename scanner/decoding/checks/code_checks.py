@@ -96,7 +96,7 @@ def check_codes(
             continue
         _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
         if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
-            continue  # bounced light may have turned bits over: the XOR code beside it will tell
+            continue  # interreflection may have flipped bits: the XOR code is checked instead
         bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.

@@ -71,7 +71,7 @@ def check_frames(
     if not found and switch is None:
         return [], None
     switched = [] if switch is None else [Anomaly(switch.said(plan), (switch.frame,))]
-    proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
+    proof = _exchange(plan, shown, made_alike, found) or _duplicate(plan, shown, found)
     if proof:
         message = "; ".join([*(anomaly.message for anomaly in found), proof])
         raise InputError(f"the frames do not show what the capture says: {message}")
@@ -213,7 +213,7 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
     return total / len(swing)
 
 
-def _double(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:
+def _duplicate(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:
     """Return a message that names a suspected frame and its duplicate, or ''."""
     for frame in sorted({frame for anomaly in found for frame in anomaly.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma

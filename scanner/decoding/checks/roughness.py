@@ -80,7 +80,7 @@ def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
     seen, variance, known = seen[enough], variance[enough], known[enough]
-    square = _off_smooth(np.where(known[..., None], seen, 0.0), known)
+    square = _residual_squares(np.where(known[..., None], seen, 0.0), known)
     cells = np.sum(np.where(known, variance, 0), axis=1)
     x, y = np.median(square / cells[:, None], axis=0)
     return float(x), float(y)
@@ -99,7 +99,7 @@ def _in_tiles(maps: Maps, most_along: int) -> Ints:
     return pixels
 
 
-def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:
+def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
     """Return the residual sums of squares (T, 2) of quadratic fits to the `known` (T, P) coordinates (T, P, 2) of
     tiles.
     """

@@ -20,7 +20,7 @@ _FEWEST = 1000
 _MOST_FOR_MATRIX, _MOST_COMPARED = 4000, 20_000
 # Pixels are tested in so many steps of contrast, from the brightest on, until the share of outliers rises by this much.
 _STEPS = 20
-_MOST_OFF = 0.25
+_MOST_OUTLIERS = 0.25
 _SEED = 6
 
 
@@ -46,22 +46,20 @@ def leave_out_stray_light(accumulators: Accumulators, maps: Maps) -> None:
         row, column = places = _some(group, _MOST_COMPARED)
         if len(row) < _FEWEST:
             continue
-        off = from_epipolar_lines(_matches(places, maps), matrix) > EPIPOLAR_PX
+        is_outlier = from_epipolar_lines(_matches(places, maps), matrix) > EPIPOLAR_PX
         levels = contrast[row, column].astype(np.float32)
         if group is whole:
-            usual = float(np.mean(off[levels >= np.median(levels)]))
-        faintest = _faintest(levels, off, usual)
+            usual = float(np.mean(is_outlier[levels >= np.median(levels)]))
+        faintest = _faintest(levels, is_outlier, usual)
         np.copyto(maps.reason, np.uint8(MaskReason.UNDECIDED), where=group & (contrast < faintest))
 
 
-def _faintest(contrast: Floats32, off: Bools, usual: float) -> float:
-    """Return the lowest contrast down to which pixels (P,) are not outliers (`off`) more often than usual; ∞ if there
-    is none.
-    """
+def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
+    """Return the lowest contrast down to which `is_outlier` (P,) is no more frequent than usual; ∞ if there is none."""
     order = np.argsort(-contrast, kind="stable")
     faintest = float(np.inf)
     for step in np.array_split(order, _STEPS):
-        if np.mean(off[step]) > usual + _MOST_OFF:
+        if np.mean(is_outlier[step]) > usual + _MOST_OUTLIERS:
             return faintest
         faintest = float(contrast[step].min())
     return 0.0

@@ -21,7 +21,7 @@ _JUMPS = 33
 # The largest bump that is searched for.
 _LARGEST_PX = 15.0
 # Jumps differ between surfaces, but agree between blocks: least length of the mean of their unit vectors.
-_ALIKE = 0.8
+_LEAST_AGREEMENT = 0.8
 _BLOCK_TILES = 4
 _FEWEST_BLOCKS = 4
 # Largest share of a fringe's power that its fit may leave: the harmonics of a gamma of 2.2 leave 0.05.
@@ -32,7 +32,7 @@ _STEP_CYCLES = 0.02
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _FringeSample:
     """The frames of one fringe: grey `levels` (N, P), the image `block` of each pixel (P,), the `times` and phase
     `shifts` (N,) of the frames, and the `period` in px.
     """
@@ -57,14 +57,15 @@ class _Taken:
         left = np.stack(
             [
                 np.bincount(
-                    self.block, np.sum((_beside(self.shifts + jump * after) @ self.levels) ** 2, axis=0) / power
+                    self.block,
+                    np.sum((_residual_projection(self.shifts + jump * after) @ self.levels) ** 2, axis=0) / power,
                 )
                 for jump in jumps
             ]
         )[:, big]
         best = np.argmin(left, axis=0)
         common = np.mean(np.exp(2j * np.pi * jumps[best]))
-        if abs(common) < _ALIKE:
+        if abs(common) < _LEAST_AGREEMENT:
             return 1.0, 0.0
         return float(np.mean(left[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
 
@@ -73,12 +74,14 @@ def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> 
     """Return the two frames between which a bump explains fringes that fit no cosine otherwise, or None."""
     if not plan.fringes or any(len(fringe.frames) <= COSINE_PARAMETERS for fringe in plan.fringes) or not tiles.count:
         return None
-    taken = [_taken(plan, fringe, tiles, noise) for fringe in plan.fringes]
-    if any(np.count_nonzero(np.bincount(one.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for one in taken):
+    samples = [_fringe_sample(plan, fringe, tiles, noise) for fringe in plan.fringes]
+    if any(np.count_nonzero(np.bincount(one.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for one in samples):
         return None
-    times = sorted({int(time) for one in taken for time in one.times})
-    before = max(left for left, _ in (one.left(times[0]) for one in taken))
-    found = min(((*_worst(taken, second), first, second) for first, second in pairwise(times)), key=lambda one: one[0])
+    times = sorted({int(time) for one in samples for time in one.times})
+    before = max(left for left, _ in (one.left(times[0]) for one in samples))
+    found = min(
+        ((*_worst(samples, second), first, second) for first, second in pairwise(times)), key=lambda one: one[0]
+    )
     left, is_step, *frames = found
     if is_step or left > min(_MOST_LEFT, _OF_BEFORE * before):
         return None
@@ -86,9 +89,9 @@ def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> 
     return first, second
 
 
-def _worst(taken: Sequence[_Taken], first_after: int) -> tuple[float, bool]:
+def _worst(samples: Sequence[_FringeSample], first_after: int) -> tuple[float, bool]:
     """Return the unexplained power of the worst fringe, and whether all jumps are by a whole phase step."""
-    each = [(one, *one.left(first_after)) for one in taken]
+    each = [(one, *one.left(first_after)) for one in samples]
     jumps = [
         abs(jump * len(one.shifts) - np.rint(jump * len(one.shifts))) / len(one.shifts) < _STEP_CYCLES
         for one, _, jump in each
@@ -97,14 +100,14 @@ def _worst(taken: Sequence[_Taken], first_after: int) -> tuple[float, bool]:
     return max(left for _, left, _ in each), all(jumps)
 
 
-def _beside(shifts: Floats) -> Floats:
+def _residual_projection(shifts: Floats) -> Floats:
     """Return the projection (N, N) of levels onto what no offset, amplitude and phase at these shifts (N,) explain."""
     design = np.stack([np.ones(len(shifts)), np.cos(2 * np.pi * shifts), np.sin(2 * np.pi * shifts)], axis=1)
     rest: Floats = np.eye(len(shifts)) - design @ np.linalg.pinv(design)
     return rest
 
 
-def _taken(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseModel) -> _Taken:
+def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseModel) -> _FringeSample:
     shown = [
         (shift, time)
         for shift, frame in zip(fringe.shifts, fringe.frames, strict=True)
@@ -115,12 +118,14 @@ def _taken(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseMo
     levels = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).astype(np.float64)
     mean = levels.mean(axis=0)
     seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
-    down, across = (tiles.camera_px[seen] // _of_block(tiles)).astype(np.int64).T[::-1]
+    down, across = (tiles.camera_px[seen] // _block_size(tiles)).astype(np.int64).T[::-1]
     _, block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)
-    return _Taken(levels[:, seen], block.reshape(-1), times, np.array([shift for shift, _ in shown]), fringe.period)
+    return _FringeSample(
+        levels[:, seen], block.reshape(-1), times, np.array([shift for shift, _ in shown]), fringe.period
+    )
 
 
-def _of_block(tiles: TileSample) -> Floats:
+def _block_size(tiles: TileSample) -> Floats:
     """Return the size of a block in camera px, (2,)."""
     size: Floats = np.maximum(np.array(tiles.shape[::-1]) / 24.0, 10.0) * _BLOCK_TILES
     return size

@@ -62,7 +62,7 @@ def _wrong_along(position: Floats32) -> Bools:
     segment = cast(Ints, labels)
     area = np.bincount(segment.reshape(-1), minlength=count)
     area[0] = 0
-    tree, ahead = _tied(count, _borders(position, segment))
+    tree, ahead = _merged(count, _borders(position, segment))
     cycle, cycles = np.unique(np.stack([tree, ahead]), axis=1, return_inverse=True)
     size = np.bincount(cycles.reshape(-1), area)
     largest = np.full(count, _SMALLEST * area.sum())
@@ -89,7 +89,7 @@ def _borders(position: Floats32, segment: Ints) -> _Borders:
         labels = np.ascontiguousarray(segment.T if turned else segment)
         first, second = np.empty((2, values.size // 2 + 1), np.int32)
         apart = np.empty(len(first), np.float32)
-        crossed = _cross(values, labels, first, second, apart)
+        crossed = _record_crossings(values, labels, first, second, apart)
         found.append((first[:crossed], second[:crossed], apart[:crossed]))
     first, second, apart = (np.concatenate(each) for each in zip(*found, strict=True))
     apart = np.where(first < second, apart, -apart)
@@ -104,7 +104,7 @@ def _borders(position: Floats32, segment: Ints) -> _Borders:
 
 
 @compiled
-def _cross(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: Floats32) -> int:
+def _record_crossings(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: Floats32) -> int:
     """Record where lines (lines, P) cross from one segment into another, and the step there beyond that of the local
     slope.
     """
@@ -134,7 +134,7 @@ def _cross(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: 
     return crossed
 
 
-def _tied(count: int, borders: _Borders) -> tuple[Ints, Ints]:
+def _merged(count: int, borders: _Borders) -> tuple[Ints, Ints]:
     """Return for each segment the root of its surface, and how many periods it is ahead of the root, (count,) each."""
     parent, ahead = list(range(count)), [0] * count
 

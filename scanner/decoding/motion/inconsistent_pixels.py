@@ -69,12 +69,12 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
         return None
     groups = contradictions(plan, levels[:, lit], noise)
-    off = np.zeros(lit.shape, np.bool_)
-    off[lit] = np.any([each for _, each in groups], axis=0) if groups else False
-    moved = patches(off, lit)
+    inconsistent = np.zeros(lit.shape, np.bool_)
+    inconsistent[lit] = np.any([each for _, each in groups], axis=0) if groups else False
+    moved = patches(inconsistent, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    is_transient = _is_transient(groups, off[lit])
+    is_transient = _is_transient(groups, inconsistent[lit])
     if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
@@ -83,15 +83,15 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     if plan.fringes:
         corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
-        corrupted = moved & (off | _in_fine_bits(plan, groups, lit)) if is_transient else moved
-    resting = coarse.at_full_size(lit & ~moved & ~_dense(off, lit))
+        corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
+    resting = coarse.at_full_size(lit & ~moved & ~_dense(inconsistent, lit))
     return InconsistentPixels(
         coarse.at_full_size(moved), coarse.at_full_size(corrupted), resting, share, tuple(sorted(frames))
     )
 
 
-def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
-    """Return whether pixels in `off` (P,) are inconsistent in about one group of frames each.
+def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Bools) -> bool:
+    """Return whether pixels in `inconsistent` (P,) are inconsistent in about one group of frames each.
 
     Several checks may flag the same group.
     """
@@ -99,16 +99,16 @@ def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bo
         np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
     )
-    return bool(times <= _TRANSIENT * np.count_nonzero(off))
+    return bool(times <= _TRANSIENT * np.count_nonzero(inconsistent))
 
 
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
     """Return the patches (h, w) that changed during fine bits, where an error of a few cells looks plausible."""
-    fine, off = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
+    fine, inconsistent = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
     for frames, each in groups:
         if fine.intersection(frames):
-            off[lit] |= each
-    return patches(off, lit)
+            inconsistent[lit] |= each
+    return patches(inconsistent, lit)
 
 
 def _corrupted(
@@ -120,10 +120,10 @@ def _corrupted(
     harmless, or shows as a contradiction or a period slip. A lasting change may show in only some of the fringes.
     """
     fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
-    off = np.zeros(lit.shape, np.bool_)
-    off[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
+    inconsistent = np.zeros(lit.shape, np.bool_)
+    inconsistent[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
     near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
-    return off & near
+    return inconsistent & near
 
 
 def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
@@ -146,13 +146,13 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
         return False
     back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
     taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    off, off_as_seen = (float(np.abs(image - before)[resting].sum()) for image in (taken_back, after))
-    return off <= off_as_seen
+    error, error_as_seen = (float(np.abs(image - before)[resting].sum()) for image in (taken_back, after))
+    return error <= error_as_seen
 
 
-def patches(off: Bools, lit: Bools) -> Bools:
-    """Return connected patches (h, w), with a margin, in which many of the lit pixels are `off`."""
-    dense = _dense(off, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
+def patches(inconsistent: Bools, lit: Bools) -> Bools:
+    """Return connected patches (h, w), with a margin, in which many of the lit pixels are `inconsistent`."""
+    dense = _dense(inconsistent, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
     large[0] = False
@@ -160,9 +160,9 @@ def patches(off: Bools, lit: Bools) -> Bools:
     return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), kernel).astype(np.bool_))
 
 
-def _dense(off: Bools, lit: Bools) -> Bools:
-    """Return the lit pixels (h, w) around which a large share of the lit ones are `off`."""
-    return (_count_around(off & lit) > _DENSE * _count_around(lit)) & lit
+def _dense(inconsistent: Bools, lit: Bools) -> Bools:
+    """Return the lit pixels (h, w) around which a large share of the lit ones are `inconsistent`."""
+    return (_count_around(inconsistent & lit) > _DENSE * _count_around(lit)) & lit
 
 
 def _count_around(some: Bools) -> Floats32:

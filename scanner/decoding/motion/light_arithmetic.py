@@ -31,18 +31,18 @@ _FINE_BITS, _OF_FINE = 3, 2.5
 _FAR_BEYOND = 5.0
 _HARMONICS, _TRIMS = (2, 3), 3
 # Outliers exceed this multiple of the resting quantile, which is three standard deviations.
-_OFF_RESTING = 5.25
+_OUTLIER_OF_RESTING = 5.25
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Deviations `off` (P,), in grey levels, of `frames` from each other or from the other frames.
+    """The `deviation` (P,), in grey levels, of `frames` from each other or from the other frames.
 
-    `noise_gain`: noise of `off` for a pixel noise of one. `times`: factor on the threshold for a contradiction.
+    `noise_gain`: noise of `deviation` for a pixel noise of one. `times`: factor on the threshold for a contradiction.
     """
 
     frames: tuple[int, ...]
-    off: Floats32
+    deviation: Floats32
     noise_gain: float
     times: float = 1.0
 
@@ -51,7 +51,7 @@ def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> l
     """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
     (frames, P).
     """
-    return _where(_groups(plan, levels), levels, noise)
+    return _contradicting_pixels(_groups(plan, levels), levels, noise)
 
 
 def broken_fringes(
@@ -62,11 +62,11 @@ def broken_fringes(
     """
     frames = {fringe.frames for fringe in fringes}
     groups = (group for group in _groups(plan, levels) if group.frames in frames)
-    off: Bools = np.any([each for _, each in _where(groups, levels, noise, resting)], axis=0)
-    return off
+    broken: Bools = np.any([each for _, each in _contradicting_pixels(groups, levels, noise, resting)], axis=0)
+    return broken
 
 
-def _where(
+def _contradicting_pixels(
     groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, resting: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
     swing = np.ptp(levels, axis=0)
@@ -75,11 +75,11 @@ def _where(
 
 
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
-    off = np.abs(group.off) / swing
-    some = off if resting is None or not resting.any() else off[resting]
+    deviation = np.abs(group.deviation) / swing
+    some = deviation if resting is None or not resting.any() else deviation[resting]
     usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
     least = max(group.times * _LEAST, usual)
-    return cast(Bools, off > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
+    return cast(Bools, deviation > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
@@ -107,12 +107,12 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
         for frames in pairs:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0)
         for frames in fine:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
+            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
-            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
+            yield _Group(fringe.frames, _deviation_from_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
     yield from _cosines(plan, levels)
     yield from _beyond_white(plan, levels)
     yield from _beyond_white_and_black(plan, levels)
@@ -130,21 +130,21 @@ def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     """Yield the deviation from a cosine of each fringe with enough steps."""
     for fringe in plan.fringes:
         if len(fringe.frames) > COSINE_PARAMETERS:
-            yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
+            yield _Group(fringe.frames, _deviation_from_cosine(fringe, levels[list(fringe.frames)]), 1.0)
 
 
-def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
+def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:
     """Return the deviation of frames (N, P), each scaled to fit best, from the usual light (P,).
 
     Brightness has mostly been equalised already, but not of the first frames, nor for cameras that respond less to
     bright light.
     """
     by = usual / np.maximum(levels.mean(axis=0), 1e-6)
-    _, left = _fit_most(levels.T, usual[:, None], _alike(by))
+    _, left = _fit_most(levels.T, usual[:, None], _most_concentrated(by))
     return left[:, 0]
 
 
-def _alike(values: Floats32) -> Bools:
+def _most_concentrated(values: Floats32) -> Bools:
     """Return the most concentrated values (P,), as many as the least share of resting pixels.
 
     A moving object near a lamp is brighter than all that rests, and would bias a mean.
@@ -155,7 +155,7 @@ def _alike(values: Floats32) -> Bools:
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
 
 
-def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
+def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
     """Return the deviation of the usual light (P,) from a combination of the mean and the ambient light, `parts` (2,
     P).
 
@@ -165,8 +165,8 @@ def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None], _alike(usual / np.maximum(parts[0], 1e-6)))
-    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
+    brightness, left = _fit_most(every.T, usual[:, None], _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
+    # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
     bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
@@ -181,7 +181,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(_OFF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
+        kept = size <= max(_OUTLIER_OF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
     return cast(Floats32, factors), left
 
 
@@ -202,7 +202,7 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
         yield _Group((frame,), np.maximum(np.maximum(above, below), 0), float(np.sqrt(2)))
 
 
-def _off_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
+def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     """Return the rms (P,) of the residuals of a fringe's steps (N, P) from a cosine and its harmonics.
 
     The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.

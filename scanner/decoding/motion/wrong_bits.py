@@ -54,7 +54,7 @@ def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
         value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
         for jumps, at in ((found, value), (found.T, value.T)):
             steps = np.diff(at, axis=0)
-            far = _is_far(np.abs(steps), axis.cell) & _is_far(_beside_next(steps), axis.cell)
+            far = _is_far(np.abs(steps), axis.cell) & _is_far(_step_change(steps), axis.cell)
             jumps[:-1] |= far
             jumps[1:] |= far
     return found
@@ -67,7 +67,7 @@ def _is_far(distance: Floats32, cell: float) -> Bools:
     return known & (distance > max(_FAR_CELLS * cell, _TIMES_USUAL * usual))
 
 
-def _beside_next(steps: Floats32) -> Floats32:
+def _step_change(steps: Floats32) -> Floats32:
     """Return the difference of each step (h, w) between rows from the more similar one of the steps before and after
     it.
 
