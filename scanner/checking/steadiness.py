@@ -15,7 +15,7 @@ from calib.numerics import Floats, Ints, grey
 from hw.rig import Frame, Rig
 from scanner.checking.light import Light, photograph_light
 from scanner.checking.report import CheckRow, State
-from scanner.decoding.motion import Fit, fit_motion, shifts_by_motion, who_moved
+from scanner.decoding.motion import Fit, fit_motion, moved_device, shifts_by_motion
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
 from scanner.quantities import plain
 
@@ -72,7 +72,7 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     """The row for a motion and a change of brightness within some seconds."""
     px = float(np.hypot(*fit.motion.reshape(2, -1)[:, :2].T).max())
     sure = fit.significance > _SURE
-    moving = f"{who_moved(fit.motion)}" if sure else "nothing moved by more than noise"
+    moving = f"{moved_device(fit.motion)}" if sure else "nothing moved by more than noise"
     finding = f"within {seconds:.0f} s {moving}, and white changed by {plain(percent, 2, signed=True)} %"
     advice = []
     if sure and px > _MOST_PX:

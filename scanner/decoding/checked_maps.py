@@ -14,19 +14,19 @@ from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
 
 
 def checked_maps(
-    accumulators: Accumulators, calibrated: CalibratedDecoders, observed: Observations, *, odd: bool
+    accumulators: Accumulators, calibrated: CalibratedDecoders, observed: Observations, *, is_anomalous: bool
 ) -> tuple[Maps, bool]:
     """Return the maps, and whether each pixel has its own coordinate (from fringes or stripe edges) or that of its
     cell.
 
-    `odd`: whether the frame checks found anything wrong. Raises InputError if neighbours contradict each other all over
-    the image, RefusalError if something moved between codes and fringes.
+    `is_anomalous`: whether the frame checks found an anomaly. Raises InputError if neighbours contradict each other
+    all over the image, RefusalError if something moved between codes and fringes.
     """
     plan = accumulators.plan
-    maps = coordinate_maps(accumulators, calibrated.decoders, observed.moved, observed.spoilt)
+    maps = coordinate_maps(accumulators, calibrated.decoders, observed.moved, observed.corrupted)
     if observed.moved is not None and not observed.code_shifts:
         mask_wrong_bits(plan, maps, observed.moved)
-    elif odd and not plan.fringes:
+    elif is_anomalous and not plan.fringes:
         # Before interpolation between stripe edges, which makes coordinates smooth even where a bit is wrong.
         mask_wrong_bits(plan, maps, None)
     undecided = maps.reason == np.uint8(MaskReason.UNDECIDED)
@@ -36,6 +36,6 @@ def checked_maps(
     refined = refine_by_edges(accumulators, maps, observed.noise, undecided)
     with blaming_shifts(plan, observed.code_shifts):
         check_cycles(plan, maps.projector_px)
-    if odd and observed.moved is None and plan.fringes:
+    if is_anomalous and observed.moved is None and plan.fringes:
         mask_wrong_bits(plan, maps, None)
     return maps, refined or bool(plan.fringes)

@@ -20,7 +20,7 @@ from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import motion_between
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.folded import Folded, folded
@@ -36,8 +36,8 @@ from scanner.decoding.motion import (
     MotionFound,
     blaming_motion,
     blaming_shifts,
-    refuse_untold,
-    refuse_whole_periods,
+    refuse_period_slips,
+    refuse_unexplained_motion,
     remarks_on,
 )
 from scanner.decoding.one_axis import one_axis
@@ -201,13 +201,13 @@ class Decoder:
             accumulators.log_exposure = self._merger.log_exposure
         observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
         del whole
-        oddities: list[Oddity] = []
+        anomalies: list[Anomaly] = []
         with blaming_motion(lambda: observed.motion, observed.broken):
-            with suspecting(oddities):
-                calibrated = check_and_calibrate(accumulators, sample, observed, oddities, as_taken=as_taken)
+            with suspecting(anomalies):
+                calibrated = check_and_calibrate(accumulators, sample, observed, anomalies, as_taken=as_taken)
                 if isinstance(calibrated, AmbientLightChange):
                     return calibrated
-                maps, by_pixel = checked_maps(accumulators, calibrated, observed, odd=bool(oddities))
+                maps, by_pixel = checked_maps(accumulators, calibrated, observed, is_anomalous=bool(anomalies))
                 stripes = finest_stripes(accumulators, sample, maps)
                 del sample
                 motion = observed.motion
@@ -220,12 +220,14 @@ class Decoder:
                 plan, brightest = accumulators.plan, accumulators.brightest
                 del accumulators
             with blaming_shifts(plan, observed.code_shifts):
-                with suspecting(oddities):
+                with suspecting(anomalies):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
-                odd = (judge(oddities, reasons, matches, one_axis=self._one_axis is not None),) if oddities else ()
-                refuse_whole_periods(plan, observed.code_shifts)
-                if observed.unrest is None:
-                    refuse_untold(plan, {frame for oddity in oddities for frame in oddity.frames}, observed.motion)
+                judged = (judge(anomalies, reasons, matches, one_axis=self._one_axis is not None),) if anomalies else ()
+                refuse_period_slips(plan, observed.code_shifts)
+                if observed.inconsistent is None:
+                    refuse_unexplained_motion(
+                        plan, {frame for anomaly in anomalies for frame in anomaly.frames}, observed.motion
+                    )
         darkness = too_dark(observed.levels, observed.noise)
         warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
@@ -236,7 +238,7 @@ class Decoder:
             reasons,
             observed.noise,
             calibrated.modulation,
-            (*odd, *observed.notes, *phase_remark, *warnings, *remarks_on(motion)),
+            (*judged, *observed.notes, *phase_remark, *warnings, *remarks_on(motion)),
             flicker=observed.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,

@@ -13,7 +13,7 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.fringes.blur import drop_lost_fringes
@@ -26,12 +26,12 @@ from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import (
     CoarseFrames,
     CodeShift,
+    InconsistentPixels,
     MotionFound,
     TileSample,
-    Unrest,
     blaming_shifts,
     broken_between,
-    find_unrest,
+    find_inconsistent_pixels,
     measure_motion,
     shifts_of_codes,
 )
@@ -48,7 +48,8 @@ class Observations:
 
     `levels`: the sample's grey levels as taken, (frames, P). `flicker`: as in `Decoding`. `measuring_motion`: the
     device motion, measured in the background. `notes`: sentences for the operator. `broken`: finds, on request, the two
-    frames between which fringes jumped. `unrest`: where an object moved, if the frames agree elsewhere; None otherwise.
+    frames between which fringes jumped. `inconsistent`: where an object moved, if the frames agree elsewhere;
+    None otherwise.
     """
 
     levels: Image
@@ -59,17 +60,17 @@ class Observations:
     code_shifts: tuple[CodeShift, ...]
     notes: tuple[str, ...]
     broken: Callable[[], tuple[int, int] | None]
-    unrest: Unrest | None = None
+    inconsistent: InconsistentPixels | None = None
 
     @property
     def moved(self) -> Bools | None:
         """(H, W): True where something moved; None if nothing did."""
-        return None if self.unrest is None else self.unrest.moved
+        return None if self.inconsistent is None else self.inconsistent.moved
 
     @property
-    def spoilt(self) -> Bools | None:
+    def corrupted(self) -> Bools | None:
         """(H, W): True where motion leaves no usable coordinate; None if nothing moved."""
-        return None if self.unrest is None else self.unrest.spoilt
+        return None if self.inconsistent is None else self.inconsistent.corrupted
 
     @property
     def motion(self) -> MotionFound | None:
@@ -100,20 +101,20 @@ def observe(
     accumulators.forget_peaks(saturation)
     shown = accumulators.plan
     noise = measure_noise(shown, sample, saturation)
-    unrest = _unrest(shown, sample, coarse, noise)
-    flicker = _equalise(accumulators, sample, tiles, coarse, unrest)
+    inconsistent = _inconsistent_pixels(shown, sample, coarse, noise)
+    flicker = _equalise(accumulators, sample, tiles, coarse, inconsistent)
     if coarse.are_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
     notes += drop_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if coarse.are_divided or accumulators.plan != shown:
-        unrest = _unrest(accumulators.plan, sample, coarse, noise)
-    if unrest is not None:
-        rests = sample.levels[:, unrest.rests.reshape(-1)[sample.pixels]]
-        unrest = unrest if agree(accumulators.plan, rests, noise, saturation) else None
-    if unrest is not None:
-        tiles.leave_out(unrest.moved)
-        notes.append(unrest.said(accumulators.plan))
+        inconsistent = _inconsistent_pixels(accumulators.plan, sample, coarse, noise)
+    if inconsistent is not None:
+        rests = sample.levels[:, inconsistent.resting.reshape(-1)[sample.pixels]]
+        inconsistent = inconsistent if agree(accumulators.plan, rests, noise, saturation) else None
+    if inconsistent is not None:
+        tiles.leave_out(inconsistent.moved)
+        notes.append(inconsistent.message(accumulators.plan))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
     motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
@@ -127,14 +128,16 @@ def observe(
         shifts_of_codes(plan, (x, y), noise, tiles.resting),
         tuple(notes),
         lambda: broken_between(plan, tiles, noise),
-        unrest,
+        inconsistent,
     )
 
 
-def _unrest(plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
+def _inconsistent_pixels(
+    plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel
+) -> InconsistentPixels | None:
     """Find moving objects; None if too few static pixels remain, or if exchanged frames explain the finding."""
-    found = find_unrest(plan, coarse, noise)
-    if found is None or np.count_nonzero(found.rests.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
+    found = find_inconsistent_pixels(plan, coarse, noise)
+    if found is None or np.count_nonzero(found.resting.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
         return None
     levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
     return None if an_exchange_explains(plan, levels, found.frames) else found
@@ -160,19 +163,23 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
 
 
 def _equalise(
-    accumulators: Accumulators, sample: Sample, tiles: TileSample, coarse: CoarseFrames, unrest: Unrest | None
+    accumulators: Accumulators,
+    sample: Sample,
+    tiles: TileSample,
+    coarse: CoarseFrames,
+    inconsistent: InconsistentPixels | None,
 ) -> float | None:
     """Equalise frames that differ in brightness, in the samples and in the fringes; return the flicker, None if
     unknown.
 
-    `unrest`: where something moved; those pixels are ignored, because motion changes their brightness.
+    `inconsistent`: where something moved; those pixels are ignored, because motion changes their brightness.
     """
     plan, (height, width) = accumulators.plan, accumulators.brightest.shape
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
-    if unrest is not None:
-        resting = lit[unrest.rests.reshape(-1)[sample.pixels[lit]]]
+    if inconsistent is not None:
+        resting = lit[inconsistent.resting.reshape(-1)[sample.pixels[lit]]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
     lit_pixels = sample.pixels[lit]
     middle, brightest = (
@@ -210,9 +217,9 @@ class CalibratedDecoders:
 
 
 def check_and_calibrate(
-    accumulators: Accumulators, sample: Sample, observed: Observations, oddities: list[Oddity], *, as_taken: bool
+    accumulators: Accumulators, sample: Sample, observed: Observations, anomalies: list[Anomaly], *, as_taken: bool
 ) -> CalibratedDecoders | AmbientLightChange:
-    """Check the frames, append what is wrong to `oddities`, and calibrate the decoders on the sample. Raises
+    """Check the frames, append what is wrong to `anomalies`, and calibrate the decoders on the sample. Raises
     InputError.
 
     Returns the ambient light change instead if there is a harmful one to be corrected, unless `as_taken` is set.
@@ -225,40 +232,43 @@ def check_and_calibrate(
     with ThreadPoolExecutor(1) as aside:
         # Errors in the frames are reported before any error of the calibration.
         calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, sample.levels)
-        odd, switch = check_frames(
+        found, switch = check_frames(
             plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
         )
         if not as_taken and switch is not None and switch.is_harmful:
             return switch
-        oddities += odd
-        odd_codes = check_codes(
+        anomalies += found
+        code_anomalies = check_codes(
             plan, accumulators.codes, observed.noise, accumulators.middle, accumulators.brightest, moved
         )
-        oddities += _passed_over(plan, odd_codes, oddities, observed.unrest)
+        anomalies += _passed_over(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, observed.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
-                oddities += check_fringes(plan, decoder, signals)
+                anomalies += check_fringes(plan, decoder, signals)
         accumulators.forget_contrasts()
         return CalibratedDecoders(decoders, modulation(decoders, thin))
 
 
 def _passed_over(
-    plan: SequencePlan, odd_codes: Sequence[Oddity], seen: Sequence[Oddity], unrest: Unrest | None
-) -> Sequence[Oddity]:
-    """Return the `odd_codes` if each is explained by inconsistent bit pairs in `seen` or by motion in or next to its
-    frames.
+    plan: SequencePlan,
+    code_anomalies: Sequence[Anomaly],
+    seen: Sequence[Anomaly],
+    inconsistent: InconsistentPixels | None,
+) -> Sequence[Anomaly]:
+    """Return the `code_anomalies` if each is explained by inconsistent bit pairs in `seen` or by motion in or
+    next to its frames.
 
     Raises InputError otherwise. An exchange between pairs shows in the sums of those pairs; other errors have no second
     indication.
     """
-    moved = set() if unrest is None else _with_next(plan, unrest.frames)
-    suspected = {frame for oddity in seen for frame in oddity.frames}
-    for oddity in odd_codes:
-        doubted = suspected.intersection(oddity.frames)
-        if not moved & {*oddity.frames} and not any({*pair} <= doubted for pair in plan.complements):
-            raise InputError(oddity.said)
-    return odd_codes
+    moved = set() if inconsistent is None else _with_next(plan, inconsistent.frames)
+    suspected = {frame for anomaly in seen for frame in anomaly.frames}
+    for anomaly in code_anomalies:
+        doubted = suspected.intersection(anomaly.frames)
+        if not moved & {*anomaly.frames} and not any({*pair} <= doubted for pair in plan.complements):
+            raise InputError(anomaly.message)
+    return code_anomalies
 
 
 def _with_next(plan: SequencePlan, frames: Sequence[int]) -> set[int]:

@@ -1,4 +1,4 @@
-"""Captures that show all of one axis before all of the other: did anything move in between?"""
+"""Motion between the axes, in captures that show all patterns of one axis before all of the other."""
 
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, halves_of
 from scanner.decoding.between_axes.measure import motion_between

@@ -1,4 +1,4 @@
-"""Where the border of the projector's picture falls: the one thing in the light that moves along with the projector."""
+"""Location of the border of the projector's picture, the only feature of even light that moves with the projector."""
 
 from dataclasses import dataclass
 
@@ -11,22 +11,23 @@ from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles
 from scanner.decoding.motion.pixels import MOST_ROUGH_PX
 from scanner.decoding.significance import FEWEST_PIXELS
 
-# Decoded pixels so near to the border, in projector px, tell that it passes, within so many camera px.
+# Decoded pixels within so many projector px of the border show that it lies within so many camera px.
 _NEAR_PX = 6.0
 _REACH_PX = 10
-# Planes go on for so many tiles beyond what is decoded: the border of a picture that moved is masked there.
+# Planes are extrapolated so many tiles beyond decoded ones: the border of a picture that moved is masked there.
 _BEYOND_TILES = 3
 _FLAT = 1e-3  # projector px per camera px
-# The coordinates of a tile are those of a plane through its decoded pixels and its neighbours'.
+# A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size.
 _AROUND_TILES = 3
-# So many times as rough as steps of one length make them, by chance.
+# Tolerance on the rounding noise of coordinates in steps.
 _OF_STEPS = 1.5
 
 
 @dataclass(frozen=True)
 class Places:
-    """Of T tiles: the projector's coordinates in their middles, `projector_px` (T, 2), and the `gradient` (T, 2, 2) of
-    these (rows) by camera x and y; NaN where the coordinates are not smooth, or not known.
+    """Coordinates of T tiles: `projector_px` (T, 2) in their middles, and the `gradient` (T, 2, 2) by camera x and y.
+
+    NaN where the coordinates are unknown or not smooth.
     """
 
     projector_px: Floats
@@ -34,9 +35,10 @@ class Places:
 
 
 def seen_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -> Bools:
-    """Where (H, W) the border of a picture of (width, height) may be seen, by the coordinates (H, W, 2) around it.
+    """Return the pixels (H, W) near the border of a picture of (width, height), from the coordinates (H, W, 2) around
+    them.
 
-    These come in steps of `step_px`.
+    The coordinates come in steps of `step_px`.
     """
     near = np.empty(projector_px.shape[:2], np.bool_)
     _note_inside(projector_px, np.array(size, np.float32) - 1, np.float32(_NEAR_PX + step_px / 2), near)
@@ -45,7 +47,7 @@ def seen_border(projector_px: Floats32, size: tuple[int, int], step_px: float) -
 
 @compiled
 def _note_inside(projector_px: Floats32, last_px: Floats32, near_px: np.float32, near: Bools) -> None:
-    """Where known coordinates are less than so many px from the border of the picture, or beyond it."""
+    """Mark pixels whose known coordinates are within `near_px` of the border of the picture, or outside it."""
     for y in range(projector_px.shape[0]):
         for x in range(projector_px.shape[1]):
             across, down = projector_px[y, x, 0], projector_px[y, x, 1]
@@ -56,9 +58,10 @@ def _note_inside(projector_px: Floats32, last_px: Floats32, near_px: np.float32,
 def near_border(
     projector_px: Floats32, places: Places, moved_px: Floats, size: tuple[int, int], reach_px: float
 ) -> Bools:
-    """Where (H, W) the border of a picture of (width, height) may be seen: within so many camera px of where it falls.
+    """Return the pixels (H, W) within `reach_px` camera px of the border of a picture of (width, height).
 
-    By the coordinates (H, W, 2) without the `moved_px` (T, 2) of their tile; where unknown, by the planes of the tiles.
+    The border is located from the coordinates (H, W, 2) less the `moved_px` (T, 2) of their tile, or from the planes of
+    the tiles where coordinates are unknown.
     """
     found = np.zeros(projector_px.shape[:2], np.bool_)
     steep = np.maximum(np.linalg.norm(places.gradient, axis=2), _FLAT)
@@ -79,7 +82,9 @@ def _note_near(
     tile_px: int,
     found: Bools,
 ) -> None:
-    """Of T tiles, `at_centre` (T, 2) is the place of their middles, and `steep` (T, 2) the size of their gradients."""
+    """Mark pixels of T tiles; `at_centre` (T, 2): coordinates of their middles, `steep` (T, 2): norms of their
+    gradients.
+    """
     columns = found.shape[1] // tile_px
     for tile in range(found.shape[0] // tile_px * columns):
         if not (np.isfinite(at_centre[tile]).all() and np.isfinite(gradient[tile]).all()):
@@ -101,8 +106,10 @@ def _note_near(
 
 
 def part_around(projector_px: Floats32) -> tuple[slice, slice]:
-    """Rows and columns of whole tiles, as far around the coordinates (H, W, 2) that are known as anything may be seen
-    of the border; all of them where none is known.
+    """Return the rows and columns, in whole tiles, of the known coordinates (H, W, 2) with a margin that includes the
+    border.
+
+    All of the image if none is known.
     """
     known = _known(projector_px)
     margin = (_BEYOND_TILES + _AROUND_TILES) * TILE_PX
@@ -116,7 +123,7 @@ def part_around(projector_px: Floats32) -> tuple[slice, slice]:
 
 
 def lit_in(projector_px: Floats32) -> Bools:
-    """Where (H, W) the projector's light falls, by the coordinates (H, W, 2) that are known."""
+    """Return the pixels (H, W) in the projector's light, from the known coordinates (H, W, 2)."""
     return _around(_known(projector_px))
 
 
@@ -130,10 +137,10 @@ def _around(pixels: Bools) -> Bools:
 
 
 def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
-    """From the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
+    """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
     height, width, _ = projector_px.shape
     known = _known(projector_px)
-    # Relative to the middle of the image, for the sake of rounding.
+    # Relative to the middle of the image, to limit rounding errors.
     x = np.broadcast_to(np.arange(width, dtype=np.float32) - width / 2, known.shape)
     y = np.broadcast_to((np.arange(height, dtype=np.float32) - height / 2)[:, None], known.shape)
     moments = moments_of_tiles([np.ones_like(x), x, y, projector_px[..., 0], projector_px[..., 1]], known)
@@ -154,8 +161,8 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     return Places(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
 
 
-def going_on(places: Places, shape: tuple[int, ...]) -> Places:
-    """The same of an image of `shape` (H, W): tiles beside those that are known have the plane of the nearest one."""
+def extrapolated(places: Places, shape: tuple[int, ...]) -> Places:
+    """Extrapolate the planes to unknown tiles of an image of `shape` (H, W), from the nearest known tile."""
     rows, columns = (size // TILE_PX for size in shape)
     unknown = ~np.isfinite(places.gradient).all(axis=(1, 2))
     if unknown.all():

@@ -1,4 +1,4 @@
-"""The motion of the devices between two pictures of the evenly lit scene: registration from coarse to fine."""
+"""Coarse-to-fine registration of two pictures of the evenly lit scene, for the motion of the devices between them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,24 +15,24 @@ from scanner.decoding.motion.found import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
-# What ripple of fringes and fixed patterns do to what is measured, in captures of real devices at rest.
+# Systematic error from fringe ripple and fixed patterns, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
-# Of what nothing is seen: a knock turns a device; it hardly rolls it, and changes no zoom.
+# Prior standard deviations: a bump turns a device; it hardly rolls it, and does not change its zoom.
 _EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
 _NONE_PX = 1e-6
-# A motion that is not small against the blur of edges is found from coarse to fine.
+# Blurs of the coarse-to-fine fit of a motion that is large compared with the sharpness of edges.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
 _SMALL_PX = 0.2
-# Such a fit is believed if its last step is this small, and it explains this share of what the pictures differ by where
-# they have edges: without texture it finds what is not there.
+# It is accepted if its last step is this small, and it explains this share of the differences at edges: without texture
+# it finds spurious motion.
 _CONVERGED_PX, _EXPLAINED = 0.1, 0.5
-# The border is looked for within so many camera px of where it should be: what is beside it rests. Where it may be
-# elsewhere, within more, and so many times the blur.
+# The border is searched for within so many camera px of its predicted place; where that is uncertain, within more, plus
+# so many times the blur. Everything outside is scene.
 _REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
 _ROUNDS = 8
-# The median of the root of what two shifts leave, in standard deviations.
+# The median of χ for two degrees of freedom.
 _MEDIAN_CHI = 1.18
-# Tiles that are neighbours may have in common what is no motion.
+# Neighbouring tiles may have correlated errors.
 _GROUP_PX = 64
 _SINGULAR = 1e-9
 _AT_REST = np.zeros(COLUMNS)
@@ -41,10 +41,11 @@ _Pictures = tuple[Floats32, Floats32]
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What tiles show beside a motion: the `design` (T, 2, 8) of their shifts, which minimise dᵀ N d − 2 bᵀ d.
+class _TileObservations:
+    """Shifts d of T tiles that remain beside a motion: they minimise dᵀ N d − 2 bᵀ d.
 
-    `centre_px` (T, 2), `normal` N (T, 2, 2), `pull` b (T, 2). From `huber` standard deviations on, tiles count less.
+    `centre_px` (T, 2), `design` (T, 2, 8), `normal` N (T, 2, 2), `pull` b (T, 2). `huber`: outlier threshold in
+    standard deviations.
     """
 
     centre_px: Floats
@@ -56,20 +57,21 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Scales:
-    """The earlier and the later picture (H, W) at a blur in px, and what they show if nothing has moved: `at_rest` as
-    they are, and `coarsely`.
+    """The earlier and the later picture (H, W), `blurred` by so many px, and the observations without motion.
+
+    `at_rest`: at full resolution; `coarsely`: at the largest blur.
     """
 
     blurred: Callable[[float], _Pictures]
-    at_rest: _Seen
-    coarsely: _Seen
+    at_rest: _TileObservations
+    coarsely: _TileObservations
 
 
 def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
-    """The motion from the earlier picture to the later one; of one device where the other has hardly moved."""
+    """Return the motion from the earlier picture to the later one, of one device if the other has hardly moved."""
     blurred = cache(partial(_blurred, pictures))
-    coarsely = _seen_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
-    scales = _Scales(blurred, _seen(pictures, edges, edges.decoded, _AT_REST), coarsely)
+    coarsely = _observe_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
+    scales = _Scales(blurred, _observe(pictures, edges, edges.decoded, _AT_REST), coarsely)
     fit = _measured(scales, edges, _EXPECTED_PX)
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
     sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
@@ -82,7 +84,7 @@ def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
 
 
 def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
-    """Where it is not small, from coarse to fine: of both devices if that can be believed, or of the camera alone."""
+    """Fit the motion, coarse to fine if it is large: of both devices if that is reliable, else of the camera alone."""
     fit = _least_squares(scales.at_rest, expected_px)
     step = _least_squares(scales.coarsely, expected_px)
     largest_px = float(np.abs(fit.motion).max())
@@ -90,7 +92,7 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
         return fit
     motion = step.motion
     for blur_px in _COARSE_TO_FINE_PX[1:]:
-        step = _least_squares(_seen_beside(scales.blurred, edges, motion, blur_px), expected_px)
+        step = _least_squares(_observe_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
     if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > _EXPLAINED:
         return replace(step, motion=motion)
@@ -98,7 +100,7 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
         return fit
     camera = _AT_REST.copy()
     for blur_px in _COARSE_TO_FINE_PX:
-        fit = _least_squares(_seen(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
+        fit = _least_squares(_observe(scales.blurred(blur_px), edges, edges.decoded, camera), expected_px)
         camera[PER_DEVICE:] += fit.motion[PER_DEVICE:]
     return replace(fit, motion=np.concatenate([fit.motion[:PER_DEVICE], camera[PER_DEVICE:]]))
 
@@ -110,17 +112,19 @@ def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
     return before, after
 
 
-def _seen_beside(blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float) -> _Seen:
-    """A step from coarse to fine: what there is beside a motion (8,), with the border where the planes put it.
+def _observe_beside(
+    blurred: Callable[[float], _Pictures], edges: Edges, motion: Floats, blur_px: float
+) -> _TileObservations:
+    """Observe what remains beside a motion (8,) at a blur, with the border where the planes predict it.
 
-    While the border may be anywhere, all tiles are believed alike: most of it may run along the motion.
+    While the border is uncertain, no tile is down-weighted: most of the border may run along the motion.
     """
     reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
-    return _seen(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+    return _observe(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
 
 
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
-    """The share, in squares, of what the pictures (H, W) differ by at their edges that a motion (8,) explains."""
+    """Return the share of the squared difference of the pictures (H, W) at edges that a motion (8,) explains."""
     shown = edges.beside(motion, _REACH_PX)
     left, differ = (
         sum(
@@ -132,14 +136,18 @@ def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
     return 1 - left / max(differ, 1e-12)
 
 
-def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False) -> _Seen:
-    """What there is beside a motion (8,); a border that may be `anywhere` has no light of its own, and no outliers."""
+def _observe(
+    pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False
+) -> _TileObservations:
+    """Observe what remains beside a motion (8,); a border that may be `anywhere` has no gain of its own, and no
+    outliers.
+    """
     of_scene, of_border = edges.warps(motion)
     scene = shifts_of_tiles(pictures, shown.scene, of_scene)
     border = shifts_of_tiles(pictures, shown.border, of_border, own_light=not anywhere)
     known = np.isfinite(shown.of_border[border.tiles]).all(axis=(1, 2))
     at_border = border.tiles[known]
-    return _Seen(
+    return _TileObservations(
         edges.centre[np.concatenate([scene.tiles, at_border])],
         np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
@@ -148,8 +156,8 @@ def _seen(pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, an
     )
 
 
-def _least_squares(seen: _Seen, expected_px: Floats) -> Fit:
-    """Robust least squares of the motion (8,), with what is expected where nothing is seen."""
+def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
+    """Fit the motion (8,) by robust least squares, with a prior for unobservable parts."""
     design = seen.design
     expected = np.diag(1 / expected_px**2)
     by_motion = seen.normal @ design
@@ -173,7 +181,7 @@ def _least_squares(seen: _Seen, expected_px: Floats) -> Fit:
 
 
 def _squares(normal: Floats, pull: Floats) -> Floats:
-    """bᵀ N⁻¹ b of T tiles."""
+    """Return bᵀ N⁻¹ b of T tiles."""
     across, both, down = normal[:, 0, 0], normal[:, 0, 1], normal[:, 1, 1]
     little = _SINGULAR * (across + down)
     across, down = across + little, down + little

@@ -1,5 +1,6 @@
-"""What moves with which device in a picture of the evenly lit scene: all of it with the camera, and the border of the
-projector's picture with the projector as well.
+"""The motion of edges in a picture of the evenly lit scene.
+
+The whole picture moves with the camera, and the border of the projector's picture also with the projector.
 """
 
 from dataclasses import dataclass
@@ -9,18 +10,20 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.between_axes.borders import Places, going_on, lit_in, near_border, seen_border
+from scanner.decoding.between_axes.borders import Places, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
-# Where a camera pixel covers less of the projector's picture, in its pixels, its coordinates stand still.
+# Where a camera pixel covers fewer projector pixels than this, the gradient is degenerate.
 _LEAST_AREA = 1e-3
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Pixels (H, W) that show the `scene` in the light, and those that show the `border` of the picture; by how much
-    that border moves in each of T tiles, `of_border` (T, 2, 8), per px of each part of a motion, NaN where unknown.
+    """Pixels (H, W) that show the lit `scene`, and those that show the `border` of the projector's picture.
+
+    `of_border` (T, 2, 8): derivative of the border's shift in each of T tiles by each part of a motion, NaN where
+    unknown.
     """
 
     scene: Bools
@@ -30,9 +33,10 @@ class Shown:
 
 @dataclass(frozen=True)
 class Edges:
-    """Of a capture: `projector_px` (H, W, 2) in steps of `step_px`, NaN where unknown, by frames of which those along
-    the axes of which `later` (2,) is 1 were taken after a motion; `places` of its tiles. `size` and `camera_size`
-    (width, height) of the devices, whose pixel (x, y) at `origin` is the first of these.
+    """The coordinates of a capture whose axes with `later` (2,) = 1 were taken after a motion.
+
+    `projector_px` (H, W, 2): in steps of `step_px`, NaN where unknown. `places`: the planes of its tiles. `size`,
+    `camera_size`: (width, height) of the devices. `origin`: camera pixel (x, y) of the first pixel.
     """
 
     projector_px: Floats32
@@ -45,14 +49,14 @@ class Edges:
 
     @cached_property
     def of_scene(self) -> Floats:
-        """By how much the scene moves in each of T tiles, (T, 2, 8), per px of each part of a motion."""
+        """(T, 2, 8): derivative of the scene's shift in each of T tiles by each part of a motion."""
         moved = self._of_devices.copy()
         moved[:, :, :PER_DEVICE] = 0.0
         return moved
 
     @cached_property
     def decoded(self) -> Shown:
-        """By the pixels that are decoded: what hardly moved."""
+        """Scene and border from the decoded pixels, for small motions."""
         border = seen_border(self.projector_px, self.size, self.step_px)
         unknown = ~np.isfinite(self.places.gradient).all(axis=(1, 2))
         of_border = self._of_border.copy()
@@ -70,14 +74,14 @@ class Edges:
         return moved
 
     def beside(self, motion: Floats, reach_px: float) -> Shown:
-        """Within so many px of where the border was before a motion (8,), by the planes around it."""
+        """Return scene and border, within `reach_px` of the border before a motion (8,), predicted by planes."""
         places = self._around
         by_motion = shifts_by_motion(self.centre, places.projector_px, places.gradient, self.camera_size, self.size)
         border = near_border(self.projector_px, places, by_motion @ motion * self.later, self.size, reach_px)
         return Shown(self._lit & ~border, border, self._of_border)
 
     def warps(self, motion: Floats) -> tuple[Warp, Warp]:
-        """Where the scene is, and where the border of the projector's picture is, after a motion (8,)."""
+        """Return where the scene and the border of the projector's picture are after a motion (8,)."""
         right, down, roll, zoom = motion[PER_DEVICE:]
         half = self.camera_size[0] / 2
         turned = np.eye(2) + np.array([[zoom, -roll], [roll, zoom]]) / half
@@ -88,23 +92,24 @@ class Edges:
 
     @cached_property
     def _lit(self) -> Bools:
-        # In the dark a camera's fixed pattern, which rests, is much of what is seen.
+        # In the dark, the camera's fixed pattern, which does not move, dominates.
         return lit_in(self.projector_px)
 
     @cached_property
     def centre(self) -> Floats:
-        """Of each of T tiles, (T, 2), in the camera's picture."""
+        """(T, 2): middles of the tiles in the camera's picture."""
         centre: Floats = centres_of_tiles(self.projector_px.shape[:2]).reshape(-1, 2) + np.array(self.origin)
         return centre
 
     @cached_property
     def _around(self) -> Places:
-        """Tiles that are partly lit or masked as well, as beyond the border."""
-        return going_on(self.places, self.projector_px.shape[:2])
+        """Planes extrapolated to tiles that are partly lit or masked, and beyond the border."""
+        return extrapolated(self.places, self.projector_px.shape[:2])
 
     @cached_property
     def _of_devices(self) -> Floats:
-        """What the devices' own pictures do, (T, 2, 8): the projector's in its px."""
-        # With this gradient; the sign is that of coordinates in the projector's.
+        """(T, 2, 8): derivative of the motion of each device's own picture, the projector's in its px."""
+        # With this gradient, the shift of coordinates is that of the picture; the sign is that of projector
+        # coordinates.
         flat = np.broadcast_to(-np.eye(2), (len(self.centre), 2, 2))
         return shifts_by_motion(self.centre, self._around.projector_px, flat, self.camera_size, self.size)

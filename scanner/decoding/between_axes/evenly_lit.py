@@ -1,8 +1,8 @@
-"""The scene evenly lit, once by all patterns along one axis and once by those along the other.
+"""Two pictures of the evenly lit scene, one from all patterns along each axis.
 
-The mean of a fringe over its shifts, and that of a pattern and its inverse, are what half of white shows, whatever the
-pattern: all patterns along x together give one picture of the scene, those along y another. They are compared where all
-of one axis is shown before all of the other, and nothing else tells of a motion in between.
+The mean of a fringe over its shifts, and that of a pattern and its inverse, equal half of white, whatever the pattern.
+All patterns along x together thus give one picture of the scene, those along y another. They are compared if all of one
+axis is shown before all of the other, since no fringe observes a motion in between.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,9 +20,9 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 @dataclass(frozen=True)
 class Half:
-    """The frames that an axis is measured by, in the places `first` to `last` of the capture.
+    """The frames that measure an axis, at positions `first` to `last` of the capture.
 
-    `weights`: of the frames in the mean picture; empty where no frames of it add up to even light.
+    `weights`: weights of frames in the mean picture; empty if no frames add up to even light.
     """
 
     axis: AxisPlan
@@ -32,7 +32,7 @@ class Half:
 
 
 def halves_of(plan: SequencePlan) -> tuple[Half, Half] | None:
-    """The two halves of a capture, the earlier one first; None unless all of one axis is measured before the other."""
+    """Return the two halves of a capture in order of time; None unless one axis is measured before the other."""
     if not all(axis.is_measured for axis in plan.axes):
         return None
     first, second = sorted((_half(plan, axis) for axis in plan.axes), key=lambda half: half.first)
@@ -41,7 +41,7 @@ def halves_of(plan: SequencePlan) -> tuple[Half, Half] | None:
 
 def _half(plan: SequencePlan, axis: AxisPlan) -> Half:
     frames = {frame for fringe in axis.fringes for frame in fringe.frames}
-    # Codes only tell one cycle from the next, if there are fringes.
+    # With fringes, codes only select the period.
     frames = frames or {frame for code in axis.codes for frame in code.frames}
     places = [place for place, frame in enumerate(plan.shown) if frame in frames]
     return Half(axis, min(places), max(places), _weights(axis))
@@ -59,7 +59,7 @@ def _weights(axis: AxisPlan) -> dict[int, float]:
 
 
 def pairs_of(axis: AxisPlan) -> dict[int, tuple[int, int]]:
-    """Bit → frames of the pattern and of its inverse, where a Gray code alone tells the coordinate."""
+    """Return bit → frames of pattern and inverse, if a Gray code alone gives the coordinate."""
     return axis.codes[0].pairs if len(axis.codes) == 1 and not axis.fringes else {}
 
 
@@ -69,19 +69,19 @@ def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
 
 
 class EvenlyLit:
-    """The two pictures of the scene, (H, W) each, from frames as they arrive."""
+    """Accumulates the two pictures of the scene, (H, W) each, from frames as they arrive."""
 
     def __init__(self, halves: tuple[Half, Half], shape: tuple[int, int]) -> None:
         self.halves = halves
         self.pictures: tuple[Floats32, Floats32] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        # Of codes alone, in the order in which they were shown.
+        # Means of pattern and inverse, for codes alone, in order of display.
         self.of_pairs: dict[tuple[int, int], Image] = {}
         self._pairs = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
 
     def add(self, number: int, grey: Image) -> None:
-        """Take pattern `number`, (H, W), if it is of a half.
+        """Add the frame (H, W) of pattern `number`, if it belongs to a half.
 
-        Of a pair that is not as bright as each other the stripes remain, which move with neither device.
+        If pattern and inverse differ in brightness, stripes remain, which move with neither device.
         """
         for half, picture in zip(self.halves, self.pictures, strict=True):
             if weight := half.weights.get(number):
@@ -91,7 +91,7 @@ class EvenlyLit:
             self.of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
 
     def within(self, part: tuple[slice, slice]) -> "EvenlyLit":
-        """The same of a part of the camera's picture (rows, columns)."""
+        """Return a crop to a part of the camera's picture (rows, columns)."""
         found = copy(self)
         before, after = self.pictures
         found.pictures = np.ascontiguousarray(before[part]), np.ascontiguousarray(after[part])
@@ -99,7 +99,7 @@ class EvenlyLit:
         return found
 
     def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
-        """The means (H, W) of two groups of the pairs, by number."""
+        """Return the mean pictures (H, W) of two groups of pairs, given by number."""
         of_pairs = [*self.of_pairs.values()]
         return _mean([of_pairs[k] for k in before]), _mean([of_pairs[k] for k in after])
 

@@ -1,8 +1,7 @@
-"""Did camera or projector move between the patterns along one axis and those along the other?
+"""Measurement of camera or projector motion between the patterns along one axis and those along the other.
 
-Where all of one axis is shown before all of the other, fringes tell nothing of what moves in between. The scene does:
-evenly lit in both halves, all of it moves in the camera's picture with the camera, and the border of the projector's
-picture alone with the projector.
+Fringes do not observe a motion between the axes. The evenly lit scene does: all of it moves in the camera's picture
+with the camera, and the border of the projector's picture also with the projector.
 """
 
 from collections.abc import Iterator
@@ -22,25 +21,29 @@ from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# From so many px on it is more than ripple and noise make at rest.
+# Least size in px that ripple and noise do not reach at rest.
 _LEAST_PX = 0.02
-# What all of the scene, or of a border, shows is known to be one motion.
+# Largest motion to be corrected: scene and border each show one common motion.
 _LARGEST_PX = 0.5
-# A camera that moved farther sees other things beside the edges of things, and moved along with its tripod's head.
+# A camera that moved farther sees occlusions change, and has shifted on its tripod.
 _LARGEST_OF_CAMERA_PX = 0.75
-# Among the parts of a motion, pan and tilt of either device.
+# Pan and tilt of either device among the parameters of a motion.
 _TURNS = [0, 1, PER_DEVICE, PER_DEVICE + 1]
-# One pair that differs from all others does so by its stripes.
+# A single pair may differ because of its stripes.
 _FEWEST_PAIRS = 2
-# Where edges are of before and of after, coordinates between them scatter; so much of that is in their means.
+# Coordinates scatter where code edges are from both before and after the motion; this share of the scatter remains in
+# their means.
 _MIXED = 0.2
-# A motion within a half explains so much more than one between them.
+# A motion within a half must explain so many times as much as one between them.
 _LIKELIER = 1.3
 
 
 @dataclass(frozen=True)
-class _Course:
-    """A motion between two frames, of which x and y are shifted against each other by a `share`, with its `sigma`."""
+class _Timing:
+    """The time of a motion, between the frames `first` and `last`.
+
+    `share`: the part of it by which x and y are shifted against each other, with its `sigma`.
+    """
 
     share: float = 1.0
     sigma: float = 0.0
@@ -49,11 +52,11 @@ class _Course:
 
     @property
     def others(self) -> tuple[float, ...]:
-        """Shares that may as well be the true one."""
+        """Alternative shares, one standard deviation away."""
         return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
 
 
-_BETWEEN = _Course()
+_BETWEEN = _Timing()
 
 
 def motion_between(
@@ -63,14 +66,14 @@ def motion_between(
     projector_size: tuple[int, int],
     within: MotionFound | None,
 ) -> MotionFound:
-    """The motion of the devices between the two halves of a capture; sizes are (width, height).
+    """Return the motion of the devices between the two halves of a capture; sizes are (width, height).
 
-    `projector_px` (H, W, 2): the coordinates of all camera pixels, NaN where unknown. A motion `within` a half that is
-    larger takes precedence, and what may have been beside it is added to it.
+    `projector_px` (H, W, 2): coordinates of all camera pixels, NaN where unknown. A larger motion `within` a half takes
+    precedence; the uncertainty of the motion between the halves is then added to it.
     """
     height, width, _ = projector_px.shape
     sizes = (width, height), projector_size
-    # Codes alone leave steps.
+    # Codes alone give coordinates in steps.
     step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
     rows, columns = part = part_around(projector_px)
     lit, projector_px = lit.within(part), np.ascontiguousarray(projector_px[part])
@@ -80,28 +83,28 @@ def motion_between(
     edges = Edges(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
     )
-    fit, course = motion_of(lit.pictures, edges), _BETWEEN
+    fit, timing = motion_of(lit.pictures, edges), _BETWEEN
     for other in _within_halves(lit, edges):
         of_other = motion_of(lit.pictures_of(other.before, other.after), edges)
-        # Between the halves it looks smaller than it was.
+        # The pictures of the halves mix before and after, so that the motion looks smaller there.
         larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
         if larger and of_other.significance > SIGNIFICANT_SIGMAS:
-            fit, course = of_other, _course(lit, plan, other)
+            fit, timing = of_other, _timing_of(lit, plan, other)
     _, camera_px = turns_px(fit.motion)
-    shift = Disturbance(np.outer(shares, course.share * fit.motion), *sizes)
+    shift = Disturbance(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
     significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > _LEAST_PX
-    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(course.share**2 * fit.covariance)]
+    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,
         significant=significant,
         slow=False,
-        first=plan.repeats * (first.last if course.first is None else course.first),
-        last=plan.repeats * (second.first if course.last is None else course.last),
+        first=plan.repeats * (first.last if timing.first is None else timing.first),
+        last=plan.repeats * (second.first if timing.last is None else timing.last),
         size_px=size_px,
         explained=1.0,
         shift=shift,
-        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in course.others),
+        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in timing.others),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
         largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
@@ -112,10 +115,12 @@ def motion_between(
 
 
 def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
-    """When pairs of codes changed, if that was not between the halves: by the scene, and by the border."""
+    """Yield the times, other than between the halves, at which pictures of code pairs changed: the scene, then the
+    border.
+    """
     if not lit.of_pairs:
         return
-    seen = set()  # both mostly tell the same
+    seen = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
     stripes = [_stripe_px(lit)[pair] for pair in lit.of_pairs]
     shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)
@@ -130,15 +135,17 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
 
 
 def _stripe_px(lit: EvenlyLit) -> dict[tuple[int, int], float]:
-    """How wide the stripes of each pair of a code are, but for a factor that all of the code's share."""
+    """Return the relative width of the stripes of each pair of a code."""
     axes = [half.axis for half in lit.halves]
     return {
         pair: axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis in axes for bit, pair in pairs_of(axis).items()
     }
 
 
-def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
-    """What a change at this moment does to the coordinates: half of a code's edges are those of its finest bit."""
+def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Timing:
+    """Return the effect of a change at this moment on the coordinates: half of the edges of a code belong to its finest
+    bit.
+    """
     done = dict(zip(lit.of_pairs, moment.done.tolist(), strict=True))
     of_halves = []
     for half in lit.halves:
@@ -148,18 +155,18 @@ def _course(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Course:
     places = [sorted(plan.shown.index(frame) for frame in pair) for pair in lit.of_pairs]
     before, after = places[max(moment.before)], places[min(moment.after)]
     mixed = max(np.sqrt(share * (1 - share)) for share in of_halves)
-    return _Course(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
+    return _Timing(of_halves[1] - of_halves[0], _MIXED * mixed, before[-1], after[0])
 
 
 def _independent(covariance: Floats) -> Floats:
-    """Vectors (8, 8), one per row, that together have this covariance."""
+    """Factor a covariance into independent vectors (8, 8), one per row."""
     values, vectors = np.linalg.eigh(covariance)
     rows: Floats = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     return rows
 
 
 def _typical_px(shift: Disturbance, edges: Edges) -> float:
-    """How far coordinates were shifted: root mean square over the tiles where they are known."""
+    """Return the root mean square shift of the coordinates over the known tiles."""
     places = edges.places
     known = np.isfinite(places.gradient).all(axis=(1, 2))
     shifts = shift.shifts(edges.centre[known], places.projector_px[known], places.gradient[known])

@@ -1,4 +1,4 @@
-"""When it was that pictures of the same scene changed: between which two of them, or within one."""
+"""The time of a change in a series of pictures of one scene: between two of them, or during one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,17 +7,18 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Image
 
-# Some of the pixels tell it.
+# Limits on the number of pixels used.
 _MOST_PIXELS = 60_000
 _FEWEST_PIXELS = 1_000
-# A picture that has this share of the change is of before and after.
+# A picture with at least this share of the change, and of the rest, was taken during it.
 _PARTLY = 0.25
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Of K pictures, the share (K,) of a change that each has, `done`; `gained`: how many times as much of what they
-    differ by it explains as a change between two given ones.
+    """The completed share `done` (K,) of a change in each of K pictures.
+
+    `gained`: ratio of the explained difference to that of a change at the given place.
     """
 
     done: Floats
@@ -25,21 +26,22 @@ class Moment:
 
     @property
     def before(self) -> tuple[int, ...]:
-        """Those that are as before."""
+        """Numbers of the pictures before the change."""
         return tuple(np.flatnonzero(self.done == 0).tolist())
 
     @property
     def after(self) -> tuple[int, ...]:
-        """Those that are as after."""
+        """Numbers of the pictures after it."""
         return tuple(np.flatnonzero(self.done == 1).tolist())
 
 
 def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Sequence[float]) -> Moment | None:
-    """When pictures (H, W) changed once, by `chosen` pixels (H, W), beside a change after the `first` few.
+    """Locate a single change of pictures (H, W) at `chosen` pixels (H, W), compared with a change after the `first`
+    few.
 
-    `stripes`: how wide those are that each picture is the sum of. None where too few pixels tell, or where the pictures
-    of narrow stripes differ from all others by more than the later ones from the earlier ones: stripes that were
-    sharpened, or scaled to other pixels, do not add up to even light. What is brighter all over is no change.
+    `stripes`: stripe width of the pair that each picture is the sum of. None if there are too few pixels, or if sorting
+    the pictures by stripe width separates them better than sorting by time: stripes that were sharpened or rescaled do
+    not add up to even light. A change of overall brightness is ignored.
     """
     pixels = np.flatnonzero(chosen)
     if len(pixels) < _FEWEST_PIXELS:
@@ -54,7 +56,7 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Seq
     if between.max() < _between_groups(levels[np.argsort(stripes, kind="stable")]).max():
         return None
     best = int(np.argmax(between)) + 1
-    # Either of those at the change may be of both sides of it.
+    # Either picture next to the change may have been taken during it.
     before, after = (part.mean(axis=0) for part in (levels[: max(best - 1, 1)], levels[min(best + 1, count - 1) :]))
     done = (levels - before) @ (after - before) / max(float((after - before) @ (after - before)), 1e-12)
     shares = (np.arange(count) >= best).astype(np.float64)
@@ -65,7 +67,7 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Seq
 
 
 def _between_groups(levels: Floats) -> Floats:
-    """Of each split of a list (K, P) in two, the sum of squares between the groups, (K - 1,)."""
+    """Return the sum of squares between the groups, (K - 1,), for each split of a list (K, P) in two."""
     count = len(levels)
     splits = np.arange(1, count)
     sums = np.cumsum(levels, axis=0)[:-1]

@@ -1,8 +1,7 @@
-"""How far the parts of one picture of a scene lie beside those of another, from their gradients.
+"""Registration of two pictures of a scene, tile by tile, from their gradients (Lucas and Kanade, IJCAI 1981).
 
-For each small tile the shift d that explains the difference of two pictures, D = g M + o − ∇M · d, with a brightness g
-and an offset o of its own (Lucas and Kanade, IJCAI 1981). M is the mean of both pictures: what is in one of them only,
-say ripple of its fringes, then moves nothing.
+For each tile, the shift d explains the difference of the pictures, D = g M + o − ∇M · d, with a gain g and an offset o.
+M is the mean of both pictures, so that features of one of them alone, such as fringe ripple, cause no shift.
 """
 
 from collections.abc import Sequence
@@ -27,8 +26,8 @@ _EVERY = 2
 
 @dataclass(frozen=True)
 class Warp:
-    """Where things are in the later of two pictures: the middles of T tiles at `place` (T, 2), and what is around these
-    `turned` (2, 2) about them.
+    """Where tiles are in the later picture: their middles at `place` (T, 2), and their surroundings `turned` (2, 2)
+    about these.
     """
 
     place: Floats
@@ -37,9 +36,9 @@ class Warp:
 
 @dataclass(frozen=True)
 class TileShifts:
-    """What K of the tiles, by number (K,), say of their shift d: it minimises dᵀ N d − 2 bᵀ d.
+    """Observations of the shifts d of K `tiles`, by number (K,): each minimises dᵀ N d − 2 bᵀ d.
 
-    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the variance of what is left.
+    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the residual variance.
     """
 
     tiles: Ints
@@ -50,16 +49,16 @@ class TileShifts:
 def shifts_of_tiles(
     pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp, *, own_light: bool = True
 ) -> TileShifts:
-    """From the `chosen` pixels (H, W) of two pictures (H, W), the later one taken back by `warp`.
+    """Observe the shifts of tiles from the `chosen` pixels (H, W) of two pictures (H, W), the later one warped back.
 
-    Without g and o (`own_light`): these take an edge that is blurred more widely than a tile for light.
+    `own_light`: whether g and o are fitted. They would absorb an edge that is blurred over more than a tile.
     """
     rows, columns = (size // TILE_PX for size in chosen.shape)
     in_tiles = chosen[: rows * TILE_PX, : columns * TILE_PX].reshape(rows, TILE_PX, columns, TILE_PX)
     tiles = np.flatnonzero(in_tiles.sum(axis=(1, 3)) >= _FEWEST_PX)
     moments = np.zeros((len(tiles), 5, 5))
     before, after = pictures
-    # Levels are relative to that of the picture, for the sake of rounding.
+    # Levels are relative to the mean of the pictures, to limit rounding errors.
     level = np.float32((before.mean() + after.mean()) / 2)
     _sum_moments(before, after, chosen, tiles, warp.place, warp.turned, _TAPS, level, moments)
     normal, pull = _of_moments(moments, own_light=own_light)
@@ -68,15 +67,17 @@ def shifts_of_tiles(
 
 
 def differences(pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp) -> float:
-    """By what the `chosen` pixels (H, W) of two pictures differ, in squares, weighed by those of their slopes.
+    """Return the squared difference of two pictures at the `chosen` pixels (H, W), weighted by their squared slopes.
 
-    A quarter of the pixels tells it.
+    Every second row and column is used.
     """
     return _sum_differences(*pictures, chosen, warp.place, warp.turned, _EVERY)
 
 
 def moments_of_tiles(pictures: Sequence[Floats32], chosen: Bools) -> Floats:
-    """Sums (rows, columns, N, N) of the products of each two of N pictures (H, W) over the `chosen` pixels (H, W)."""
+    """Return the sums (rows, columns, N, N) of products of N pictures (H, W) over the `chosen` pixels (H, W) of each
+    tile.
+    """
     rows, columns = (size // TILE_PX for size in chosen.shape)
     moments = np.zeros((rows, columns, len(pictures), len(pictures)))
     _sum_moments_of(tuple(np.ascontiguousarray(picture) for picture in pictures), chosen, moments)
@@ -84,7 +85,7 @@ def moments_of_tiles(pictures: Sequence[Floats32], chosen: Bools) -> Floats:
 
 
 def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
-    """The middles (rows, columns, 2), x and y, of the tiles of an image of `shape` (H, W)."""
+    """Return the middles (rows, columns, 2), x and y, of the tiles of an image of `shape` (H, W)."""
     rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
     centres: Floats = np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2
     return centres
@@ -109,7 +110,7 @@ def _sum_moments_of(pictures: tuple[Floats32, ...], chosen: Bools, moments: Floa
 
 @compiled
 def _sum_products(values: Floats, found: int, sums: Floats) -> None:
-    """Of each two of N lists (N, K), of which the first `found` count, (N, N)."""
+    """Fill the sums of products (N, N) of N lists (N, K), of which the first `found` entries count."""
     for a in range(len(values)):
         for b in range(a + 1):
             total = 0.0
@@ -130,7 +131,7 @@ def _sum_moments(
     usual: np.float32,
     moments: Floats,
 ) -> None:
-    """Of 1, M, −∇M and D over the chosen pixels of each of these tiles, (K, 5, 5)."""
+    """Fill the moments (K, 5, 5) of 1, M, −∇M and D over the chosen pixels of each tile."""
     columns = before.shape[1] // TILE_PX
     mean, difference = np.empty((_WINDOW, _WINDOW), np.float32), np.empty((_WINDOW, _WINDOW), np.float32)
     across = np.empty((3, _WINDOW, TILE_PX), np.float32)
@@ -162,7 +163,7 @@ def _sample(
     mean: Floats32,
     difference: Floats32,
 ) -> None:
-    """Mean and difference of the pictures in a tile and around it."""
+    """Sample mean and difference of the pictures in a tile and its margin."""
     height, width = before.shape
     for y in range(_WINDOW):
         v = min(max(top + y - _REACH, 0), height - 1)
@@ -181,7 +182,7 @@ def _sample(
 
 @compiled
 def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
-    """Linear: a cubic one does not keep ramps in their places, by up to 0.05 px. Beyond its border as at it."""
+    """Interpolate linearly, clamped at the border: cubic interpolation shifts ramps by up to 0.05 px."""
     height, width = picture.shape
     x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
     u, v = min(int(x), width - 2), min(int(y), height - 2)
@@ -195,7 +196,7 @@ def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
 def _filter(
     mean: Floats32, difference: Floats32, taps: Floats32, usual: np.float32, across: Floats32, filtered: Floats32
 ) -> None:
-    """Level, relative to the `usual` one, and −∇ of the mean; level of the difference."""
+    """Fill the level of the mean, relative to the `usual` one, −∇ of the mean, and the level of the difference."""
     for y in range(_WINDOW):
         for x in range(TILE_PX):
             level, slope, change = np.float32(0), np.float32(0), np.float32(0)
@@ -242,7 +243,7 @@ def _sum_differences(
 
 
 def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
-    """N and b from the moments (T, 5, 5) of 1, M, −∇M and D."""
+    """Return N and b from the moments (T, 5, 5) of 1, M, −∇M and D."""
     count, rest = moments[:, 0, 0], moments[:, 2:, 2:]
     parameters = _OF_SHIFT
     if own_light:
@@ -251,13 +252,13 @@ def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
     normal, pull = rest[:, :2, :2], rest[:, :2, 2]
     left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, _solved(normal, pull[..., None])[..., 0])
     variance = np.maximum(left, 0.0) / (count - parameters)
-    # What is left of a tile by chance is not less than what is left of most.
+    # The residual variance of a tile is at least the median of all, since a low one is due to chance.
     variance = np.maximum(variance, max(float(np.median(variance)) if len(variance) else 0.0, 1e-9))
     return normal / variance[:, None, None], pull / variance[:, None]
 
 
 def _solved(matrices: Floats, right: Floats) -> Floats:
-    """Least squares with square matrices (T, 2, 2) that may be singular."""
+    """Solve systems (T, 2, 2) that may be singular, with a small regularisation."""
     size = np.trace(matrices, axis1=1, axis2=2)[:, None, None]
     solved: Floats = np.linalg.solve(matrices + (_SINGULAR * size + 1e-12) * np.eye(2), right)
     return solved

@@ -1,1 +1,1 @@
-"""What is odd about frames, codes and coordinates, and what comes of it: a refusal, or a sentence for the operator."""
+"""Checks of frames, codes and coordinates for anomalies, which lead to a refusal or to a warning for the operator."""

@@ -1,7 +1,7 @@
-"""Does each frame of a Gray code show the bit that the capture says?
+"""Check that each frame of a Gray code shows the bit that the capture states.
 
-Exchanged bits decode to numbers like any others. But between neighbouring cells a Gray code changes in one bit only:
-where camera pixels next to each other differ in a single bit, their cells must be next to each other.
+Exchanged bits decode to plausible numbers. But neighbouring cells of a Gray code differ in one bit only. If adjacent
+camera pixels differ in a single bit, their cells must therefore be neighbours.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
@@ -22,31 +22,32 @@ from scanner.decoding.sequence_plan import GrayCode, SequencePlan
 from scanner.decoding.significance import BRIGHTEST
 from scanner.errors import InputError
 
-# Along this many rows and columns of the image pixels at most so far apart are compared.
+# Number of rows and columns that are sampled, and the largest distance of compared pixels.
 _LINES = 128
 _FARTHEST_PX = 16
 _CERTAIN_SIGMAS = 3.0
-# Smaller differences are rounding and compression, in grey levels; or stray light, whose bits are no neighbours', in
-# parts of what the brightest few pixels have: cameras of many bits and little noise see that too.
+# Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a
+# share of the brightest pixels (STRAY_PART), which matters for cameras with many bits and little noise.
 _LEAST_DIFFERENCE = 5.0
-# Of what those have, less is unlit: beyond the picture, a camera that maps tones anew in each frame sees bits, too.
+# Pixels with less than this share of the brightest ones are unlit: outside the picture, a camera with automatic tone
+# mapping sees bits, too.
 _LIT = 0.25
 _FEWEST_CHANGES = 30
 _FEWEST_BITS = 3
 _DIRECTIONS = 2
-# Where the camera samples the cells, nearly all changes are in a single bit; across stripes finer than its pixels they
-# are not, and say nothing.
+# If the camera resolves the cells, nearly all changes are in a single bit; stripes finer than its pixels are not
+# checked.
 _MOSTLY_SINGLE = 0.8
 # Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
-# bit of the word is wrong, it is a half at most.
+# bit of the word is wrong, at most a half.
 _LEAST_ADJACENT = 0.65
-# An exchange of bits is the cause if undoing it leaves no more than this share of the contradictions.
+# An exchange of bits is the cause if undoing it leaves at most this share of the contradictions.
 _REPAIRED = 0.3
 
 
 @dataclass(frozen=True)
 class _Changes:
-    """Pairs of pixels whose code words differ in a single bit: their words (C,), and which bit (C,)."""
+    """Pairs of pixels whose code words differ in a single bit: their words, and the number of that bit, (C,) each."""
 
     before: Words
     after: Words
@@ -56,14 +57,14 @@ class _Changes:
         return _Changes(self.before[chosen], self.after[chosen], self.bit[chosen])
 
     def adjacent(self) -> Bools:
-        """Whether the two cells are next to each other, as they must be."""
+        """Return whether the two cells are neighbours, as they must be."""
         before, after = cell_numbers(self.before), cell_numbers(self.after)
         step: Words = np.maximum(before, after) - np.minimum(before, after)
         adjacent: Bools = step == 1
         return adjacent
 
     def repaired(self, code: GrayCode, exchange: tuple[int, int]) -> "_Changes":
-        """The same with two bits as shown exchanged, or with one inverted if both are the same."""
+        """Return the changes with two bits, as displayed, exchanged; with one bit inverted if both are the same."""
         first, second = (np.uint32(code.bits - 1 - bit) for bit in exchange)
 
         def repair(words: Words) -> Words:
@@ -81,11 +82,11 @@ def check_codes(
     middle: Image,
     brightest: Image,
     moved: Bools | None = None,
-) -> list[Oddity]:
-    """Where the bits of a Gray code do not follow each other as they must.
+) -> list[Anomaly]:
+    """Return the anomalies of Gray codes whose single-bit changes do not join neighbouring cells.
 
-    `middle` (H, W): grey level half-way between lit and unlit; `brightest` (H, W): when lit; `moved` (H, W): where
-    something did, and nobody is asked. Raises InputError if they do once bits are exchanged.
+    `middle` (H, W): grey level half-way between lit and unlit; `brightest` (H, W): grey level when lit; `moved` (H, W):
+    pixels to ignore. Raises InputError if exchanging two bits, or inverting one, removes the contradictions.
     """
     found = []
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
@@ -95,24 +96,25 @@ def check_codes(
             continue
         _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
         if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
-            continue  # bounced light may have turned bits over: the XOR code beside it will tell
+            continue  # interreflection may have flipped bits: the XOR code is checked instead
         bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
             suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
-            said = (
+            message = (
                 f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
                 f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
             )
-            found.append(Oddity(said, tuple(suspects)))
+            found.append(Anomaly(message, tuple(suspects)))
     return found
 
 
 def _sampled(
     fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
 ) -> Iterator[tuple[GrayFold, _Changes]]:
-    """The code and its changes; and the same of the code without as many of its finest bits as it takes for all pixels
-    to be smaller than cells. What is wrong with coarse bits shows where single cells cannot be told apart.
+    """Yield the code and its changes, then those of a coarser code if single cells are not resolved.
+
+    The finest bits are dropped until all pixels are smaller than cells. Errors in coarse bits then become visible.
     """
     changes, are_single = _changes(fold, noise, middle, brightest, moved)
     yield fold, changes
@@ -127,8 +129,9 @@ def _sampled(
 def _changes(
     fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
 ) -> tuple[_Changes, bool]:
-    """Single-bit changes along some rows and columns of the image, between certain pixels; of either, if most are, and
-    whether most of both are.
+    """Return the single-bit changes between reliable pixels along some rows and columns of the image.
+
+    A direction is used only if most of its changes are single. The flag is true if both directions are used.
     """
     before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
     for is_transposed in (False, True):
@@ -154,9 +157,9 @@ def _changes(
 
 @compiled
 def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> tuple[int, int]:
-    """Note the words of certain pixels that follow each other along a line (lines, P) and differ in a single bit.
+    """Record the words of successive reliable pixels along lines (lines, P) that differ in a single bit.
 
-    Returns how many there are, and how many pixels that follow each other differ at all.
+    Returns the number of these, and the number of successive pixels that differ at all.
     """
     single = changes = 0
     for line in range(words.shape[0]):
@@ -189,9 +192,9 @@ def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes,
 
 
 def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
-    """Whether a bit changes in many places, too rarely between neighbours.
+    """Return whether a bit changes in many places, but too rarely between neighbouring cells.
 
-    A single pair of cells that meet along an occlusion edge may differ in one bit by chance.
+    A single pair of cells that meet at an occlusion edge may differ in one bit by chance.
     """
     chosen = wrong[wrong.bit == bit]
     if len(chosen.bit) < max(_FEWEST_CHANGES, (1 - _LEAST_ADJACENT) * np.count_nonzero(of_bit)):

@@ -1,8 +1,8 @@
-"""What comes of frames that are odd: decoded all the same, and judged by the coordinates.
+"""Assessment of frame anomalies by the decoded coordinates.
 
-Whatever device, light or scene: what one camera and one projector see obeys one epipolar geometry, and what codes and
-fringes say agrees with itself and with the pixels around it. A frame that shows something else breaks this where
-its pattern differs; a lamp that flickers or a person who walks by breaks it nowhere, or there only.
+Whatever the devices, light or scene, the matches of one camera and one projector obey one epipolar geometry, and codes
+and fringes agree with each other and with neighbouring pixels. A frame with another pattern breaks this wherever the
+pattern differs. A flickering lamp does not, and a passing person only locally.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,71 +14,73 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.errors import InputError
 
-# A frame that shows another pattern is wrong where the two differ, at half of the pixels; then at least a part of the
-# coordinates that depend on it contradict the others or break the surface. People in the picture cover less.
+# A corrupted frame differs from its pattern at half of the pixels; at least a part of the coordinates that depend on it
+# are then inconsistent or break the surface. People in the picture cover less.
 _MOST_BROKEN = 0.35
-# Distance from the epipolar line in projector pixels that a lens without a model, or a poor sigma, may explain.
+# Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
-_MOST_OFF = 0.15
+_MOST_OUTLIERS = 0.15
 _MOST_MATCHES = 4000
 _SEED = 5
 
 
 @contextmanager
-def suspecting(oddities: Sequence[Oddity]) -> Iterator[None]:
-    """Names what is odd about the frames in an InputError that follows from it."""
+def suspecting(anomalies: Sequence[Anomaly]) -> Iterator[None]:
+    """Prepend the anomalies to the message of an InputError that is raised in the block."""
     try:
         yield
     except InputError as error:
-        if not oddities:
+        if not anomalies:
             raise
-        raise InputError(f"{_said(oddities)}; and {error}") from error
+        raise InputError(f"{_description(anomalies)}; and {error}") from error
 
 
-def judge(oddities: Sequence[Oddity], reasons: Reasons, matches: Matches, *, one_axis: bool = False) -> str:
-    """A sentence for the operator about odd frames that do no harm; of all pixels the `reasons` (H, W).
+def judge(anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, one_axis: bool = False) -> str:
+    """Return a sentence for the operator about anomalies that do no harm, from the `reasons` (H, W) of all pixels.
 
-    `one_axis`: the matches were put on the lines of an epipolar geometry, so that it cannot judge them.
+    `one_axis`: whether matches were placed on the lines of an epipolar geometry, which therefore cannot test them.
 
-    Raises InputError if they do.
+    Raises InputError if the anomalies do harm.
     """
     counts = count_reasons(reasons, (MaskReason.KEPT, *BROKEN))
     broken = int(sum(counts[reason] for reason in BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
     if share > _MOST_BROKEN:
         raise InputError(
-            f"{_said(oddities)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
+            f"{_description(anomalies)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
             "their surface: did something move in most of the picture, or were frames exchanged?"
         )
     if len(matches) < FEWEST_PIXELS:
-        return f"{_said(oddities)}. Too few pixels have a match to assess the effect."
+        return f"{_description(anomalies)}. Too few pixels have a match to assess the effect."
     if one_axis:
-        return f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
-    distance, off = _epipolar(matches)
-    if off > _MOST_OFF:
+        return (
+            f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
+        )
+    distance, outliers = _epipolar(matches)
+    if outliers > _MOST_OUTLIERS:
         raise InputError(
-            f"{_said(oddities)}; and {off:.0%} of the matches are more than {EPIPOLAR_PX:g} projector pixels from the "
-            "epipolar geometry of the others"
+            f"{_description(anomalies)}; and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector "
+            "pixels from the epipolar geometry of the others"
         )
     return (
-        f"{_said(oddities)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
+        f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
         f"themselves and with their surface, and fit one epipolar geometry to {distance:.2f} px. Did someone walk "
         "through the picture, or did the light change?"
     )
 
 
-def _said(oddities: Sequence[Oddity]) -> str:
-    return "the frames do not show what the capture says: " + "; ".join(oddity.said for oddity in oddities)
+def _description(anomalies: Sequence[Anomaly]) -> str:
+    return "the frames do not show what the capture says: " + "; ".join(anomaly.message for anomaly in anomalies)
 
 
 def _epipolar(matches: Matches) -> tuple[float, float]:
-    """The median distance of the matches from the lines of the fundamental matrix that most of them obey, in projector
-    pixels; and the share of those that are far from theirs.
+    """Return the median distance of the matches from their epipolar lines, in projector pixels, and the share of
+    outliers.
     """
     count = len(matches)
     chosen = np.random.default_rng(_SEED).choice(count, min(count, _MOST_MATCHES), replace=False)
@@ -89,12 +91,12 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
         return 0.0, 1.0
     distance = from_epipolar_lines(some, matrix)
     sigma = np.zeros(len(chosen)) if matches.sigma_px is None else matches.sigma_px[chosen]
-    off = np.mean(distance > np.maximum(EPIPOLAR_PX, SIGNIFICANT_SIGMAS * sigma))
-    return float(np.median(distance)), float(off)
+    outliers = np.mean(distance > np.maximum(EPIPOLAR_PX, SIGNIFICANT_SIGMAS * sigma))
+    return float(np.median(distance)), float(outliers)
 
 
 def epipolar_matrix(matches: Matches) -> Floats | None:
-    """The fundamental matrix (3, 3) that most of the matches obey; None if there is none."""
+    """Estimate the fundamental matrix (3, 3) of the matches robustly (MAGSAC); None if there is none."""
     matrix, _ = cv2.findFundamentalMat(
         matches.camera_px, matches.projector_px, cv2.USAC_MAGSAC, EPIPOLAR_PX, 0.999, 2000
     )
@@ -102,7 +104,7 @@ def epipolar_matrix(matches: Matches) -> Floats | None:
 
 
 def from_epipolar_lines(matches: Matches, matrix: Floats) -> Floats:
-    """Distances (N,) of the projector pixels from the lines of the camera's, in projector pixels."""
+    """Return the distances (N,) of projector pixels from the camera pixels' epipolar lines, in projector pixels."""
     lines: Floats = np.column_stack([matches.camera_px, np.ones(len(matches))]) @ matrix.T
     distance: Floats = np.abs(np.sum(lines[:, :2] * matches.projector_px, axis=1) + lines[:, 2])
     return distance / (np.hypot(lines[:, 0], lines[:, 1]) + 1e-12)

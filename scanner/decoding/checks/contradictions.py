@@ -1,4 +1,4 @@
-"""What contradicts the light that every sequence shows: odd frames, at the lit pixels of a sample."""
+"""Contradictions between frames and the light that their patterns must show, at the lit pixels of a sample."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,33 +10,35 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# An exchanged frame is wrong by the whole swing wherever its pattern differs; a bent camera curve by less than half.
+# An exchanged frame is wrong by the whole swing where its pattern differs; a nonlinear camera curve by less than half.
 _WRONG = 0.5
 _WRONG_SHARE = 0.05
-# N times the spread of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames is another pattern;
-# 0.1 to 0.2 from harmonics.
+# N times the scatter of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames shows another
+# pattern, 0.1 to 0.2 from harmonics.
 _WRONG_MEAN = 0.5
-# How far the amplitude and shift of a frame may be from its pattern's, as a distance between phasors of length 1.
+# Largest deviation of the amplitude and shift of a frame, as a distance between unit phasors.
 _WRONG_SHIFT = 0.4
-# In a view of less than a third of a cycle shifts cannot be told from amplitudes: ratio of the singular values.
+# If less than a third of a cycle is visible, shifts and amplitudes are not separable: limit on the ratio of singular
+# values.
 _MOST_UNEVEN = 2.0
-# The power of a fringe that its fit leaves over: a gamma of 2.2 makes 0.05, exchanged opposite or next shifts 0.5.
+# Share of the power of a fringe that its fit leaves: 0.05 for a gamma of 2.2, 0.5 for exchanged opposite or next
+# shifts.
 _UNEXPLAINED = 0.25
-# Spread of a fringe's frames in standard deviations of the noise; a fringe that is just seen has 3.
+# Scatter of a fringe's frames in standard deviations of the noise; a barely visible fringe has 3.
 _BLURRED_AWAY = 2.0
 
 
 @dataclass(frozen=True)
-class Oddity:
-    """A contradiction, `said` in a few words, and the `frames` that are suspected."""
+class Anomaly:
+    """A contradiction, with a short `message` and the suspected `frames`."""
 
-    said: str
+    message: str
     frames: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Shown:
-    """The pixels of the sample that are lit: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
+class LitSample:
+    """The lit pixels of the sample: `levels` (frames, P), `swing` and noise `sigma` (P,)."""
 
     levels: Floats32
     swing: Floats32
@@ -44,9 +46,10 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class _ShownFringe:
-    """At those pixels, the `levels` (shifts, P) of a fringe, its least-squares fit `offset`, `cosine`, `sine` (P,), and
-    whether it is more than noise.
+class _SampledFringe:
+    """One fringe at the lit pixels: `levels` (shifts, P), and the least-squares fit `offset`, `cosine`, `sine` (P,).
+
+    `is_seen`: whether it exceeds the noise.
     """
 
     fringe: Fringe
@@ -63,14 +66,14 @@ class _ShownFringe:
         return amplitude
 
 
-def contradictions(plan: SequencePlan, shown: Shown) -> list[Oddity]:
-    """All that are found."""
-    # One that the lenses have blurred away shows nothing, right or wrong.
-    seen = [fringe for fringe in (_shown_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
+def contradictions(plan: SequencePlan, shown: LitSample) -> list[Anomaly]:
+    """Return all contradictions between the frames and the sequence."""
+    # A fringe that the lenses have blurred away cannot be checked.
+    seen = [fringe for fringe in (_sampled_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
     return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
 
 
-def _extremes(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
+def _extremes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
     for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
         if frame is None:
             continue
@@ -79,14 +82,14 @@ def _extremes(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
-            yield Oddity(
+            yield Anomaly(
                 f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
                 f"{plan.name(suspect)}",
                 (frame, suspect),
             )
 
 
-def _complements(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
+def _complements(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
     pairs = plan.complements
     if len(pairs) < 2:
         return
@@ -94,14 +97,14 @@ def _complements(plan: SequencePlan, shown: Shown) -> Iterator[Oddity]:
     wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
     if wrong.max() > _WRONG_SHARE:
         suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
-        yield Oddity(
+        yield Anomaly(
             f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
             f"{plan.names(suspects)}",
             tuple(suspects),
         )
 
 
-def _means(plan: SequencePlan, shown: Shown, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
+def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
     even = [one for one in seen if one.fringe.equal_steps]
     if not even:
         return
@@ -113,14 +116,14 @@ def _means(plan: SequencePlan, shown: Shown, seen: Sequence[_ShownFringe]) -> It
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
-            yield Oddity(
+            yield Anomaly(
                 f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 one.fringe.frames,
             )
 
 
-def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity]:
-    """Measure amplitude and shift of each frame against the fringe that all of them make together."""
+def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
+    """Yield frames whose amplitude or phase shift does not fit the fringe that all of them form together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
         angles = 2 * np.pi * np.array(fringe.shifts)
@@ -128,7 +131,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity
         components = np.stack([one.cosine, one.sine])
         unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
-            yield Oddity(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
+            yield Anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
             continue
         components = components.astype(np.float64)
         gram = components @ components.T
@@ -137,12 +140,12 @@ def _shifts(plan: SequencePlan, seen: Sequence[_ShownFringe]) -> Iterator[Oddity
         wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
-            said = f"{plan.names(suspects)} have another shift or period than their patterns"
-            yield Oddity(said, tuple(suspects))
+            message = f"{plan.names(suspects)} have another shift or period than their patterns"
+            yield Anomaly(message, tuple(suspects))
 
 
-def _shown_fringe(fringe: Fringe, shown: Shown) -> _ShownFringe:
+def _sampled_fringe(fringe: Fringe, shown: LitSample) -> _SampledFringe:
     levels = shown.levels[list(fringe.frames)]
     offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), levels, axes=1)
     spread = medians(np.std(levels, axis=0, ddof=1) / shown.sigma, axis=0)
-    return _ShownFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))
+    return _SampledFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))

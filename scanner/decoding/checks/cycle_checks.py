@@ -1,7 +1,7 @@
-"""Fringes whose code names the wrong cycle: neighbours that are a whole period apart, all over the picture.
+"""Check for period slips: neighbours that are a whole fringe period apart, all over the picture.
 
-Where one period is all that there is, a code that was shown before something moved, or that is another's, is wrong near
-the borders of its cells. Every pixel by itself looks right.
+With a single fringe, a code that was shown before a motion, or that belongs to another capture, selects the wrong
+period near the borders of its cells. No pixel by itself looks wrong.
 """
 
 import numpy as np
@@ -10,7 +10,8 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.errors import InputError
 
-# Of all neighbours. At rest edges of things make some 0.03 %, a code beside its fringes by a quarter of a period 3 %.
+# Largest share of neighbours. At rest, occlusion edges cause 0.03 %; a code that is a quarter of a period off its
+# fringes causes 3 %.
 _MOST = 0.01
 _NEARLY = 0.25
 

@@ -1,10 +1,10 @@
-"""Does each frame show what the capture says? Checked on a sample of all frames, before anything is decoded.
+"""Check that each frame shows the pattern that the capture states, on a sample of all frames before decoding.
 
-Light adds up: white is the brightest of all frames and black the darkest, a pattern and its inverse make white plus
-black, and a fringe's mean over its shifts is the same grey everywhere. This holds under any interreflection and any
-brightness curve of the projector. Frames that were exchanged, doubled or taken from elsewhere break it; so do people
-who walk through the picture, and devices with habits of their own. An exchange is proven by exchanging the frames back,
-and a double by its twin. What is not proven is only odd: the coordinates decide what comes of it.
+Light adds up: white is the brightest of all frames and black the darkest, pattern and inverse add up to white plus
+black, and the mean of a fringe over its shifts is the same grey everywhere. This holds under any interreflection and
+any brightness curve of the projector. Exchanged, duplicated or foreign frames break it; so do passing people and some
+devices. An exchange is proven by exchanging the frames back, a duplicate by the identical frame. Everything else is an
+anomaly that is assessed later by the coordinates.
 """
 
 from collections.abc import Sequence
@@ -16,51 +16,52 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Bools
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.contradictions import Oddity, Shown, contradictions
+from scanner.decoding.checks.contradictions import Anomaly, LitSample, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
 
-# The swing of a lit pixel between all frames: in standard deviations of a difference of two, and in grey levels.
+# Least swing of a lit pixel over all frames: in standard deviations of a difference of two, and in grey levels.
 _SEEN = 8.0
 _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
 _ENOUGH_LIT = 500
 _MOST_LIT = 4000
-# Each frame in a wrong place adds the square of its difference from the right one to the contradictions, twice that if
-# only one other frame contradicts it; undoing an exchange takes away at least this part of it.
+# Each misplaced frame adds the square of its difference from the right one to the contradictions, twice that if only
+# one other frame contradicts it. Undoing an exchange must remove at least this part.
 _REPAIRED = 0.5
-# An exchange is none if it leaves so much of the contradictions, and another one of either frame hardly more: of black
-# in brighter light, say, any dark frame in its place takes away as much.
+# An exchange is rejected if it leaves this share of the contradictions, and another exchange of either frame leaves
+# hardly more. If black was taken in brighter light, for example, any dark frame in its place helps as much.
 _MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
 _MOST_BRIGHTER = 4.0
-# A lamp that flickers makes white brighter or darker by less than so many times. Where it does, and that explains the
-# frames about as well as light that was switched, none was.
+# Flicker changes white by less than this factor. If it explains the frames about as well as an ambient light change,
+# there was no such change.
 _FLICKERS, _ABOUT = 2.0, 1.1
 _FEWEST_COMPARED = 400
-# Frames are the same if noise explains their difference, within so many of its standard deviations, nearly everywhere.
+# Frames are identical if their difference is within so many standard deviations of the noise at nearly all pixels.
 _SAME_SIGMAS = 4.0
 _SAME_SHARE = 0.98
 
 
 def check_frames(
     plan: SequencePlan, levels: Floats32, alike: Floats32, noise: NoiseModel, saturation: float
-) -> tuple[list[Oddity], AmbientLightChange | None]:
-    """What contradicts the sequence in the sample `levels` (frames, P), even after the frames were made `alike`; and
-    the light that was switched on or off, if some was.
+) -> tuple[list[Anomaly], AmbientLightChange | None]:
+    """Return the anomalies of the sample `levels` (frames, P), and an ambient light change if there was one.
 
-    Raises InputError if nothing is lit, or if frames were exchanged or doubled beyond doubt.
+    `alike`: the levels after equalising brightness, which resolves some contradictions.
+
+    Raises InputError if nothing is lit, or if frames were certainly exchanged or duplicated.
     """
     high, low = levels.max(axis=0), levels.min(axis=0)
     swing = high - low
     sigma = noise.sigma((high + low) / 2)
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
     lit = lit[:: max(1, len(lit) // _MOST_LIT)]
-    shown = Shown(levels[:, lit], swing[lit], sigma[lit])
+    shown = LitSample(levels[:, lit], swing[lit], sigma[lit])
     made_alike = replace(shown, levels=alike[:, lit])
     found = contradictions(plan, shown)
     if not found and not may_be_switched(plan, shown.levels):
@@ -69,28 +70,26 @@ def check_frames(
     made_alike = _with_brighter_white(plan, made_alike)
     if not found and switch is None:
         return [], None
-    switched = [] if switch is None else [Oddity(switch.said(plan), (switch.frame,))]
-    proof = _exchange(plan, shown, made_alike, found) or _double(plan, shown, found)
+    switched = [] if switch is None else [Anomaly(switch.said(plan), (switch.frame,))]
+    proof = _exchange(plan, shown, made_alike, found) or _duplicate(plan, shown, found)
     if proof:
-        said = "; ".join([*(oddity.said for oddity in found), proof])
-        raise InputError(f"the frames do not show what the capture says: {said}")
+        message = "; ".join([*(anomaly.message for anomaly in found), proof])
+        raise InputError(f"the frames do not show what the capture says: {message}")
     return [*switched, *contradictions(plan, made_alike)], switch
 
 
 def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
-    """Whether nothing contradicts the sequence in some pixels of the sample (frames, P), and enough of them are lit."""
+    """Return whether enough pixels of the sample (frames, P) are lit, and nothing in them contradicts the sequence."""
     high, low = levels.max(axis=0), levels.min(axis=0)
     sigma = noise.sigma((high + low) / 2)
     lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return False
-    return not contradictions(plan, Shown(levels[:, lit], (high - low)[lit], sigma[lit]))
+    return not contradictions(plan, LitSample(levels[:, lit], (high - low)[lit], sigma[lit]))
 
 
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
-    """Whether pixels of the sample (frames, P) contradict the sequence much less with two frames exchanged, one of them
-    a suspect.
-    """
+    """Return whether exchanging two frames, one a suspect, removes most contradictions in the sample (frames, P)."""
     swing = np.ptp(levels, axis=0)
     lit = np.flatnonzero(swing > _LEAST_SWING)
     lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
@@ -107,13 +106,15 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     return False
 
 
-def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown, AmbientLightChange | None]:
-    """The frames that were made alike, or as they are if that makes more sense, without light that was switched.
+def _in_one_light(
+    plan: SequencePlan, shown: LitSample, alike: LitSample
+) -> tuple[LitSample, AmbientLightChange | None]:
+    """Remove an ambient light change, from the equalised frames or the original ones, whichever is more consistent.
 
-    None was if all makes sense once they are alike: a darker step of a fringe is also light at the opposite one. Nor if
-    light flickers and white alone explains it, which no gain is known of: all frames after a dark one have more light.
+    There was none if the equalised frames are consistent, as a darker step of a fringe looks like light at the opposite
+    one. Nor if lamps flicker and the unknown gain of white alone explains the frames about as well.
     """
-    best: tuple[Shown, AmbientLightChange | None] = alike, None
+    best: tuple[LitSample, AmbientLightChange | None] = alike, None
     if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
         return best
     for one in (alike, shown):
@@ -131,9 +132,11 @@ def _in_one_light(plan: SequencePlan, shown: Shown, alike: Shown) -> tuple[Shown
     return (alike, None) if left[0] <= _ABOUT * left[1] else best
 
 
-def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
-    """The frames with white as many times brighter as makes most sense, for nothing tells its exposure but that it is
-    the brightest: devices that expose each frame anew make it a dark one.
+def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
+    """Return the frames with white brightened to be most consistent, if that helps much.
+
+    The exposure of white is unknown, except that white is brightest: devices with automatic exposure record it too
+    dark.
     """
     if plan.white is None:
         return alike
@@ -143,10 +146,10 @@ def _with_brighter_white(plan: SequencePlan, alike: Shown) -> Shown:
     return brighter if left[0] < _REPAIRED * left[1] else alike
 
 
-def _with_white(plan: SequencePlan, alike: Shown, least: float, most: float) -> Shown:
-    """The frames with white as many times as bright as makes most sense, within limits."""
+def _with_white(plan: SequencePlan, alike: LitSample, least: float, most: float) -> LitSample:
+    """Return the frames with white scaled to be most consistent, within limits."""
 
-    def times(factor: float) -> Shown:
+    def times(factor: float) -> LitSample:
         levels = alike.levels.copy()
         levels[plan.white] *= np.float32(factor)
         return replace(alike, levels=levels)
@@ -158,15 +161,15 @@ def _with_white(plan: SequencePlan, alike: Shown, least: float, most: float) -> 
     return times(float(found.x))
 
 
-def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Oddity]) -> str:
-    """Says which two frames, exchanged back, make the sample more consistent by what they differ; '' if none do.
+def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Sequence[Anomaly]) -> str:
+    """Return a message that names two exchanged frames, or ''.
 
-    If they were not exchanged, that makes it less consistent by as much. Nor were they if the sample is as consistent
-    once frames are made alike in brightness, or if another exchange of one of them does nearly as well.
+    Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
+    equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
     few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
     levels, swing = shown.levels[:, few], shown.swing[few]
-    suspects = sorted({frame for oddity in found for frame in oddity.frames})
+    suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = _contradiction(plan, levels, swing)
     least, pair = _contradiction(plan, alike.levels[:, few], swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
@@ -187,8 +190,8 @@ def _exchange(plan: SequencePlan, shown: Shown, alike: Shown, found: Sequence[Od
 
 
 def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
-    """Sum of squares of all that cannot be, in swings of the pixels, averaged over them; `levels` (frames, P)."""
-    # Nothing is darker than without light: of one pair of frames, only that tells before which of them it was switched.
+    """Return the sum of squares of all contradictions, in swings, per pixel; `levels` (frames, P)."""
+    # No light is negative: for a single pair of frames, only this shows before which of them the light changed.
     total = float(np.sum((np.minimum(levels, 0) / swing) ** 2))
     for frame, side in ((plan.white, 1), (plan.black, -1)):
         if frame is not None:
@@ -210,9 +213,9 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
     return total / len(swing)
 
 
-def _double(plan: SequencePlan, shown: Shown, found: Sequence[Oddity]) -> str:
-    """Says which of the suspected frames is the same as another one; '' if none is."""
-    for frame in sorted({frame for oddity in found for frame in oddity.frames}):
+def _duplicate(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:
+    """Return a message that names a suspected frame and its duplicate, or ''."""
+    for frame in sorted({frame for anomaly in found for frame in anomaly.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
         for twin in np.flatnonzero(share > _SAME_SHARE).tolist():
@@ -222,7 +225,7 @@ def _double(plan: SequencePlan, shown: Shown, found: Sequence[Oddity]) -> str:
 
 
 def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
-    """The pixels that the patterns light up; of many, the best."""
+    """Return the pixels that the patterns light, only the best of many. Raises InputError if there are too few."""
     sigmas = swing / (np.float32(np.sqrt(2)) * np.maximum(sigma, np.float32(1e-6)))
     seen = (sigmas > _SEEN) & (swing > _LEAST_SWING)
     if np.count_nonzero(seen) < _FEWEST_LIT:

@@ -1,7 +1,7 @@
-"""Does each frame show what the capture says? Checked on fringes and coordinates, where the light alone cannot tell.
+"""Check that each frame shows the pattern that the capture states, by fringes and coordinates.
 
-Fringes that run backwards decode like any others. But fringes must follow the Gray code and each other, and camera and
-projector see the same side of a surface, so that the map between them is never mirrored.
+Fringes that run backwards decode like any others. But fringes must agree with the Gray code and with each other. Camera
+and projector see the same side of a surface, so that the map between them is never mirrored.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.lines import lines_of
@@ -25,14 +25,14 @@ from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
 from scanner.decoding.tune import agreeing
 from scanner.errors import InputError
 
-# Amplitudes below this part of what the brightest few have say nothing about the order of frames.
+# Amplitudes below this share of the brightest ones cannot show the order of frames.
 _FAINT = 0.05
-# The mean cosine of the phase that a Gray cell leaves; cells that leave less say too little about the phase.
+# Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
 _INFORMATIVE = 0.3
-# Fringes that have nothing to do with the code leave nothing of that cosine.
+# Unrelated fringes reach no more than this share of the expected cosine.
 _UNRELATED_SHARE = 0.2
-# Periods that have nothing to do with each other are a quarter cycle apart in the median; a rippled phase 0.06. Orders
-# are right as long as they are less than half a cycle apart.
+# Unrelated periods differ by a quarter cycle in the median, a rippled phase by 0.06. Fringe orders are right as long as
+# the difference is below half a cycle.
 _ODD_CYCLES = 0.1
 _UNRELATED_CYCLES = 0.2
 _MOST_BAD = 0.6
@@ -42,10 +42,10 @@ _LINES = 48
 _FARTHEST_PX = 16
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Oddity]:
-    """Where the fringes of an axis follow its Gray code or each other badly; on a sample.
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
+    """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample.
 
-    Raises InputError if they do not follow at all.
+    Raises InputError if they do not agree at all.
     """
     axis = decoder.plan
     if not axis.fringes:
@@ -54,7 +54,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     interval = measured.interval
     lit = measured.well_lit & interval.possible
     if np.any(lit):
-        # Gains of a lamp that are a little wrong leave a fringe where only the room's light is.
+        # Slightly wrong gains of a lamp leave a fringe where there is only ambient light.
         power = measured.power(0)
         lit &= power > _FAINT**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
@@ -68,7 +68,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
                     f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
                     f"some of these frames exchanged{_or_code(plan, axis)}?"
                 )
-            yield Oddity(
+            yield Anomaly(
                 f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
                 fringe.frames,
             )
@@ -77,26 +77,26 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         apart = float(np.median(distance))
         if apart <= _ODD_CYCLES * shorter.period:
             continue
-        said = (
+        message = (
             f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
             f"other by {apart:.1f} px: {plan.names([*longer.frames, *shorter.frames])}"
         )
         if apart > _UNRELATED_CYCLES * shorter.period:
             raise InputError(
-                f"{said}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
+                f"{message}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
                 "interreflection bend the fringes so much that more shifts or shorter periods are needed?"
             )
-        yield Oddity(said, (*longer.frames, *shorter.frames))
+        yield Anomaly(message, (*longer.frames, *shorter.frames))
 
 
 class MirroredError(InputError):
-    """Everything is as it would be in a mirror."""
+    """The map from camera to projector is mirrored."""
 
 
 def check_maps(plan: SequencePlan, maps: Maps, kept: Bools) -> None:
-    """Raise InputError if most of what is lit contradicts itself; MirroredError if the map is that of a mirror.
+    """Raise InputError if most of what is lit is inconsistent, MirroredError if the map is mirrored.
 
-    `kept` (H, W): after all masks.
+    `kept` (H, W): pixels that remain after all masks.
     """
     for axis, value, counts in zip(plan.axes, np.moveaxis(maps.projector_px, 2, 0), maps.counts, strict=True):
         _check_share(plan, axis, counts, int(np.count_nonzero(kept)))
@@ -126,7 +126,9 @@ def _check_share(plan: SequencePlan, axis: AxisPlan, counts: Ints, kept: int) ->
 
 
 def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: Bools) -> None:
-    """Fringes that fill a Gray cell agree with a code that runs backwards; but then each cell's edge is a jump."""
+    """Raise InputError if the code runs backwards: fringes as long as its cell agree, but jump at the edge of each
+    cell.
+    """
     code = min(axis.codes, key=lambda code: code.cell)
     counts = [
         _count_jumps(lines_of(image, _LINES), lines_of(there, _LINES), code.cell, code.offset + 0.5)
@@ -142,8 +144,9 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
 
 @compiled
 def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> tuple[int, int]:
-    """How often pixels that follow each other along a line (lines, P) are in different cells, and how often more than a
-    cell apart at that; cells begin so far before zero.
+    """Count neighbours along lines (lines, P) that jump by more than a cell, and all those in different cells.
+
+    `before`: how far before zero the cells begin.
     """
     jumps = total = 0
     for line in range(values.shape[0]):
@@ -161,7 +164,7 @@ def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> 
 
 
 def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | None:
-    """The axis that runs backwards, if the map from camera to projector pixels changes orientation at most pixels."""
+    """Return the axis that runs backwards, if the map from camera to projector is mirrored at most pixels."""
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
         return None
@@ -175,18 +178,18 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
         return None
-    # Devices stand roughly upright: the axis that is against the camera's own is the one that runs backwards.
+    # Devices are assumed roughly upright: the axis that runs against the camera's own is the mirrored one.
     return plan.x if np.median(x_u) < 0 or np.median(y_v) > 0 else plan.y
 
 
 def _reach(axis: AxisPlan, shape: tuple[int, ...]) -> int:
-    """How many camera pixels apart a coordinate surely changes by more than its steps."""
+    """Return the distance in camera pixels over which a coordinate changes by more than its resolution."""
     step = 1.0 if axis.fringes else 2 * axis.cell
     return max(1, round(step * max(shape) / axis.length))
 
 
 def _or_code(plan: SequencePlan, axis: AxisPlan) -> str:
-    """Names the frames of the Gray code as further suspects."""
+    """Return a phrase that names the frames of the Gray code as further suspects."""
     frames = [frame for code in axis.codes for frame in code.frames]
     if not frames or not axis.fringes:
         return ""

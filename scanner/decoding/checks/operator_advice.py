@@ -1,4 +1,4 @@
-"""What the operator should know about a capture that decodes, but could be better."""
+"""Advice for the operator on a capture that decodes, but could be better."""
 
 from collections.abc import Iterator
 
@@ -9,8 +9,8 @@ from scanner.decoding.arrays import Reasons
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
 
-# Below it, whole faces fall into the noise: of simulated frames at 18, 99 % of the lit pixels are decoded, at 15 nine
-# tenths, at 13 half of them, at 11 hardly any.
+# Below this ratio, whole surfaces are lost in noise: simulated frames decode 99 % of the lit pixels at 18, nine tenths
+# at 15, half at 13 and hardly any at 11.
 _DARK_RATIO = 15.0
 _BRIGHT_PERCENTILE = 99.0
 _LEAST_NOISE = 0.29  # grey levels, of rounding alone
@@ -18,14 +18,14 @@ _LEAST_NOISE = 0.29  # grey levels, of rounding alone
 _LOW_MODULATION = 0.2
 _LARGE_SHARE = 0.1
 _FEW_MATCHED = 0.02
-# One per cent shifts a fringe of four steps by up to a six-hundredth of its period.
+# One per cent of flicker shifts a fringe of four steps by up to 1/600 of its period.
 MUCH_FLICKER = 0.01
 
 
 def too_dark(levels: Image, noise: NoiseModel) -> str | None:
-    """A sentence if the patterns change pixels hardly more than noise does, else None.
+    """Return a sentence if the patterns hardly exceed the noise, else None.
 
-    `levels` (frames, P): of pixels that were drawn from all of the image.
+    `levels` (frames, P): of pixels sampled from the whole image.
     """
     swing = np.ptp(levels, axis=0)
     change = float(np.percentile(swing, _BRIGHT_PERCENTILE))
@@ -42,9 +42,10 @@ def too_dark(levels: Image, noise: NoiseModel) -> str | None:
 def warnings_of(
     reasons: Reasons, modulation: float | None, flicker: float | None, darkness: str | None = None
 ) -> Iterator[str]:
-    """Sentences about the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the `flicker`.
+    """Yield warnings from the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the
+    `flicker`.
 
-    `darkness`: what `too_dark` says.
+    `darkness`: the result of `too_dark`.
     """
     if darkness is not None:
         yield darkness

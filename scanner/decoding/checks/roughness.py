@@ -1,12 +1,11 @@
-"""Cells of a code that do not follow each other: bits that were shown before something moved, or twice, or exchanged.
+"""Check that neighbouring coordinates are as smooth as their codes or noise allow.
 
-Where only codes tell a coordinate, a surface is a staircase, whose steps are as long as a cell: pixels are off what is
-smooth by the cell's length over √12, be it flat or in relief. Finest bits that do not belong to the others leave a
-jumble that is more than twice as rough, whatever each bit by itself looks like, and whether or not the camera resolves
-the single cells.
+With codes alone, a surface becomes a staircase with the steps of a cell, whose residuals from a smooth surface are the
+cell's length over √12. Finest bits that do not belong to the others, because something moved or frames were duplicated
+or exchanged, more than double this roughness, whether or not the camera resolves single cells.
 
-Fringes, and edges of stripes, have a sigma by noise. Where neighbours are farther off what is smooth, as by what a file
-format leaves out, the sigma is what they are off.
+Fringes and stripe edges have a sigma from noise. If the residuals are larger, for example from lossy image compression,
+the sigma is raised to match them.
 """
 
 import numpy as np
@@ -20,20 +19,20 @@ from scanner.errors import InputError
 
 _TILE_PX = 12
 _MOST_ALONG, _MOST_ALONG_FRINGES = 32, 10
-# So many along each side of the image are looked through for them.
+# Number of candidate tiles along each side of the image.
 _GRID = 64
 _FEWEST_KNOWN = 0.6
 _FEWEST_TILES = 20
-# Variance off what is smooth, in those of a cell: 1 for a staircase, less where pixels average over cells, up to 3
-# where a bent camera curve and no inverse make every second stripe narrow; 5 and more for a jumble.
+# Largest residual variance, relative to that of a cell: 1 for a staircase, less where pixels average over cells, up to
+# 3 where a nonlinear camera without inverse patterns narrows every second stripe; 5 and more for wrong bits.
 _MOST = 4.0
 _SUSPECTED_BITS = 3
-# In variances by noise; texture, edges and creases leave somewhat more than 1 in the median.
+# Relative to the noise variance; texture, edges and creases leave a median slightly above 1.
 _MOST_OF_FRINGES = 2.0
 
 
 def check_roughness(plan: SequencePlan, maps: Maps) -> None:
-    """Raise InputError if coordinates by codes alone are much rougher than their cells."""
+    """Raise InputError if coordinates from codes alone are much rougher than their cells."""
     if plan.fringes or plan.only_axis is not None:
         return
     for axis, relative in zip(plan.axes, _roughness(maps, _MOST_ALONG), strict=True):
@@ -46,7 +45,9 @@ def check_roughness(plan: SequencePlan, maps: Maps) -> None:
 
 
 def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
-    """Raise the variance of coordinates by fringes, in place, if neighbours differ by more; mask what is dark then."""
+    """Raise the variance of fringe coordinates, in place, to the scatter of neighbours; mask pixels too noisy then as
+    dark.
+    """
     if not plan.fringes or plan.only_axis is not None:
         return
     relative = float(np.mean(_roughness(maps, _MOST_ALONG_FRINGES)))
@@ -60,9 +61,9 @@ def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
 
 
 def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
-    """Raise the variance of coordinates between edges of stripes to what neighbours are off what is smooth, in place.
+    """Raise the variance of coordinates between stripe edges to the scatter of neighbours, in place.
 
-    How a lens, or a camera's software, shapes an edge is not known, and is more than noise in a good light.
+    The unknown shape of edges, due to the lens or camera software, exceeds the noise in good light.
     """
     if plan.only_axis is None:
         relative = max(1.0, float(np.mean(_roughness(maps, _MOST_ALONG))))
@@ -70,7 +71,7 @@ def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
 
 
 def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
-    """Of x and y, the variance off smooth surfaces through small tiles, over the stated one; the median, 0 if few."""
+    """Return for x and y the median ratio of residual variance in small tiles to the stated one; 0 if there are few."""
     pixels = _in_tiles(maps, most_along)
     seen = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
     variance = maps.variance.reshape(-1)[pixels]
@@ -79,14 +80,14 @@ def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
     seen, variance, known = seen[enough], variance[enough], known[enough]
-    square = _off_smooth(np.where(known[..., None], seen, 0.0), known)
+    square = _residual_squares(np.where(known[..., None], seen, 0.0), known)
     cells = np.sum(np.where(known, variance, 0), axis=1)
     x, y = np.median(square / cells[:, None], axis=0)
     return float(x), float(y)
 
 
 def _in_tiles(maps: Maps, most_along: int) -> Ints:
-    """The pixels (T, P) of some tiles in which most are kept, however little of the image that is."""
+    """Return the pixels (T, P) of some tiles that are mostly decoded, even if these are a small part of the image."""
     height, width = maps.reason.shape
     rows, columns = (np.linspace(0, n - _TILE_PX, min(_GRID, n // _TILE_PX)).astype(np.int64) for n in (height, width))
     corners = (rows[:, None] * width + columns).reshape(-1)
@@ -98,9 +99,9 @@ def _in_tiles(maps: Maps, most_along: int) -> Ints:
     return pixels
 
 
-def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:
-    """Sums of squares (T, 2) of what smooth surfaces, polynomials of second degree, through tiles leave of the `known`
-    (T, P) coordinates (T, P, 2).
+def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
+    """Return the residual sums of squares (T, 2) of quadratic fits to the `known` (T, P) coordinates (T, P, 2) of
+    tiles.
     """
     v, u = np.mgrid[:_TILE_PX, :_TILE_PX] - (_TILE_PX - 1) / 2
     u, v = u.ravel() / _TILE_PX, v.ravel() / _TILE_PX
@@ -113,7 +114,7 @@ def _off_smooth(seen: Floats, known: np.ndarray) -> Floats:
 
 
 def _finest(axis: AxisPlan) -> list[int]:
-    """The frames of the finest bits of an axis."""
+    """Return the frames of the finest bits of an axis."""
     code = min(axis.codes, key=lambda code: code.cell)
     last = range(code.bits - _SUSPECTED_BITS, code.bits)
     return [frames[bit] for bit in last for frames in (code.normal, code.inverse) if bit in frames]

@@ -1,19 +1,19 @@
-"""Motion during a capture: of the camera, of the projector, of something in the scene."""
+"""Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
 from scanner.decoding.motion.blame import (
     UNSEEN_MOTION,
     blaming_motion,
     blaming_shifts,
     moved,
-    refuse_untold,
-    refuse_whole_periods,
+    refuse_period_slips,
+    refuse_unexplained_motion,
     remarks_on,
 )
 from scanner.decoding.motion.broken_fringes import broken_between
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
-from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, who_moved
-from scanner.decoding.motion.inconsistent_pixels import Unrest, find_unrest
+from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, moved_device
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
@@ -25,21 +25,21 @@ __all__ = [
     "CoarseFrames",
     "CodeShift",
     "Fit",
+    "InconsistentPixels",
     "MotionFound",
     "TileSample",
-    "Unrest",
     "blaming_motion",
     "blaming_shifts",
     "broken_between",
-    "find_unrest",
+    "find_inconsistent_pixels",
     "fit_motion",
     "mask_wrong_bits",
     "measure_motion",
     "moved",
-    "refuse_untold",
-    "refuse_whole_periods",
+    "moved_device",
+    "refuse_period_slips",
+    "refuse_unexplained_motion",
     "remarks_on",
     "shifts_by_motion",
     "shifts_of_codes",
-    "who_moved",
 ]

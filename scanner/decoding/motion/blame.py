@@ -1,4 +1,4 @@
-"""What is said of captures during which something moved."""
+"""Error messages and warnings for captures during which something moved."""
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ UNSEEN_MOTION = (
     "All patterns along one axis came before those along the other, so the frames cannot show whether a device "
     "turned in between"
 )
-# Frames that were exchanged contradict each other in ways that hardly any motion explains.
+# Exchanged frames contradict each other in ways that motion hardly explains.
 _EXPLAINED = 0.75
 
 
@@ -22,10 +22,10 @@ _EXPLAINED = 0.75
 def blaming_motion(
     found: Callable[[], MotionFound | None], broken: Callable[[], tuple[int, int] | None]
 ) -> Iterator[None]:
-    """Frames that contradict each other in the block do so because of the motion that was found, if that explains it,
-    or of a bump that has `broken` fringes between two frames.
+    """Replace an InputError raised in the block by a RefusalError if motion explains it.
 
-    Raises RefusalError in the place of InputError.
+    The cause is either the motion returned by `found`, if it explains most of the contradiction, or a bump between the
+    two frames that `broken` returns.
     """
     try:
         yield
@@ -44,9 +44,8 @@ def blaming_motion(
 
 @contextmanager
 def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
-    """Fringes that do not follow the codes in the block do so because something moved between them, if it did.
-
-    Raises RefusalError in the place of InputError.
+    """Replace an InputError raised in the block, for fringes that do not follow the codes, by a RefusalError if
+    something moved between codes and fringes.
     """
     try:
         yield
@@ -56,30 +55,31 @@ def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[
         raise _moved_before_fringes(plan, max(shifts, key=lambda shift: abs(shift.px))) from error
 
 
-def refuse_whole_periods(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None:
-    """Raise RefusalError if something moved by whole periods between codes and fringes.
+def refuse_period_slips(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None:
+    """Raise RefusalError if a device moved by whole fringe periods between codes and fringes.
 
-    All coordinates are then off by these: a projector with another principal point, which nothing contradicts.
+    All coordinates then have the same period slip. It looks like a projector with another principal point, so that no
+    consistency check can find it.
     """
     by_periods = [shift for shift in shifts if shift.by_periods]
     if by_periods:
         raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
 
 
-def refuse_untold(plan: SequencePlan, odd: Set[int], motion: MotionFound | None) -> None:
-    """Raise RefusalError if something moved farther than fringes can tell, so that no motion explains what they show,
-    and `odd` frames of several of them show it.
+def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: MotionFound | None) -> None:
+    """Raise RefusalError if a motion is too large to be measured from fringes, and the `anomalous` frames belong to
+    more than one fringe.
 
-    Those by which shorter fringes are unwrapped may then name another cycle, the same one everywhere. What is wrong
-    with a single fringe is a frame of it.
+    Such a motion can make every pixel slip by the same number of periods when shorter fringes are unwrapped. An anomaly
+    in a single fringe points to a bad frame instead, and is not refused.
     """
-    broken = [fringe for fringe in plan.fringes if odd & {*fringe.frames}]
+    broken = [fringe for fringe in plan.fringes if anomalous & {*fringe.frames}]
     if len(broken) > 1 and motion is not None and not (motion.linear or motion.significant):
         raise moved(motion)
 
 
 def moved(motion: MotionFound) -> RefusalError:
-    """The refusal of a capture that this motion has spoilt."""
+    """Return the refusal of a capture that this motion has made unusable."""
     return RefusalError(f"{_capital(motion)}.", ADVICE)
 
 
@@ -87,7 +87,7 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
     axes = (shift.axis,) if shift.sure else plan.axes
     codes = [frame for axis in axes for code in axis.codes for frame in code.frames]
     fringes = [frame for axis in axes for fringe in axis.fringes for frame in fringe.frames]
-    # Small bumps, the usual ones, may look like the same and a whole period.
+    # A small bump can look the same as one that is a whole period larger, and small bumps are more common.
     less = f", or whole periods of the fringes ({shift.axis.fringes[0].period:.3g} px) less" if shift.by_periods else ""
     size = f"about {abs(shift.px):.2g} projector pixels{less or ' or more'}"
     how_far = f": along {shift.axis.axis} by {size}," if shift.sure else ""
@@ -99,7 +99,9 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
 
 
 def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:
-    """What a person should know of a motion that can be put up with."""
+    """Return a warning for the operator about a motion that was corrected; nothing if there was none or it was too
+    large.
+    """
     if motion is None or not motion.significant or motion.is_too_large:
         return ()
     return (f"{_capital(motion)}; this was corrected, and the remaining uncertainty is part of the sigmas.",)

@@ -1,4 +1,4 @@
-"""All frames at a fraction of the camera's pixels, on a regular grid: where something moved, and how large it is."""
+"""All frames, subsampled on a regular grid, to find where something moved and how large it is."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from calib.numerics import Bools, Floats, Image, Ints
 from scanner.decoding.arrays import Floats32
 
-# Along the longer side of the image; what is smaller than some of these pixels leaves few matches.
+# Along the longer side of the image; objects smaller than a few of these pixels affect few matches.
 _MOST_ALONG = 224
 
 
 @dataclass
 class CoarseFrames:
-    """Every so many-th pixel, along rows and columns, of each frame of `shape` (H, W); grid pixels are (h, w).
+    """Every frame of `shape` (H, W), subsampled to a grid (h, w).
 
-    `are_divided`: whether some frames were made darker.
+    `are_divided`: whether the brightness of some frames was scaled.
     """
 
     shape: tuple[int, int]
@@ -28,26 +28,26 @@ class CoarseFrames:
 
     @cached_property
     def step(self) -> int:
-        """From one pixel of the grid to the next."""
+        """Spacing of the grid in camera pixels."""
         return max(1, -(-max(self.shape) // _MOST_ALONG))
 
     def of(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
-        """The grid's pixels of an image (H, W), (h, w)."""
+        """Return the grid pixels (h, w) of an image (H, W)."""
         half = self.step // 2
         return np.ascontiguousarray(image[half :: self.step, half :: self.step])
 
     def add(self, grey: Image) -> None:
-        """Take the next frame (H, W)."""
+        """Append a frame (H, W)."""
         self._frames.append(cast(Image, self.of(grey)))
 
     def divide(self, frame: int, by_row: Floats) -> None:
-        """Make a frame darker by so many times, (h,) or (1,)."""
+        """Divide the grey levels of a frame by a factor per row, (h,) or (1,)."""
         self.are_divided = True
         self._frames[frame] = cast(Image, (self._frames[frame] / by_row[:, None]).astype(np.float32))
 
     @property
     def rows(self) -> Ints:
-        """(h,): the rows of the image that those of the grid are."""
+        """(h,): image rows of the grid rows."""
         return np.arange(self.shape[0])[self.step // 2 :: self.step]
 
     @property
@@ -56,7 +56,7 @@ class CoarseFrames:
         return np.stack(self._frames, dtype=np.float32)
 
     def at_full_size(self, chosen: Bools) -> Bools:
-        """The pixels of the image (H, W) that are nearest to those chosen of the grid (h, w)."""
+        """Enlarge a mask of the grid (h, w) to the image (H, W), by nearest neighbour."""
         repeated = cv2.resize(
             chosen.astype(np.uint8),
             (chosen.shape[1] * self.step, chosen.shape[0] * self.step),

@@ -1,4 +1,4 @@
-"""How far everything moved between the codes of an axis and its fringes: how far these lie beside the code's cells."""
+"""Motion between the codes of an axis and its fringes, from the offset of the fringes from the cells of the code."""
 
 from dataclasses import dataclass
 
@@ -8,27 +8,27 @@ from calib.numerics import Bools, Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.period_slips import Knock, Offsets, moved_by_periods
+from scanner.decoding.motion.period_slips import Offsets, PeriodSlip, moved_by_periods
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
 _FEWEST = 300
-# Frames that were exchanged leave fringes that follow the code nowhere, or here and there.
+# Exchanged frames leave fringes that follow the code nowhere, or only in places.
 _AGREEING = 0.9
-# Where angles lie is found to a bin of the circle, and then by the middle of these quantiles.
+# The arc of the angles is found to a histogram bin, then refined by the middle of these quantiles.
 _BINS, _ENDS = 256, (0.02, 0.98)
 _LEAST_PX = 0.5
-# Half a period is also what a finest bit makes that was exchanged with its inverse.
+# A finest bit that was exchanged with its inverse also shifts by half a period.
 _MOST_CYCLES = 0.4
 
 
 @dataclass(frozen=True)
 class CodeShift:
-    """Along an axis everything moved by `px` projector pixels or more, from the frames of its codes to those of its
-    fringes: these tell it but for whole periods, and a part of it if it came between their own frames.
+    """Motion by `px` projector pixels or more along an axis, between the frames of its codes and those of its fringes.
 
-    `by_periods`: whole periods of the longest fringe are a part of that, which do not keep pixels from being decoded.
-    `sure`: it was along this axis, and not along the other one alone.
+    `px` is known only up to whole periods, and is a part of the motion if that happened during either group of frames.
+    `by_periods`: whether it includes whole periods of the longest fringe, which leave all pixels decodable. `sure`:
+    whether the motion was along this axis, rather than along the other one alone.
     """
 
     axis: AxisPlan
@@ -40,15 +40,17 @@ class CodeShift:
 def shifts_of_codes(
     plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel, resting: Bools
 ) -> tuple[CodeShift, ...]:
-    """Those that are more than nothing, given the signals of some pixels (P,); those that are `resting` (P,) count."""
+    """Return the significant shifts, from the signals of pixels (P,) of which only the `resting` ones (P,) count."""
     x, y = (_offsets(axis, of_axis, noise, resting) for axis, of_axis in zip(plan.axes, signals, strict=True))
     by_periods = moved_by_periods(x, y) if x is not None and y is not None else (None, None)
-    found = (_shift(each, knock) for each, knock in zip((x, y), by_periods, strict=True) if each is not None)
+    found = (_shift(each, slip) for each, slip in zip((x, y), by_periods, strict=True) if each is not None)
     return tuple(shift for shift in found if shift is not None)
 
 
 def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) -> Offsets | None:
-    """Of the longest fringe beside its code; None if there are none, or it follows no code."""
+    """Return the offsets of the longest fringe from its code; None if there is no such pair, or the fringe follows no
+    code.
+    """
     if not axis.codes or not axis.fringes or axis.cell >= axis.fringes[0].period:
         return None
     longest = axis.fringes[0]
@@ -73,9 +75,9 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
 
 
 def middle_of(angles: Floats, width: float) -> float:
-    """Of angles (P,) that fill a part of the circle, so many turns wide: where such a part holds most of them.
+    """Return the middle of the arc, `width` turns wide, that holds most of the angles (P,).
 
-    Their mean is no measure of it where cells are nearly as long as the period: few angles more or less turn it.
+    The mean angle is unreliable where a cell is nearly as long as the period: a few angles more or less turn it.
     """
     count, _ = np.histogram(_wrapped(angles), _BINS, (-np.pi, np.pi))
     within = np.abs(np.fft.fftfreq(_BINS)) <= width / 2
@@ -86,12 +88,12 @@ def middle_of(angles: Floats, width: float) -> float:
 
 
 def _wrapped(angles: Floats) -> Floats:
-    """To within half a turn of zero."""
+    """Wrap angles to ±π."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
-def _shift(found: Offsets, knock: Knock | None) -> CodeShift | None:
-    if knock is not None:
-        return CodeShift(found.axis, knock.px, by_periods=True, sure=knock.sure)
+def _shift(found: Offsets, slip: PeriodSlip | None) -> CodeShift | None:
+    if slip is not None:
+        return CodeShift(found.axis, slip.px, by_periods=True, sure=slip.sure)
     is_one = _LEAST_PX <= abs(found.mean_px) <= _MOST_CYCLES * found.period
     return CodeShift(found.axis, found.mean_px) if is_one else None

@@ -1,9 +1,10 @@
-"""Segments of a surface whose fringes name another cycle than those beside them: there a bit of the code was wrong.
+"""Detection of period slips: segments of a surface whose fringe order differs from that of their neighbours.
 
-What passes by while codes are shown, or its shadow, turns bits over. Fringes that were taken before or after still give
-the position within a period, so that it goes on from one segment to the next, but for a whole number of periods. At
-edges of surfaces it does not go on. Borders, the longest first, tie segments together (union by weight of relative
-cycles, as region-wise phase unwrapping does), and those are wrong that are not in the cycle of most of their surface.
+An object that passes while codes are shown, or its shadow, flips bits. Fringes taken before or after still give the
+position within a period. It therefore continues from one segment to the next up to a whole number of periods, except at
+the edges of surfaces. Segments are merged across their borders, longest border first, with a weighted union-find that
+tracks relative periods, as in region-wise phase unwrapping. Segments that disagree with most of their surface are
+wrong.
 """
 
 from collections.abc import Iterator
@@ -18,19 +19,22 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.sequence_plan import SequencePlan
 
-# Neighbours that are farther apart are of two segments, in periods.
+# Neighbours that are farther apart than this, in periods, belong to different segments.
 _APART = 0.5
-# Across so many pixels that have no coordinate a surface goes on as its slope over as many says.
+# A surface is extrapolated across gaps of so many undecoded pixels, by its slope over so many pixels.
 _WIDEST_GAP, _SLOPE_PX = 8, 4
-# It goes on within so much of a period, at most places of a border; few places say nothing.
+# A border ties two segments if their positions continue within this part of a period at this share of its places, and
+# at this many at least.
 _GOES_ON, _MOST, _FEWEST = 0.08, 0.6, 4
-# A surface that is smaller than this share of all of them tells of itself too little.
+# A surface smaller than this share of all surfaces is too small to decide its own period.
 _SMALLEST = 0.001
 
 
 @dataclass(frozen=True)
 class _Borders:
-    """Between segments `first` and `second` (B,), the latter is so many `cycles` (B,) ahead at `count` (B,) places."""
+    """Borders between the segments `first` and `second` (B,): the second is `cycles` (B,) periods ahead, by `count`
+    (B,) places.
+    """
 
     first: Ints
     second: Ints
@@ -43,7 +47,7 @@ class _Borders:
 
 
 def in_wrong_cycles(plan: SequencePlan, maps: Maps) -> Bools:
-    """Pixels (H, W) that are whole periods off the surface around them, along either axis."""
+    """Return the pixels (H, W) with a period slip along either axis."""
     wrong = np.zeros(maps.reason.shape, np.bool_)
     for number, axis in enumerate(plan.axes):
         if axis.codes and axis.fringes:
@@ -53,12 +57,12 @@ def in_wrong_cycles(plan: SequencePlan, maps: Maps) -> Bools:
 
 
 def _wrong_along(position: Floats32) -> Bools:
-    """The same along an axis, by positions (H, W) in periods, NaN where there is none."""
+    """Return the pixels (H, W) with a period slip, from positions (H, W) in periods, NaN where unknown."""
     count, labels = cv2.connectedComponents(_without_jumps(position).astype(np.uint8), connectivity=4)
     segment = cast(Ints, labels)
     area = np.bincount(segment.reshape(-1), minlength=count)
     area[0] = 0
-    tree, ahead = _tied(count, _borders(position, segment))
+    tree, ahead = _merged(count, _borders(position, segment))
     cycle, cycles = np.unique(np.stack([tree, ahead]), axis=1, return_inverse=True)
     size = np.bincount(cycles.reshape(-1), area)
     largest = np.full(count, _SMALLEST * area.sum())
@@ -78,14 +82,14 @@ def _without_jumps(position: Floats32) -> Bools:
 
 
 def _borders(position: Floats32, segment: Ints) -> _Borders:
-    """Those that most places agree on."""
+    """Return the borders on whose relative period most places agree."""
     found = []
     for turned in (False, True):
         values = np.ascontiguousarray(position.T if turned else position)
         labels = np.ascontiguousarray(segment.T if turned else segment)
         first, second = np.empty((2, values.size // 2 + 1), np.int32)
         apart = np.empty(len(first), np.float32)
-        crossed = _cross(values, labels, first, second, apart)
+        crossed = _record_crossings(values, labels, first, second, apart)
         found.append((first[:crossed], second[:crossed], apart[:crossed]))
     first, second, apart = (np.concatenate(each) for each in zip(*found, strict=True))
     apart = np.where(first < second, apart, -apart)
@@ -100,8 +104,10 @@ def _borders(position: Floats32, segment: Ints) -> _Borders:
 
 
 @compiled
-def _cross(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: Floats32) -> int:
-    """Note where lines (lines, P) go from one segment into another, and by how much more than the slopes say."""
+def _record_crossings(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: Floats32) -> int:
+    """Record where lines (lines, P) cross from one segment into another, and the step there beyond that of the local
+    slope.
+    """
     crossed = 0
     for line in range(position.shape[0]):
         last = -1
@@ -128,8 +134,8 @@ def _cross(position: Floats32, segment: Ints, first: Ints, second: Ints, apart: 
     return crossed
 
 
-def _tied(count: int, borders: _Borders) -> tuple[Ints, Ints]:
-    """Of each segment, the one that stands for its surface, and how many cycles it is ahead of that, (count,)."""
+def _merged(count: int, borders: _Borders) -> tuple[Ints, Ints]:
+    """Return for each segment the root of its surface, and how many periods it is ahead of the root, (count,) each."""
     parent, ahead = list(range(count)), [0] * count
 
     def root(segment: int) -> tuple[int, int]:

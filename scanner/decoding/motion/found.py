@@ -1,4 +1,4 @@
-"""What was found of a motion of camera or projector during a capture, and what it did to the coordinates."""
+"""The measured motion of camera or projector during a capture, and its effect on the coordinates."""
 
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -10,54 +10,56 @@ from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 
-# So much is taken back of what nothing confirms: a motion between the axes, or one that explains little.
+# Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
-# Of the shortest period. Sizes are told up to a sixth of it (measure.py); but a bump within a fringe also leaves up to
-# a quarter of itself as a ripple in single matches.
+# Share of the shortest period. Sizes can be measured up to a sixth of it (measure.py), but a bump within a fringe also
+# leaves a ripple of up to a quarter of itself in single matches.
 _LARGEST_CYCLES = 1 / 8
-# Of a slow motion, each fringe sees a part only. What is larger shifts coordinates by more than their gradient tells.
+# Each fringe sees only a part of a drift. A larger one shifts coordinates beyond the linear range of their gradient.
 _LARGEST_PX = 3.0
-# Of single frames: half a radian of a fringe of six pixels, beyond which its change is no longer linear.
+# For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
-# Drifts explain 80 to 90 % of what contradicts rest. What is called one and explains a third is a bump of many px.
+# Drifts explain 80 to 90 % of the contradiction of rest. An apparent drift that explains a third is a bump of many px.
 _LEAST_EXPLAINED = 0.5
-# A device counts as moved if its motion is this share of the other's.
+# A device counts as moved if its motion is at least this share of the other's.
 _BOTH = 0.5
 _SIZE = "{:.2g} px"
-# What is taken back is known to this share of itself.
+# Relative uncertainty of a correction.
 _REMAINDER = 0.1
-# Between the axes, a motion of which nothing tells is taken to be of this size, one standard deviation.
+# Standard deviation assumed for an unobservable motion between the axes.
 SUSPECTED_PX = 0.3
 _ROWS = 64
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Motions of the devices that x and y have taken part in, (2, 8), each as in `rigid`; sizes are (width, height)."""
+    """The mean motion of both devices in the x and y coordinates, `motions` (2, 8) as in `rigid`; sizes are (width,
+    height).
+    """
 
     motions: Floats
     camera_size: tuple[int, int]
     projector_size: tuple[int, int]
 
     def shifts(self, camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
-        """By how much it has shifted the coordinates of matches (N, 2), (N, 2), against each other.
+        """Return the shifts (N, 2) of matches at camera px (N, 2) and projector px (N, 2).
 
-        `gradient` (N, 2, 2): of the projector's coordinates (rows) by camera x and y.
+        `gradient` (N, 2, 2): derivative of the projector coordinates (rows) by camera x and y.
         """
         by_motion = shifts_by_motion(camera_px, projector_px, gradient, self.camera_size, self.projector_size)
         shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
         return shifts
 
     def times(self, factor: float) -> "Disturbance":
-        """The same, so many times as far."""
+        """Return the disturbance scaled by a factor."""
         return replace(self, motions=factor * self.motions)
 
     def less(self, other: "Disturbance") -> "Disturbance":
-        """What one is beyond the other."""
+        """Return the difference of two disturbances."""
         return replace(self, motions=self.motions - other.motions)
 
     def take_back(self, projector_px: Floats32) -> None:
-        """Undo it in a map of the projector's coordinates (H, W, 2), as far as their gradient is known."""
+        """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
         height, width, _ = projector_px.shape
         before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
         for top in range(0, height, _ROWS):
@@ -73,16 +75,16 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class MotionFound:
-    """The motion that explains the fringes of a capture best, by `motion` (8,), as in `rigid`.
+    """The motion that best explains the fringes of a capture, `motion` (8,) as in `rigid`.
 
-    `significant`: it is more than what is found at rest. `slow`: even, all the time; else at once, between the frames
-    `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share that it explains of what
-    contradicts rest. `shift`: by what it shifted x and y against each other; `others`: the same of courses that explain
-    it about as well. `unseen`: shifts of one standard deviation each that may have been beside it; `blind`: nothing
-    in the frames tells whether one of the devices turned between the axes. `largest_px`: the largest bump that is taken
-    back. `linear`: small enough that its size can be told. `undecided`: it may as well have been the other device, by
-    itself. `one_by_one`: each frame by itself, of which `motion` is the root mean square, and `shift` the means over
-    the fringes.
+    `significant`: whether it exceeds what is measured at rest. `slow`: whether it is an even drift rather than a bump
+    between the frames `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share it
+    explains of the contradiction of rest. `shift`: the resulting shift of x and y against each other; `others`: that of
+    other trajectories that fit about as well. `unseen`: possible undetected shifts, one standard deviation each.
+    `blind`: whether the frames cannot show a turn of a device between the axes. `largest_px`: the largest bump that is
+    corrected. `linear`: whether it is small enough for its size to be measured. `undecided`: whether the other device
+    alone may have moved instead. `one_by_one`: whether each frame moved independently; `motion` is then the root mean
+    square, and `shift` the means over the fringes.
     """
 
     motion: Floats
@@ -103,7 +105,7 @@ class MotionFound:
 
     @property
     def is_too_large(self) -> bool:
-        """Whether single matches can no longer be trusted."""
+        """Whether the motion is too large for matches to be corrected."""
         if self.one_by_one:
             return self.significant and self.size_px > _LARGEST_OF_FRAMES_PX
         largest_px = _LARGEST_PX if self.slow else self.largest_px
@@ -113,7 +115,7 @@ class MotionFound:
 
     @property
     def shifts(self) -> Shifts:
-        """By what the matches may be shifted: by what is left of a motion that was taken back."""
+        """Return the shifts that may remain in the matches after the correction."""
         likely = []
         if self.significant:
             likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
@@ -121,30 +123,30 @@ class MotionFound:
         return Shifts(likely=tuple(each.shifts for each in likely), possible=tuple(each.shifts for each in self.unseen))
 
     def __str__(self) -> str:
-        """In words, as in: the projector moved by 1.2 px between frames 18 and 24."""
+        """Describe the motion, for example: the projector moved by 1.2 px between frames 18 and 24."""
         if self.one_by_one:
             _, px = turns_px(self.motion)
             return f"the camera's frames are each somewhere else, by {px:.2g} px"
         when = "slowly, from frame {} to {}" if self.slow else "between frames {} and {}"
-        return f"{self._who()} {when.format(self.first, self.last)}"
+        return f"{self._description()} {when.format(self.first, self.last)}"
 
-    def _who(self) -> str:
-        """Who moved, and how far. What is too large may have been larger: fringes tell it but for whole periods."""
+    def _description(self) -> str:
+        """Describe which device moved, and how far. A large size is a lower bound: fringes leave whole periods open."""
         size = "about {:.2g} px or more" if self.is_too_large else _SIZE
         if not self.linear:
             size = f"more than {self.largest_px:.2g} projector pixels"
-        return _likelier(self.motion, size) if self.undecided else who_moved(self.motion, size)
+        return _likelier(self.motion, size) if self.undecided else moved_device(self.motion, size)
 
 
 def largest_bump_px(finest_period: float) -> float:
-    """The largest bump, in px, that can be taken back where fringes of this and longer periods tell of it."""
+    """Return the largest bump, in px, that can be corrected with fringes of this period and longer ones."""
     return min(_LARGEST_CYCLES * finest_period, _LARGEST_PX)
 
 
 def _likelier(motion: Floats, size: str) -> str:
-    """In words, where either device explains a motion (8,): the likelier one first.
+    """Describe a motion (8,) that either device explains, the likelier device first.
 
-    A camera that moves is often taken for both; a projector that moves is not.
+    The motion of a camera is often attributed to both devices, that of a projector is not.
     """
     projector, camera = turns_px(motion)
     devices = ("camera", "projector") if camera >= _BOTH * projector else ("projector", "camera")
@@ -152,13 +154,15 @@ def _likelier(motion: Floats, size: str) -> str:
 
 
 def turns_px(motion: Floats) -> tuple[float, float]:
-    """By how many of its px the projector's picture moved, and the camera's."""
+    """Return how far the projector's picture moved, and the camera's, each in its own px."""
     projector, camera = (float(np.hypot(*part[:2])) for part in np.split(motion, [PER_DEVICE]))
     return projector, camera
 
 
-def who_moved(motion: Floats, size: str = _SIZE) -> str:
-    """In words, as in: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`: how px are told."""
+def moved_device(motion: Floats, size: str = _SIZE) -> str:
+    """Describe which device moved, for example: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`:
+    format of px.
+    """
     projector, camera = turns_px(motion)
     moved = [
         f"the {device} moved by {size.format(px)}"

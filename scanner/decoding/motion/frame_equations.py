@@ -1,8 +1,7 @@
-"""What frames show of their own motion: linear equations at the pixels of small tiles.
+"""Linear equations for the motion of each frame, at the pixels of small tiles.
 
-A frame that is moved by d differs from what it was by −∇I · d, with the gradient of the frame itself, to first order.
-All fringes show the same scene under the same mean light, so that at each pixel N frames of F fringes are explained by
-1 + 2 F numbers. What is left of them is linear in all d.
+To first order, a shift by d changes a frame I by −∇I · d. All fringes show the same scene under the same mean light, so
+that 1 + 2 F numbers per pixel explain N frames of F fringes. The remainder is linear in all shifts d.
 """
 
 from dataclasses import dataclass
@@ -19,18 +18,20 @@ from scanner.decoding.slopes import LEVEL, SLOPE
 
 _MOST_PIXELS = 6_000
 _FEWEST_PIXELS = 300
-# In variance, along both axes.
+# Noise reduction by the taps along both axes, as a factor of the variance.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
-# Of a tile's side, where the taps of slopes are all in it.
+# Width of the part of a tile in which the taps of slopes lie inside it.
 _INSIDE_PX = TILE_PX - len(LEVEL) + 1
 
 
 @dataclass(frozen=True)
 class FrameEquations:
-    """Of N frames, taken as number `times` (N,) of the sequence, along axis 0 or 1, `axis` (N,): what P pixels of tiles
-    (P,) show beside the fringes, K numbers each, `seen` (K, P), in standard deviations, and by how much it changes,
-    (., K, P), with each frame's shift to the right, then down, `by_camera` (2 N, ...), with that of its picture along
-    its axis, `by_projector` (N, ...), with gains and offsets of light, and with the brightness curve: `by_light`.
+    """Residuals of N frames at P pixels, in K directions that no fringe explains, and their derivatives.
+
+    `times` (N,): positions of the frames in the sequence. `axis` (N,): 0 for x, 1 for y. `tile` (P,): tile of each
+    pixel. `seen` (K, P): residuals in standard deviations. Their derivatives (., K, P): `by_camera` (2 N, ...), by the
+    shift of each frame to the right, then down; `by_projector` (N, ...), by the shift of its pattern along its axis;
+    `by_light`, by gains, offsets and the brightness curve.
     """
 
     times: Ints
@@ -45,7 +46,7 @@ class FrameEquations:
 def frame_equations(
     plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float
 ) -> FrameEquations | None:
-    """Those of the frames of all fringes; None where too few pixels tell, or too few frames."""
+    """Return the equations for the frames of all fringes; None if there are too few usable pixels or frames."""
     shown = sorted(
         (time, number, fringe.frames.index(frame))
         for time, frame in enumerate(plan.shown)
@@ -69,16 +70,16 @@ def frame_equations(
     phase, amplitude = np.arctan2(sine, cosine) + angles[:, None], np.hypot(cosine, sine)
     steepness = 2 * np.pi / np.array([fringe.period for fringe in fringes])[:, None]
     fitted = design @ parameters
-    # The directions in which frames may differ beside what fringes are.
+    # An orthonormal basis of the residuals of the fringe model.
     beside = np.linalg.svd(design)[0][:, design.shape[1] :]
     sigma = np.sqrt(_LESS_NOISE * noise.variance(levels.mean(axis=0)).astype(np.float64))
 
     def of_each(column: Floats) -> Floats:
-        """Of the frame by itself (N, K, P), given what changes it (N, P)."""
+        """Return the derivatives (N, K, P) by each frame's own parameter, from the change (N, P) that it makes."""
         changes: Floats = beside[:, :, None] * (column / sigma)[:, None, :]
         return changes
 
-    # A bent brightness curve leaves a second harmonic in each fringe, alike in all pixels.
+    # A nonlinear brightness curve leaves a second harmonic in each fringe, the same in all pixels.
     harmonics = [of_each(amplitude * wave(2 * phase)) for wave in (np.cos, np.sin)]
     curve = [part[of_fringe == number].sum(axis=0) for part in harmonics for number in range(len(plan.fringes))]
     mean = np.broadcast_to(fitted.mean(axis=0), fitted.shape)
@@ -94,7 +95,7 @@ def frame_equations(
 
 
 def _design(of_fringe: Ints, angles: Floats, fringes: int) -> Floats:
-    """(N, 1 + 2 F): of the mean light, and of A cos θ and A sin θ of each fringe."""
+    """Return the design matrix (N, 1 + 2 F) of the mean light, and of A cos θ and A sin θ of each fringe."""
     design = np.zeros((len(angles), 1 + 2 * fringes))
     design[:, 0] = 1
     every = np.arange(len(angles))
@@ -103,9 +104,9 @@ def _design(of_fringe: Ints, angles: Floats, fringes: int) -> Floats:
 
 
 def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
-    """Taps along the columns and the rows of tiles (N, T, tile, tile), where they are all inside; (N, P)."""
+    """Filter tiles (N, T, tile, tile) by taps along columns and rows, where the taps lie inside the tile; (N, P)."""
     size = images.shape[-1] - len(down) + 1
-    # No matrix product: of a few taps, OpenBLAS has complained of invalid values where there are none.
+    # A matrix product of a few taps made OpenBLAS warn of invalid values that do not exist.
     rows = np.zeros((*images.shape[:2], size, images.shape[3]), np.float32)
     for k, tap in enumerate(down.astype(np.float32)):
         rows += tap * images[:, :, k : k + size]
@@ -116,7 +117,7 @@ def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
 
 
 def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise: NoiseModel, resting: Bools) -> Ints:
-    """Some of the resting ones, by number, where all fringes are seen."""
+    """Choose some of the resting pixels, by number, at which all fringes are visible."""
     components = (np.linalg.pinv(design) @ levels)[1:].reshape(len(fringes), 2, -1)
     variance = np.float32(_LESS_NOISE) * noise.variance(levels.mean(axis=0))
     usable = resting.copy()
@@ -127,7 +128,7 @@ def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise
 
 
 def _resting(tiles: TileSample, images: Floats32, saturation: float) -> Bools:
-    """(P,): where nothing moves or is saturated within the taps."""
+    """(P,): whether nothing moves or is saturated within the taps."""
     fit = (images.max(axis=0) < saturation) & tiles.resting.reshape(images.shape[1:])
     whole = _filtered(fit[None].astype(np.float32), np.ones_like(LEVEL), np.ones_like(LEVEL))
     resting: Bools = whole[0] > len(LEVEL) ** 2 - 1 / 2

@@ -1,9 +1,9 @@
-"""One fringe in a few pixels while something moves: where its frames put each pixel, and how far that moves meanwhile.
+"""The least-squares fit of one fringe in some pixels, and its response to motion between the frames.
 
 A pixel whose projector coordinate moves by u g(t) has the intensities I_n = o + A cos(θ + 2π s_n + 2π u g_n / λ) in the
-frames n. That is linear in o, A cos θ, A sin θ and, for a small change of u, in that too: least squares gives what a
-motion of the course g does to the position (the part that the fringe cannot tell from another position), and from four
-frames on also u itself, from what no position explains.
+frames n. This is linear in o, A cos θ and A sin θ and, to first order, in a small u. Least squares gives the shift of
+the position by a motion along the trajectory g, which the fringe cannot tell from another position. With four or more
+frames, the residuals also give u.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,16 @@ import numpy as np
 from calib.numerics import Floats, compiled
 
 _LEAST_POWER = 1e-6
-# The part of a motion that no position explains, as a share of what it does to the frames, in squares.
+# Least share of the effect of a motion on the frames, in squares, that no change of position explains.
 _LEAST_SEEN = 1e-4
 
 
 @dataclass(frozen=True)
-class Follows:
-    """Of P pixels, for a motion of some course: `response`, by how much the position follows a motion of 1 px;
-    `motion_px`, the motion that the frames show beside it, and the `precision` of this, the inverse of its variance.
+class MotionResponse:
+    """The effect of motion along a trajectory on P pixels.
+
+    `response`: shift of the fitted position per px of motion. `motion_px`: the motion measured from the residuals, and
+    its `precision`, the inverse variance.
     """
 
     response: Floats
@@ -32,9 +34,9 @@ class Follows:
 
 @dataclass(frozen=True)
 class FringeFit:
-    """Least squares of `levels` (N, P) of the `shifts` (N,) of a period; grey levels have the variance `noise` (P,).
+    """The least-squares fit of `levels` (N, P) at phase `shifts` (N,); grey levels have the variance `noise` (P,).
 
-    `moved_px` (N, P): how far each pixel's coordinate is known to have moved in each frame; None: not at all.
+    `moved_px` (N, P): known motion of each pixel's coordinate in each frame; None if there is none.
     """
 
     levels: Floats
@@ -45,25 +47,25 @@ class FringeFit:
 
     @property
     def mean_moved_px(self) -> Floats | float:
-        """(P,): about as far as a fit that is told of no motion puts each pixel from where it was before."""
+        """(P,): the approximate shift of the position in a fit that ignores the known motion."""
         return 0.0 if self.moved_px is None else self.moved_px.mean(axis=0)
 
     @cached_property
     def _angles(self) -> Floats:
-        """(N, P), or (N, 1) where it is the same for all pixels."""
+        """(N, P), or (N, 1) if all pixels share them."""
         shifts = self.shifts[:, None]
         return 2 * pi * (shifts if self.moved_px is None else shifts + self.moved_px / self.period)
 
     @cached_property
     def _design(self) -> tuple[Floats, Floats]:
-        """Of offset, A cos θ and A sin θ, (3, N, P), and the inverse of its normal matrix, (3, 3, P)."""
+        """The design matrix of offset, A cos θ and A sin θ, (3, N, P), and the inverse normal matrix, (3, 3, P)."""
         angles = self._angles
         design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)])
         normal = np.einsum("anp,bnp->pab", design, design)
         return design, np.linalg.inv(normal).transpose(1, 2, 0)
 
     def _explained(self, values: Floats) -> tuple[Floats, Floats]:
-        """The least-squares fit to values (N, P): its three parameters (3, P), and what is left of the values."""
+        """Return the least-squares parameters (3, P) of values (N, P), and the residuals."""
         design, inverse = self._design
         parameters = np.sum(inverse * np.sum(design * values, axis=1), axis=1)
         return parameters, values - np.sum(design * parameters[:, None], axis=0)
@@ -76,13 +78,13 @@ class FringeFit:
 
     @cached_property
     def position(self) -> Floats:
-        """(P,): within the period, in px."""
+        """(P,): position within the period, in px."""
         cosine, sine, _ = self._found
         return np.arctan2(sine, cosine) * self.period / (2 * pi)
 
     @cached_property
     def variance(self) -> Floats:
-        """(P,): that of the position by noise, in px²."""
+        """(P,): variance of the position due to noise, in px²."""
         cosine, sine, _ = self._found
         along = np.stack([-sine, cosine]) / self._power
         gain = np.einsum("ap,abp,bp->p", along, np.broadcast_to(self._design[1][1:, 1:], (2, 2, len(sine))), along)
@@ -96,9 +98,10 @@ class FringeFit:
 
     @cached_property
     def _unexplained(self) -> Floats:
-        """The residuals (N, P) without the second harmonic, which a bent brightness curve leaves in four frames.
+        """The residuals (N, P) without the second harmonic that a nonlinear brightness curve leaves in four frames.
 
-        It is in proportion to the amplitude and has one phase for all pixels, so two numbers are fitted to all.
+        The harmonic is proportional to the amplitude and has the same phase in all pixels, so that two numbers fit them
+        all.
         """
         cosine, sine, residual = self._found
         doubled = 2 * (np.arctan2(sine, cosine) + self._angles)
@@ -110,17 +113,17 @@ class FringeFit:
         rest: Floats = residual - shares[0] * waves[0] - shares[1] * waves[1]
         return rest
 
-    def follow(self, course: Floats) -> Follows:
-        """What a motion that has come so far (N,) in the frames does to the fit, and what is seen of it.
+    def response_to(self, trajectory: Floats) -> MotionResponse:
+        """Return the response of the fit to a motion, of which each frame has seen the share `trajectory` (N,).
 
-        The grey levels' slope along the coordinate is A cos θ times one wave plus A sin θ times another, and so is
-        everything that is linear in it: only the waves are fitted, which are the same for all pixels at rest.
+        The slope of the grey levels along the coordinate is A cos θ times one wave plus A sin θ times another. The fit
+        is linear, so that only these two waves are fitted, which all resting pixels share.
         """
         cosine, sine, _ = self._found
         waves = [-2 * pi / self.period * wave for wave in (np.sin(self._angles), np.cos(self._angles))]
-        fits = [self._explained(wave * course[:, None]) for wave in waves]
+        fits = [self._explained(wave * trajectory[:, None]) for wave in waves]
         response, motion_px, precision = np.empty((3, len(cosine)))
-        _follow(
+        _fit_response(
             np.stack([cosine, sine]),
             self._unexplained,
             np.stack(waves),
@@ -131,11 +134,11 @@ class FringeFit:
             motion_px,
             precision,
         )
-        return Follows(response, motion_px, precision / self.noise)
+        return MotionResponse(response, motion_px, precision / self.noise)
 
 
 @compiled
-def _follow(
+def _fit_response(
     components: Floats,
     unexplained: Floats,
     waves: Floats,
@@ -146,9 +149,9 @@ def _follow(
     motion_px: Floats,
     seen: Floats,
 ) -> None:
-    """Response and motion (P,), and Σ of the squares of what is seen of it, from the `components` C, S (2, P).
+    """Fill response and motion (P,), and the sum of squares observed, from the `components` A cos θ, A sin θ (2, P).
 
-    Of both waves, (2, N, P) or (2, N, 1): the `parameters` of the fit, and what is left `beside` it.
+    For both waves, (2, N, P) or (2, N, 1): the fitted `parameters`, and the residuals `beside` them.
     """
     for p in range(len(response)):
         cosine, sine, at = components[0, p], components[1, p], p if waves.shape[2] > 1 else 0
@@ -163,6 +166,6 @@ def _follow(
             all_of_it += slope * slope
             left += rest * rest
             along += rest * unexplained[n, p]
-        told = left > _LEAST_SEEN * all_of_it
-        motion_px[p] = along / left if told else 0.0
-        seen[p] = left if told else 0.0
+        is_observable = left > _LEAST_SEEN * all_of_it
+        motion_px[p] = along / left if is_observable else 0.0
+        seen[p] = left if is_observable else 0.0

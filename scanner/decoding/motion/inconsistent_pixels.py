@@ -1,7 +1,7 @@
-"""Where the frames of a pixel contradict each other while those of other pixels do not: something moved there.
+"""Detection of pixels whose frames contradict each other while those of other pixels agree: something moved there.
 
-A frame that shows another pattern breaks light's arithmetic (light_arithmetic.py) all over the picture. Something that
-moved, or its shadow, breaks it in patches, beside which all frames agree.
+A corrupted frame violates the checks of light_arithmetic.py all over the picture. A moving object or its shadow
+violates them in patches, outside of which all frames agree.
 """
 
 from dataclasses import dataclass
@@ -19,44 +19,48 @@ from scanner.decoding.motion.light_arithmetic import broken_fringes, contradicti
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST
 
-# Pixels that swing less than this share of what the brightest few do are hardly lit.
+# Lit pixels have at least this share of the brightest pixels' swing.
 _LIT = 0.1
-# Every so many-th of the grid's pixels tells quickly that nothing moved: so few contradictions are no patch.
+# A quick test on a subsample of the grid: with so few contradictions, nothing moved.
 _STRIDE, _A_FEW = 3, 4
-# So many of the lit pixels around one are in contradiction where something moved; its edges are lit by both.
+# Window, and least share of inconsistent pixels among the lit ones in it where something moved. The last is the least
+# share of lit pixels in the window; both object and background light its edges.
 _WINDOW, _DENSE, _ENOUGH_LIT = 9, 0.3, 0.3
 _SMALLEST, _MARGIN = 30, 1
-# Frames that contradict the others in so much of where something moved are those in which it did.
+# Frames that contradict the others in at least this share of the moving region.
 _MUCH_OF_IT = 0.1
-# Where more than this moved, it is no thing before what rests, unless it passed: where it has left, frames agree again,
-# so that a pixel contradicts itself in about one group of frames, and after a bump in many. Nor is it if the picture as
-# a whole is elsewhere, in pixels of the grid.
-MOST, _MOST_IN_ALL, _PASSED, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
+# Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
+# again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
+# camera. Last, the largest shift of the whole picture, in pixels of the grid.
+MOST, _MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
 
 
 @dataclass(frozen=True)
-class Unrest:
-    """Where something `moved` (H, W), a `share` of what is lit; and where what is lit `rests`. `frames`: those that
-    contradict others where something moved. `spoilt` (H, W): where no coordinate can be had for it, which is where
-    fringes changed; what changed in codes only shows in the cycles (cycles.py), if there are fringes.
+class InconsistentPixels:
+    """Masks of the pixels where something `moved` (H, W), which is a `share` of the lit ones, and of the lit pixels
+    `resting`.
+
+    `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
+    coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
+    (cycles.py).
     """
 
     moved: Bools
-    spoilt: Bools
-    rests: Bools
+    corrupted: Bools
+    resting: Bools
     share: float
     frames: tuple[int, ...]
 
-    def said(self, plan: SequencePlan) -> str:
-        """For the operator."""
+    def message(self, plan: SequencePlan) -> str:
+        """Return a sentence for the operator."""
         return (
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
             f"{plan.names(self.frames)}; the affected pixels were masked, and the rest is used."
         )
 
 
-def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> Unrest | None:
-    """Where something moved, if it is not most of what is lit."""
+def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> InconsistentPixels | None:
+    """Return the pixels where something moved; None if nothing did, or nearly all of what is lit."""
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
     lit: Bools = swing > max(_LIT * float(np.quantile(swing, BRIGHTEST)), 1e-6)
@@ -65,61 +69,68 @@ def find_unrest(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> 
     if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
         return None
     groups = contradictions(plan, levels[:, lit], noise)
-    off = np.zeros(lit.shape, np.bool_)
-    off[lit] = np.any([each for _, each in groups], axis=0) if groups else False
-    moved = patches(off, lit)
+    inconsistent = np.zeros(lit.shape, np.bool_)
+    inconsistent[lit] = np.any([each for _, each in groups], axis=0) if groups else False
+    moved = patches(inconsistent, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
-    passed = _passed(groups, off[lit])
-    if not 0 < share <= (_MOST_IN_ALL if passed else MOST):
+    is_transient = _is_transient(groups, inconsistent[lit])
+    if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     if plan.fringes:
-        spoilt = _spoilt(plan, levels, lit, moved, noise, passed=passed)
+        corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
-        spoilt = moved & (off | _in_fine_bits(plan, groups, lit)) if passed else moved
-    rests = coarse.at_full_size(lit & ~moved & ~_crowded(off, lit))
-    return Unrest(coarse.at_full_size(moved), coarse.at_full_size(spoilt), rests, share, tuple(sorted(frames)))
+        corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
+    resting = coarse.at_full_size(lit & ~moved & ~_dense(inconsistent, lit))
+    return InconsistentPixels(
+        coarse.at_full_size(moved), coarse.at_full_size(corrupted), resting, share, tuple(sorted(frames))
+    )
 
 
-def _passed(groups: list[tuple[tuple[int, ...], Bools]], off: Bools) -> bool:
-    """Whether pixels that are off (P,) are so in about one of the groups of frames, which may tell in several ways."""
+def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Bools) -> bool:
+    """Return whether pixels in `inconsistent` (P,) are inconsistent in about one group of frames each.
+
+    Several checks may flag the same group.
+    """
     times = sum(
         np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
     )
-    return bool(times <= _PASSED * np.count_nonzero(off))
+    return bool(times <= _TRANSIENT * np.count_nonzero(inconsistent))
 
 
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
-    """Where something passed while fine bits were shown (h, w): what is wrong by few cells looks right."""
-    fine, off = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
+    """Return the patches (h, w) that changed during fine bits, where an error of a few cells looks plausible."""
+    fine, inconsistent = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
     for frames, each in groups:
         if fine.intersection(frames):
-            off[lit] |= each
-    return patches(off, lit)
+            inconsistent[lit] |= each
+    return patches(inconsistent, lit)
 
 
-def _spoilt(
-    plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, passed: bool
+def _corrupted(
+    plan: SequencePlan, levels: Floats32, lit: Bools, moved: Bools, noise: NoiseModel, *, is_transient: bool
 ) -> Bools:
-    """Where fringes changed (h, w), pixel by pixel: one that is dark where a shadow falls does not, and stays right.
+    """Return the pixels (h, w) at which fringes changed; a pixel that is dark anyway keeps its coordinate in a shadow.
 
-    Longer fringes than the last of an axis tell its cycle only: where something `passed` during one, the cycle is
-    right, or does not fit, or shows beside that of its surface. What came to stay is seen by some of them only.
+    All fringes of an axis but the last only select its period. If a change `is_transient`, an error in them is
+    harmless, or shows as a contradiction or a period slip. A lasting change may show in only some of the fringes.
     """
-    fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if passed else plan.fringes
-    off = np.zeros(lit.shape, np.bool_)
-    off[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
+    fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
+    inconsistent = np.zeros(lit.shape, np.bool_)
+    inconsistent[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
     near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
-    return off & near
+    return inconsistent & near
 
 
-def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], rests: Bools) -> bool:
-    """Whether all of the picture, `levels` (frames, h, w), is elsewhere in the `frames` that contradict the others: the
-    camera moved. If it was a large thing, its way does not bring into line what `rests` (h, w).
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
+    """Return whether the whole picture, `levels` (frames, h, w), is shifted in the contradicting `frames`: a camera
+    bump.
+
+    If it was a large object instead, undoing its shift does not improve the agreement at the `resting` pixels (h, w).
     """
     even = [group for group in groups if len(group) > 1]
     contradicting, others = (
@@ -135,13 +146,13 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
         return False
     back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
     taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    off, off_as_seen = (float(np.abs(image - before)[rests].sum()) for image in (taken_back, after))
-    return off <= off_as_seen
+    error, error_as_seen = (float(np.abs(image - before)[resting].sum()) for image in (taken_back, after))
+    return error <= error_as_seen
 
 
-def patches(off: Bools, lit: Bools) -> Bools:
-    """Where many lit pixels around are off, (h, w), of enough, as far as they hang together, with a margin."""
-    dense = _crowded(off, lit) & (_around(lit) > _ENOUGH_LIT * _WINDOW**2)
+def patches(inconsistent: Bools, lit: Bools) -> Bools:
+    """Return connected patches (h, w), with a margin, in which many of the lit pixels are `inconsistent`."""
+    dense = _dense(inconsistent, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
     large[0] = False
@@ -149,13 +160,13 @@ def patches(off: Bools, lit: Bools) -> Bools:
     return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), kernel).astype(np.bool_))
 
 
-def _crowded(off: Bools, lit: Bools) -> Bools:
-    """Lit pixels of which many around are off, (h, w)."""
-    return (_around(off & lit) > _DENSE * _around(lit)) & lit
+def _dense(inconsistent: Bools, lit: Bools) -> Bools:
+    """Return the lit pixels (h, w) around which a large share of the lit ones are `inconsistent`."""
+    return (_count_around(inconsistent & lit) > _DENSE * _count_around(lit)) & lit
 
 
-def _around(some: Bools) -> Floats32:
-    """How many there are in the window around each pixel, (h, w)."""
+def _count_around(some: Bools) -> Floats32:
+    """Return the number of such pixels in the window around each pixel, (h, w)."""
     window = (_WINDOW, _WINDOW)
     count = cv2.boxFilter(some.astype(np.float32), -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return cast(Floats32, count)

@@ -1,7 +1,7 @@
-"""Where frames break what light's own arithmetic says of them, pixel by pixel.
+"""Checks of the frames of each pixel against the laws that all patterns obey.
 
-A pattern and its inverse make as much light as any other pair; a fringe's mean is the same part of white everywhere;
-its steps lie on a cosine, but for the harmonics of a bent brightness curve, which go with its phase; no bit is
+Pattern and inverse add up to the same light in every pair. The mean of a fringe is the same part of white everywhere.
+Its steps lie on a cosine, apart from the harmonics of a nonlinear brightness curve, which follow its phase. No bit is
 brighter than white or darker than black.
 """
 
@@ -17,51 +17,56 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 
-# A contradiction: in swings of a pixel, in standard deviations of the noise, and in what most pixels have of it (a
-# camera that is not linear, a projector that sharpens or loses the light of fine stripes). Things may be before more
-# than half of what is lit, so that what most have is told by those that have the least.
+# Thresholds for a contradiction: relative to the pixel's swing, in standard deviations of the noise, and relative to
+# the usual deviation (a nonlinear camera, a projector that sharpens or dims fine stripes). An object may cover more
+# than half of the lit pixels, so that a low quantile tells what is usual.
 _LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 8.0
 _RESTING = 0.3
-# Of bits without inverses, about half are lit at each pixel: those beyond so many are all lit.
+# About half of the bits without inverse are lit at each pixel: those beyond this quantile are all lit.
 _LIT_BITS = 0.7
-# A camera that is not linear sees such pairs of stripes as brighter or darker than others: of black and white next to
-# each other that a lens mixes by up to a quarter of the swing, with the response curve of sRGB.
+# A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
+# adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
 _FINE_BITS, _OF_FINE = 3, 2.5
-# What is lit by a fringe and not by white is lit by way of what moved: flickering lamps do not make half of the swing.
+# Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make half of the swing.
 _FAR_BEYOND = 5.0
 _HARMONICS, _TRIMS = (2, 3), 3
-# So many times what the pixels that rest leave is farther off than three standard deviations.
-_OFF_RESTING = 5.25
+# Outliers exceed this multiple of the resting quantile, which is three standard deviations.
+_OUTLIER_OF_RESTING = 5.25
 
 
 @dataclass(frozen=True)
 class _Group:
-    """How far `frames` are `off` each other or the other frames at pixels (P,), in grey levels, and the noise of that
-    for a noise of one. `times`: how many times as much as of others is a contradiction.
+    """The `deviation` (P,), in grey levels, of `frames` from each other or from the other frames.
+
+    `noise_gain`: noise of `deviation` for a pixel noise of one. `times`: factor on the threshold for a contradiction.
     """
 
     frames: tuple[int, ...]
-    off: Floats32
+    deviation: Floats32
     noise_gain: float
     times: float = 1.0
 
 
 def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
-    """Groups of frames, and where they contradict each other or the rest (P,), at lit pixels, `levels` (frames, P)."""
-    return _where(_groups(plan, levels), levels, noise)
+    """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
+    (frames, P).
+    """
+    return _contradicting_pixels(_groups(plan, levels), levels, noise)
 
 
 def broken_fringes(
     plan: SequencePlan, fringes: Iterable[Fringe], levels: Floats32, noise: NoiseModel, resting: Bools
 ) -> Bools:
-    """Where some of the fringes contradict themselves or the rest (P,); those `resting` (P,) tell what is usual."""
+    """Return the pixels (P,) at which some of the fringes are inconsistent; the `resting` pixels (P,) give the usual
+    deviation.
+    """
     frames = {fringe.frames for fringe in fringes}
     groups = (group for group in _groups(plan, levels) if group.frames in frames)
-    off: Bools = np.any([each for _, each in _where(groups, levels, noise, resting)], axis=0)
-    return off
+    broken: Bools = np.any([each for _, each in _contradicting_pixels(groups, levels, noise, resting)], axis=0)
+    return broken
 
 
-def _where(
+def _contradicting_pixels(
     groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, resting: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
     swing = np.ptp(levels, axis=0)
@@ -70,16 +75,17 @@ def _where(
 
 
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
-    off = np.abs(group.off) / swing
-    some = off if resting is None or not resting.any() else off[resting]
+    deviation = np.abs(group.deviation) / swing
+    some = deviation if resting is None or not resting.any() else deviation[resting]
     usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
     least = max(group.times * _LEAST, usual)
-    return cast(Bools, off > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
+    return cast(Bools, deviation > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
-    """Those of bits that may be finer than what camera and projector resolve, or the scene scatters; where one of them
-    is wrong, so is the coordinate by few cells.
+    """Return the frames of bits that camera, projector or scattering may blur.
+
+    An error in one of them moves the coordinate by a few cells only.
     """
     found: set[int] = set()
     for code in plan.codes:
@@ -89,7 +95,7 @@ def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """What must agree, at lit pixels, `levels` (frames, P)."""
+    """Yield the deviations of all groups of frames that must agree at lit pixels, `levels` (frames, P)."""
     if not levels.shape[1]:
         return
     blurred = set() if plan.fringes else frames_of_fine_bits(plan)
@@ -101,19 +107,19 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
         for frames in pairs:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0)
+            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0)
         for frames in fine:
-            yield _Group(frames, _off_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
+            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
-            yield _Group(fringe.frames, _off_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
+            yield _Group(fringe.frames, _deviation_from_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
     yield from _cosines(plan, levels)
     yield from _beyond_white(plan, levels)
     yield from _beyond_white_and_black(plan, levels)
 
 
 def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """The brightest step of each fringe, if it is far above white."""
+    """Yield the excess of the brightest step of each fringe over white, which counts only if it is large."""
     if plan.white is not None:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
@@ -121,26 +127,27 @@ def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """The steps of each fringe, if they are enough to tell."""
+    """Yield the deviation from a cosine of each fringe with enough steps."""
     for fringe in plan.fringes:
         if len(fringe.frames) > COSINE_PARAMETERS:
-            yield _Group(fringe.frames, _off_cosine(fringe, levels[list(fringe.frames)]), 1.0)
+            yield _Group(fringe.frames, _deviation_from_cosine(fringe, levels[list(fringe.frames)]), 1.0)
 
 
-def _off_usual(levels: Floats32, usual: Floats32) -> Floats32:
-    """What frames (N, P), each as bright as fits best, leave of the usual light (P,).
+def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:
+    """Return the deviation of frames (N, P), each scaled to fit best, from the usual light (P,).
 
-    How bright they were is known of most and has been taken out; of the first ones it is not, nor where cameras answer
-    to bright light by less.
+    Brightness has mostly been equalised already, but not of the first frames, nor for cameras that respond less to
+    bright light.
     """
     by = usual / np.maximum(levels.mean(axis=0), 1e-6)
-    _, left = _fit_most(levels.T, usual[:, None], _alike(by))
+    _, left = _fit_most(levels.T, usual[:, None], _most_concentrated(by))
     return left[:, 0]
 
 
-def _alike(values: Floats32) -> Bools:
-    """Those of the values (P,) that are closest together, as many as rest at least: what is near a lamp and moves is
-    brighter than all that rests, and would decide a mean.
+def _most_concentrated(values: Floats32) -> Bools:
+    """Return the most concentrated values (P,), as many as the least share of resting pixels.
+
+    A moving object near a lamp is brighter than all that rests, and would bias a mean.
     """
     count = max(1, round(_RESTING * len(values)))
     ordered = np.sort(values)
@@ -148,42 +155,43 @@ def _alike(values: Floats32) -> Bools:
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
 
 
-def _off_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
-    """What the mean of a fringe's steps and the ambient light, `parts` (2, P), leave of the usual light (P,).
+def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usual: Floats32) -> Floats32:
+    """Return the deviation of the usual light (P,) from a combination of the mean and the ambient light, `parts` (2,
+    P).
 
-    A projector that is not linear makes the mean another part of white, and adds the harmonic of as many cycles as
-    there are steps. Where light comes by way of other surfaces, too, that may have any phase: so much is not told from
-    motion.
+    A nonlinear projector changes the mean, and adds the harmonic whose order is the number of steps. Interreflection
+    may give this harmonic any phase, so that deviations of its size are not taken for motion.
     """
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None], _alike(usual / np.maximum(parts[0], 1e-6)))
-    # Fringes swing by half of the pixel's range at most; the harmonic may be left out once, and be too much elsewhere.
+    brightness, left = _fit_most(every.T, usual[:, None], _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
+    # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
     bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 
 def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats32, Floats32]:
-    """By how much to multiply the terms (P, N) to explain the targets (P, K) where pixels agree, as many as rest at
-    least, (N, K); and what is left of these (P, K). `first` (P,): where they agree roughly.
+    """Fit the targets (P, K) by the terms (P, N), trimmed to pixels that agree: factors (N, K) and residuals (P, K).
+
+    `first` (P,): pixels of the first fit.
     """
     kept = first
     for _ in range(_TRIMS):
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(_OFF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
+        kept = size <= max(_OUTLIER_OF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
     return cast(Floats32, factors), left
 
 
 def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """Bits without an inverse, `levels` (frames, P), if white and black tell what they should be between."""
+    """Yield the excess of bits without an inverse, `levels` (frames, P), beyond white and black."""
     alone = [frame for code in plan.codes for frame in code.unpaired.values()]
     if not alone or plan.white is None or plan.black is None:
         return
     ordered = np.sort(levels[alone], axis=0)
-    # Not white alone: it may be the odd one, and harms nothing then.
+    # White itself may be the corrupted frame, which then does no harm.
     most = np.maximum(levels[plan.white], ordered[round(_LIT_BITS * (len(alone) - 1))])
     least = np.minimum(levels[plan.black], ordered[round((1 - _LIT_BITS) * (len(alone) - 1))])
     for frame in alone:
@@ -194,10 +202,10 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
         yield _Group((frame,), np.maximum(np.maximum(above, below), 0), float(np.sqrt(2)))
 
 
-def _off_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
-    """What the steps (N, P) of a fringe leave of a cosine and of its harmonics, rms (P,).
+def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
+    """Return the rms (P,) of the residuals of a fringe's steps (N, P) from a cosine and its harmonics.
 
-    Harmonics are first told where least is left of the cosine: elsewhere, more than half of it may be motion.
+    The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.
     """
     angles = 2 * np.pi * np.array(fringe.shifts)
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1).astype(np.float32)

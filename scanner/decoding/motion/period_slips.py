@@ -1,8 +1,8 @@
-"""Knocks by about a whole period between codes and fringes, which lie on their code again, but not everywhere.
+"""Detection of period slips: bumps by about a whole period between codes and fringes.
 
-A device that turns moves the middle of its picture less than its sides: a pinhole of focal length f that pans by u px
-moves the place X by u (1 + X² / f²), and the place (X, Y) of the other axis by u X Y / f². So curvature tells the turn
-itself, whatever whole periods are taken off it.
+The fringes then agree with their code again, but not everywhere, since a turn moves the middle of the picture less than
+its sides. A pinhole of focal length f that pans by u px moves the place X by u (1 + X² / f²), and the place (X, Y) of
+the other axis by u X Y / f². This curvature reveals the turn itself, whatever whole periods are subtracted.
 """
 
 from dataclasses import dataclass
@@ -13,27 +13,29 @@ from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Blocks of the projector's picture, along x and y, with so many pixels at least.
+# Blocks of the projector's picture along x and y, and their least number of pixels.
 _BLOCKS = (8, 6)
 _FEWEST = 150
-# Fringes lie evenly between the ends of a cell: the middle of these quantiles is off by a hundredth of it. Blocks with
-# parts of few cells have another width, by more than this share.
+# Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
+# cells are rejected, whose width differs by more than this share.
 _QUANTILE = 0.04
 _WIDTH_OFF = 0.25
 _FEWEST_BLOCKS = 12
 # Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
 _SLOPES, _COLUMNS = 3, 8
 _ROUNDS = 6
-# What moved is believed if nothing else is nearly as likely: a hundredth, in −2 log likelihood.
+# An alternative is rejected if it is a hundredth as likely, in −2 log likelihood.
 _CLEARLY = 9.0
-# Focal lengths of projectors, in widths of the picture: no less, and no more.
+# Least and largest focal length of projectors, in widths of the picture.
 _LEAST_FOCAL, _MOST_FOCAL = 0.8, 2.7
 
 
 @dataclass(frozen=True)
 class Offsets:
-    """By how many projector pixels the longest fringe of an axis lies beside the middle of its code's cell, at pixels
-    (P,): `px` from a common `mean_px` on, within half a period; `centre` (P,) of the cells, `seen` (P,): both known.
+    """Offsets of the longest fringe of an axis from the middle of the code's cell, in projector pixels, at pixels (P,).
+
+    `px`: relative to the common `mean_px`, within half a period. `centre` (P,): middles of the cells. `seen` (P,):
+    whether both are known.
     """
 
     axis: AxisPlan
@@ -44,22 +46,23 @@ class Offsets:
 
     @property
     def period(self) -> float:
-        """Of the fringe, in projector pixels."""
+        """Period of the fringe in projector pixels."""
         return self.axis.fringes[0].period
 
 
 @dataclass(frozen=True)
-class Knock:
-    """By `px` or more the middle of the picture moved along an axis, whole periods being a part of it. `sure`: it was
-    along this axis; else it may have been along the other one alone, by another size.
+class PeriodSlip:
+    """A motion of the middle of the picture along an axis by `px` or more, including whole periods.
+
+    `sure`: whether it was along this axis; otherwise it may have been along the other one alone, by another amount.
     """
 
     px: float
     sure: bool
 
 
-def moved_by_periods(x: Offsets, y: Offsets) -> tuple[Knock | None, Knock | None]:
-    """How the picture moved along x and y where whole periods are a part of it; else None."""
+def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodSlip | None]:
+    """Return the motions along x and y that include whole periods; None for an axis without one."""
     axes, width = (x, y), x.axis.length
     seen = np.flatnonzero(x.seen & y.seen)
     place = np.stack([(each.centre[seen] - (each.axis.length - 1) / 2) / width for each in axes], axis=1)
@@ -79,11 +82,11 @@ def moved_by_periods(x: Offsets, y: Offsets) -> tuple[Knock | None, Knock | None
         else 0.0
         for number, each in enumerate(axes)
     )
-    return Knock(of_x, sure[0]) if of_x else None, Knock(of_y, sure[1]) if of_y else None
+    return PeriodSlip(of_x, sure[0]) if of_x else None, PeriodSlip(of_y, sure[1]) if of_y else None
 
 
 def _blocks(place: Floats, height: float) -> list[Ints]:
-    """The pixels of each block, given their places (P, 2) in widths of the picture from its middle."""
+    """Return the pixels of each block, from places (P, 2) relative to the middle of the picture, in its widths."""
     columns, rows = _BLOCKS
     column = np.clip((place[:, 0] + 0.5) * columns, 0, columns - 1).astype(np.int64)
     row = np.clip((place[:, 1] / height + 0.5) * rows, 0, rows - 1).astype(np.int64)
@@ -92,14 +95,14 @@ def _blocks(place: Floats, height: float) -> list[Ints]:
 
 
 def _offset(axis: Offsets, pixels: Ints) -> float | None:
-    """By how much the fringe lies beside the cells in a block; None if these pixels do not fill cells evenly."""
+    """Return the offset of the fringe from the cells in a block; None if they are not filled evenly."""
     low, high = np.quantile(axis.px[pixels], [_QUANTILE, 1 - _QUANTILE])
     filled = float(high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
     return float(low + high) / 2 if abs(filled - 1) < _WIDTH_OFF else None
 
 
 def _row(number: int, place: Floats) -> Floats:
-    """What each parameter does to the offset of an axis, (8,), in the mean over places (P, 2)."""
+    """Return the derivative (8,) of the offset of an axis by each parameter, averaged over places (P, 2)."""
     (x, y), row = place.T, np.zeros(_COLUMNS)
     row[_SLOPES * number : _SLOPES * (number + 1)] = 1, x.mean(), y.mean()
     row[-2:] = np.mean(place * place[:, [number]], axis=0)
@@ -108,7 +111,7 @@ def _row(number: int, place: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Parameters and their standard deviations, (8,); what is left of M blocks, (M,), and how far that scatters."""
+    """Parameters and their standard deviations, (8,); residuals of M blocks, (M,), and their robust scale."""
 
     found: Floats
     sigma: Floats
@@ -116,14 +119,15 @@ class _Fit:
     scale: float
 
     def cost(self, scale: float) -> float:
-        """−2 log likelihood if blocks scatter so, and some are off by more (Huber)."""
+        """Return −2 log likelihood for this standard deviation, with the Huber loss for outliers."""
         off = np.abs(self.left) / scale
         return float(np.sum(np.where(off < HUBER_SIGMAS, off**2, HUBER_SIGMAS * (2 * off - HUBER_SIGMAS))))
 
 
 def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bool]]:
-    """The fit to blocks (M, 8) and (M,), which axes have moved, and which have so for sure: what is less likely by far
-    otherwise.
+    """Return the best fit to blocks (M, 8) and (M,), which axes moved, and which of these moved for certain.
+
+    It is certain if the alternative is far less likely.
     """
     both, of_y = _fitted(rows, offsets), rows[:, _SLOPES] != 0
     resting = []
@@ -139,7 +143,7 @@ def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bo
 
 
 def _fitted(rows: Floats, offsets: Floats) -> _Fit:
-    """Robust least squares, of blocks (M, 8) and (M,)."""
+    """Fit blocks (M, 8) and (M,) by robust least squares."""
     weights, scale = np.ones(len(rows)), 1.0
     found: Floats = np.zeros(_COLUMNS)
     left, inverse = offsets, np.eye(_COLUMNS)
@@ -153,8 +157,8 @@ def _fitted(rows: Floats, offsets: Floats) -> _Fit:
 
 
 def _by_periods(period: float, offset_px: float, curvature: float, sigma: float) -> float:
-    """An offset in the middle of the picture with the one whole period, of perhaps several, that such a curvature asks
-    for, in px per width²; 0 without any.
+    """Return the offset in the middle of the picture plus one whole period, or 0 if the curvature, in px per width²,
+    needs none.
     """
     least, most = sorted((0.0, offset_px / _LEAST_FOCAL**2))
     beyond = curvature - min(max(curvature, least), most)

@@ -1,4 +1,4 @@
-"""The pixels that motion is measured at: well lit, on smooth surfaces, with a rough coordinate along both axes."""
+"""Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,17 @@ _FEWEST_PIXELS = 300
 _FEWEST_IN_TILE = 30
 _TRIMS = 2
 _MOST_OFF_SIGMAS = 3.5
-# A tile across an edge, or of a round thing, is no plane: how far its pixels may be off in projector px.
+# Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """P pixels by number (P,) in a `TileSample`, with the `tile` of each. `noise` (P,): variance of their grey levels.
+    """P pixels by `number` (P,) in a `TileSample`, with the `tile` of each and the `noise` variance of its grey level
+    (P,).
 
-    `projector_px` (P, 2): by the longest fringes. `gradient` (P, 2, 2): of these by camera x and y.
+    `projector_px` (P, 2): rough coordinates from the longest fringes. `gradient` (P, 2, 2): their derivative by camera
+    x and y.
     """
 
     number: Ints
@@ -42,7 +44,7 @@ class Pixels:
 def choose_pixels(
     plan: SequencePlan, tiles: TileSample, signals: tuple[Signals, Signals], noise: NoiseModel, saturation: float
 ) -> Pixels | None:
-    """Some pixels of the tiles; None where too few are fit for it, or a coordinate is not known without the others."""
+    """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown."""
     if not tiles.count or not all(axis.fringes for axis in plan.axes):
         return None
     usable = np.asarray(signals[0].peak < saturation) & tiles.resting
@@ -70,7 +72,7 @@ def choose_pixels(
 
 
 def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tuple[Floats | None, Bools]:
-    """The coordinate (P,) by the longest fringe in the Gray code's cell, and where all fringes are seen."""
+    """Return the coordinate (P,) from longest fringe and Gray code, and whether all fringes are visible."""
     variance = noise.variance(signals.middle)
     seen = np.ones(len(variance), np.bool_)
     for number, fringe in enumerate(axis.fringes):
@@ -91,9 +93,7 @@ def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tu
 
 
 def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Floats, Bools]:
-    """Planes (tiles, 3, 2) through the coordinates of each tile: offset, slopes by camera x and y; and the pixels that
-    are on them.
-    """
+    """Fit planes (tiles, 3, 2), offset and slopes by camera x and y, to the coordinates; also return the inliers."""
     offset = tiles.camera_px[: TILE_PX**2] - tiles.camera_px[: TILE_PX**2].mean(axis=0)
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
     seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
@@ -108,7 +108,9 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
 
 @compiled
 def _normal_equations(terms: Floats, seen: Floats, fit: Bools) -> tuple[Floats, Floats]:
-    """Those of planes (T, 3, 3), (T, 3, 2), with the `terms` (P, 3), through what is `seen` (T, P, 2) where `fit`."""
+    """Return matrices (T, 3, 3) and right-hand sides (T, 3, 2) of planes with the `terms` (P, 3) through `seen` (T, P,
+    2) where `fit`.
+    """
     matrices, right = np.zeros((len(seen), 3, 3)), np.zeros((len(seen), 3, 2))
     for t in range(len(seen)):
         for p in range(len(terms)):
@@ -123,7 +125,9 @@ def _normal_equations(terms: Floats, seen: Floats, fit: Bools) -> tuple[Floats, 
 
 @compiled
 def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) -> tuple[Floats, Ints]:
-    """How far what was `fit` (T, P) is off its plane (T,), rms, and how much was; fit what is `on`, and not far off."""
+    """Return the rms residual (T,) and the count (T,) of pixels in `fit` (T, P), then reset `fit` to the inliers among
+    those `on`.
+    """
     rough, count = np.zeros(len(seen)), np.zeros(len(seen), np.int64)
     off2 = np.empty(len(terms))
     for t in range(len(seen)):

@@ -1,4 +1,4 @@
-"""Small turns of the camera or the projector, as shifts of the coordinates that pixels see, fitted to these."""
+"""Small rotations of camera or projector: the shifts of coordinates that they cause, and their robust fit."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -8,20 +8,21 @@ import numpy as np
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, median
 from scanner.decoding.significance import HUBER_SIGMAS
 
-# Of each device: shifts of its picture to the right and down, a roll and a change of scale.
+# Parameters of each device: shifts to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
 COLUMNS = 2 * PER_DEVICE
-# An ordinary lens: the focal length in widths of the image. It matters in the corners of the picture only.
+# Focal length of an ordinary lens, in widths of the image. It matters in the corners only.
 _FOCAL_OF_WIDTH = 1.2
-# What no pixel tells of stays small.
+# Prior standard deviation, which keeps unobservable parameters small.
 _PRIOR_PX = 1.0
 _ROUNDS = 6
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Shifts, roll and scale of projector and camera, `motion` (8,) in px of each device (roll and scale: at half the
-    picture's width from its centre), with their `covariance`; `gained`: by how much χ² falls.
+    """The `motion` (8,) of projector and camera, their `covariance`, and the decrease of χ², `gained`.
+
+    For each device: shifts, roll and change of scale, in its px (roll and scale: at half the width from the centre).
     """
 
     motion: Floats
@@ -30,26 +31,26 @@ class Fit:
 
     @property
     def significance(self) -> float:
-        """How many standard deviations the motion is from none."""
+        """Distance of the motion from zero, in standard deviations."""
         return sqrt(max(float(self.motion @ np.linalg.solve(self.covariance, self.motion)), 0.0))
 
 
 def shifts_by_motion(
     camera_px: Floats, projector_px: Floats, gradient: Floats, camera_size: tuple[int, int], size: tuple[int, int]
 ) -> Floats:
-    """By how much the coordinates of pixels (P, 2) change, (P, 2, 8), per px of each part of the motion.
+    """Return the derivative (P, 2, 8) of the coordinates of pixels (P, 2) by each part of the motion.
 
-    `gradient` (P, 2, 2): of the projector's coordinates (rows) by camera x and y. Sizes are (width, height).
+    `gradient` (P, 2, 2): derivative of the projector coordinates (rows) by camera x and y. Sizes are (width, height).
     """
     by_motion = np.zeros((len(camera_px), 2, COLUMNS))
-    # A picture that moves to the right takes its coordinates along: a place sees those from further left.
+    # A picture that moves to the right takes its coordinates along: a fixed point sees those from further left.
     by_motion[:, :, :PER_DEVICE] = -_of_picture(projector_px, size)
     by_motion[:, :, PER_DEVICE:] = -gradient @ _of_picture(camera_px, camera_size)
     return by_motion
 
 
 def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
-    """How a picture moves at pixels (P, 2), (P, 2, 4), when its device turns up and down, sideways, rolls, or zooms."""
+    """Return the shifts (P, 2, 4) of a picture at pixels (P, 2) when its device pans, tilts, rolls or zooms."""
     half, focal = size[0] / 2, _FOCAL_OF_WIDTH * size[0]
     x, y = ((px - (np.array(size) - 1) / 2) / focal).T
     roll = focal / half
@@ -60,10 +61,9 @@ def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
 
 
 def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, group: Ints) -> Fit:
-    """Robust least squares of the motion in `seen_px` (M,) = `design` (R, 8)[`row` (M,)] · motion, each with a
-    `precision` (M,).
+    """Fit the motion to `seen_px` (M,) = `design` (R, 8)[`row` (M,)] · motion, with `precision` (M,), robustly (Huber).
 
-    What the rows of a `group` (R,) have in common that is no motion shows in the covariance.
+    Correlated errors within a `group` (R,) of rows are included in the covariance.
     """
     prior = np.eye(COLUMNS) / _PRIOR_PX**2
     if not len(seen_px):
@@ -87,7 +87,7 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, gr
 
 @compiled
 def _sums_of_rows(row: Ints, weight: Floats, values: Floats, rows: int) -> tuple[Floats, Floats]:
-    """Sums of the weights (M,), and of the values (M,) times these, of each row."""
+    """Return the sums of the weights (M,) and of the weighted values (M,) of each row."""
     of_weights, of_values = np.zeros(rows), np.zeros(rows)
     for i in range(len(row)):
         of_weights[row[i]] += weight[i]
@@ -97,7 +97,7 @@ def _sums_of_rows(row: Ints, weight: Floats, values: Floats, rows: int) -> tuple
 
 @compiled
 def _normal_equations(design: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Of rows (R, 8) with weights (R,), and weights times values (R,): the matrix (8, 8), and the right-hand side."""
+    """Return the normal matrix (8, 8) and right-hand side of rows (R, 8), weights (R,) and weighted values (R,)."""
     count = design.shape[1]
     matrix, right = np.zeros((count, count)), np.zeros(count)
     for r in range(len(design)):
@@ -111,7 +111,7 @@ def _normal_equations(design: Floats, weight: Floats, values: Floats) -> tuple[F
 
 @compiled
 def _note_residuals(seen: Floats, expected: Floats, row: Ints, root: Floats, residual: Floats, off: Floats) -> None:
-    """What is seen beside what is expected of a row, all (M,), and how many standard deviations that is."""
+    """Fill the residuals (M,), and their absolute values in standard deviations."""
     for i in range(len(seen)):
         residual[i] = seen[i] - expected[row[i]]
         off[i] = abs(residual[i]) * root[i]
@@ -119,6 +119,6 @@ def _note_residuals(seen: Floats, expected: Floats, row: Ints, root: Floats, res
 
 @compiled
 def _weigh_down(precision: Floats, off: Floats, from_here: float, weight: Floats) -> None:
-    """Less weight to what is farther off, (M,) (Huber)."""
+    """Fill the Huber weights (M,)."""
     for i in range(len(weight)):
         weight[i] = precision[i] * min(1.0, from_here / max(off[i], 1e-9))

@@ -1,7 +1,7 @@
-"""Frames that are each somewhere else: hand-held cameras, and software that steadies pictures one by one.
+"""Independent motion of each frame, as of hand-held cameras and software image stabilisation.
 
-No event in time explains such motion, but it is small, and each frame tells of its own (`frame_equations`): thousands
-of pixels tell it by least squares. What all frames have in common, nobody sees.
+No single event explains such motion. It is small, and least squares over thousands of pixels measures the shift of each
+frame (`frame_equations`). A shift that all frames share is unobservable.
 """
 
 from dataclasses import dataclass, replace
@@ -21,26 +21,28 @@ from scanner.decoding.motion.trajectories import Trajectory
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import BY_CHANCE, HUBER_SIGMAS
 
-# Expected of shifts, in px, and of gains: what no pixel tells of stays small.
+# Prior standard deviation of shifts, in px, and of gains; it keeps unobservable ones small.
 _PRIOR = 1.0
 _ROUNDS = 3
-# What ripple makes of a single frame at rest, and of the mean of those of a fringe, as between halves.
+# Apparent motion at rest due to ripple: of a single frame, and of the mean of the frames of a fringe.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
-# Of what contradicts rest beside light, in squares: shifts explain more than 0.75 where frames were shifted, and less
-# than 0.35 where light that flickered was not told.
+# Least share of the residuals, in squares, beyond those of light. Shifts explain more than 0.75 of it where frames were
+# shifted, and less than 0.35 where flicker was not corrected.
 _LEAST_BY_SHIFTS = 0.5
-# In squares, two of eight frames that are each elsewhere have up to half; one that is late and its opposite step 0.97.
+# Largest share of two frames, in squares: up to half for eight independent frames, 0.97 for one late frame and its
+# opposite step.
 _MOST_OF_TWO = 0.75
-# One event explains all of what frames that it moved show; what is not linear about it is some hundredths.
+# One event explains nearly all of its effect; nonlinearity leaves a few hundredths.
 _MOST_BY_EVENT = 0.95
 
 
 @dataclass(frozen=True)
 class FrameShifts:
-    """Of N frames, taken as number `times` (N,) of the sequence: how far each shows the scene to the right and down,
-    `shift_px` (2, N), about their mean; with the `covariance` (2 N, 2 N) of these. `by_shifts`: the share that they
-    explain of what light leaves. `by_event`: how much of what they explain one bump or one even drift of both devices
-    explains.
+    """Shifts of N frames, taken at `times` (N,) of the sequence, relative to their mean.
+
+    `shift_px` (2, N): shift of the scene to the right and down, with its `covariance` (2 N, 2 N). `by_shifts`: share of
+    the residuals of a fit of light alone that the shifts explain. `by_event`: share of this that one bump or one even
+    drift explains.
     """
 
     times: Ints
@@ -51,7 +53,7 @@ class FrameShifts:
 
     @property
     def is_no_event(self) -> bool:
-        """Whether they differ by more than chance, and explain what no single event does."""
+        """Whether the shifts are significant, and not explained by a single event."""
         if self.by_event >= _MOST_BY_EVENT:
             return False
         shifts = self.shift_px.reshape(-1)
@@ -59,32 +61,33 @@ class FrameShifts:
         return squared > chi2.isf(BY_CHANCE, shifts.size - 2)
 
     @property
-    def are_told_from_light(self) -> bool:
-        """Whether they explain what light does not, and are of many frames: one that shows some of the last picture is
-        as if it and its opposite step were elsewhere.
+    def are_distinct_from_light(self) -> bool:
+        """Whether the shifts explain what changes of light do not, and many frames are shifted.
+
+        A frame with ghosting of the last picture looks as if it and the opposite step were shifted.
         """
         squares = np.sort(np.sum(self.shift_px**2, axis=0))
         return self.by_shifts > _LEAST_BY_SHIFTS and float(squares[-2:].sum()) < _MOST_OF_TWO * float(squares.sum())
 
     def between(self, shares: Floats) -> tuple[Floats, Floats]:
-        """The sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
+        """Return the sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
         both = np.kron(np.eye(2), shares)
         return self.shift_px @ shares, both @ self.covariance @ both.T
 
 
 def shifts_of_frames(plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float) -> FrameShifts | None:
-    """How far the frames of all fringes are moved against each other; None where too few pixels tell."""
+    """Measure the shifts of the frames of all fringes; None if there are too few usable pixels."""
     equations = frame_equations(plan, tiles, noise, saturation)
     return None if equations is None else _solved(equations)
 
 
 def _solved(equations: FrameEquations) -> FrameShifts:
-    """Robust least squares, with the scatter of tiles as the covariance."""
+    """Solve the equations by robust least squares, with a covariance from the scatter between tiles."""
     count = len(equations.times)
     columns = np.concatenate([equations.by_camera, equations.by_light, equations.by_projector])
     design, seen = columns.reshape(len(columns), -1), equations.seen.reshape(-1)
     expected = np.eye(len(columns)) / _PRIOR**2
-    # All to the right, all down, all brighter: nothing tells of that.
+    # A common shift or gain of all frames is unobservable.
     alike = 4 * count
     expected[:alike, :alike] += np.sum(design**2) * np.kron(np.eye(4), np.full((count, count), 1 / count))
     asked = slice(0, len(columns) - count)
@@ -107,7 +110,9 @@ def _solved(equations: FrameEquations) -> FrameShifts:
 
 
 def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """The unknowns (U,) that explain what is seen (M,); what is left, its weights (M,), the inverse normal matrix."""
+    """Fit unknowns (U,) to what is seen (M,); return them, the residuals and weights (M,), and the inverse normal
+    matrix.
+    """
     weight: Floats = np.ones(len(seen))
     for _ in range(_ROUNDS):
         weighted = design * weight
@@ -119,12 +124,12 @@ def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Flo
 
 
 def _scale(left: Floats) -> float:
-    """The standard deviation of what is left (M,), but for what is far off."""
+    """Return the robust standard deviation of the residuals (M,)."""
     return SIGMA_PER_MEDIAN * float(median(np.abs(left)))
 
 
 def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float:
-    """How much of what the shifts of all frames explain one event does, which moves both devices' pictures."""
+    """Return the share of what the shifts of all frames explain that one event, a motion of both devices, explains."""
     count = len(equations.times)
     unit = np.eye(len(right))
     camera, light, projector = np.split(unit, [2 * count, len(right) - count], axis=1)
@@ -135,24 +140,24 @@ def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float
         return float(towards @ np.linalg.solve(asked.T @ normal @ asked, towards))
 
     times = equations.times
-    courses = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
-    courses += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
+    trajectories = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
+    trajectories += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
 
-    def of_event(course: Trajectory) -> Floats:
-        share = course.at(times) - np.mean(course.at(times))
+    def of_event(trajectory: Trajectory) -> Floats:
+        share = trajectory.at(times) - np.mean(trajectory.at(times))
         along = [projector @ (share * (equations.axis == axis)) for axis in (0, 1)]
         return np.stack([camera[:, :count] @ share, camera[:, count:] @ share, *along], axis=1)
 
     nothing = explained(camera[:, :0])
-    best = max(explained(of_event(course)) for course in courses)
+    best = max(explained(of_event(trajectory)) for trajectory in trajectories)
     return (best - nothing) / max(explained(camera) - nothing, 1e-12)
 
 
 def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts, pixels: Pixels) -> MotionFound:
-    """What single frames were moved by, in the place of the event that was `found`."""
+    """Return a result for independent motion of the frames, in place of the event `found`."""
     x, y = (_shares(axis.fringes[-1], plan, shifts.times) for axis in plan.axes)
     apart, covariance = shifts.between(x - y)
-    # Half of it for x, and half of it for y: what both have in common is as if the rig had stood there.
+    # Half of it goes to x, and half to y: their common part is equivalent to another pose of the rig.
     half = np.zeros((2, 2, COLUMNS))
     half[0, :, PER_DEVICE : PER_DEVICE + 2] = np.eye(2) / 2
     half[1] = -half[0]
@@ -180,7 +185,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
 
 
 def _shares(fringe: Fringe, plan: SequencePlan, times: Ints) -> Floats:
-    """The share (N,) of the shift of each frame in the coordinate by a fringe, averaged over its phases."""
+    """Return the share (N,) of the shift of each frame in the coordinate from a fringe, averaged over its phases."""
     shares = np.zeros(len(times))
     angles = 2 * np.pi * np.array(fringe.shifts)
     of_frame = (fringe.weights[1] * np.cos(angles) - fringe.weights[2] * np.sin(angles)) / 2

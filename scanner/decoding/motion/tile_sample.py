@@ -1,4 +1,4 @@
-"""Small tiles of every frame: what motion between frames is measured from."""
+"""Small tiles of every fringe frame, from which motion between frames is measured."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,15 +11,15 @@ from calib.numerics import Bools, Floats, Image, Ints
 from scanner.decoding.arrays import Floats32
 
 TILE_PX = 10
-# So many tiles along each side of the image, as far as they fit.
+# Largest number of tiles along each side of the image.
 _MOST_ALONG = 24
 
 
 @dataclass
 class TileSample:
-    """Square tiles on a regular grid over images of `shape` (H, W), from those frames that are of fringes.
+    """Square tiles on a regular grid over the fringe frames, of `shape` (H, W).
 
-    Frames are numbered as they arrive.
+    Frames are numbered in the order of arrival.
     """
 
     shape: tuple[int, int]
@@ -27,20 +27,20 @@ class TileSample:
     _moved: Bools | None = None
 
     def leave_out(self, moved: Bools) -> None:
-        """Tell nothing of devices from pixels of the image (H, W) where something else moved."""
+        """Exclude pixels of the image (H, W) where objects moved."""
         self._moved = cast(Bools, self.of(moved))
 
     @property
     def resting(self) -> Bools:
-        """(P,): the pixels that tell of devices."""
+        """(P,): the pixels that were not excluded."""
         return np.ones(len(self.tile), np.bool_) if self._moved is None else ~self._moved
 
     def add(self, number: int, grey: Image) -> None:
-        """Take the tiles of a frame (H, W)."""
+        """Store the tiles of a frame (H, W)."""
         self._frames[number] = cast(Image, self.of(grey))
 
     def of(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
-        """The tiles of an image (H, W), one after the other, (P,)."""
+        """Return the pixels (P,) of an image (H, W) that lie in tiles, tile by tile."""
         (top, down, rows), (left, right, columns) = (_grid(size) for size in self.shape)
         part = image[top : top + rows * down, left : left + columns * right].reshape(rows, down, columns, right)
         tiles = part[:, :TILE_PX, :, :TILE_PX].swapaxes(1, 2)
@@ -48,12 +48,12 @@ class TileSample:
 
     @property
     def count(self) -> int:
-        """How many tiles there are; none in an image that is smaller than one."""
+        """Number of tiles; zero for an image smaller than one."""
         return _grid(self.shape[0])[2] * _grid(self.shape[1])[2]
 
     @cached_property
     def camera_px(self) -> Floats:
-        """(P, 2): where the pixels of the tiles are."""
+        """(P, 2): camera coordinates of the pixels."""
         (top, down, rows), (left, right, columns) = (_grid(size) for size in self.shape)
         y = top + np.arange(rows)[:, None, None, None] * down + np.arange(TILE_PX)[:, None]
         x = left + np.arange(columns)[:, None, None] * right + np.arange(TILE_PX)
@@ -61,16 +61,16 @@ class TileSample:
 
     @cached_property
     def tile(self) -> Ints:
-        """(P,): the number of the tile that each pixel belongs to."""
+        """(P,): the tile number of each pixel."""
         return np.repeat(np.arange(self.count), TILE_PX**2)
 
     @property
     def rows(self) -> Ints:
-        """(P,): the rows of the image that they are in."""
+        """(P,): the image row of each pixel."""
         return self.camera_px[:, 1].astype(np.int64)
 
     def divide(self, frame: int, by: Floats) -> None:
-        """Make a frame darker by so many times, (P,), if it is one of a fringe."""
+        """Divide the grey levels of a frame by a factor per pixel, (P,), if it is stored."""
         if frame in self._frames:
             self._frames[frame] = cast(Image, (self._frames[frame] / by).astype(np.float32))
 
@@ -80,7 +80,7 @@ class TileSample:
 
 
 def _grid(size: int) -> tuple[int, int, int]:
-    """Where the first tile begins along a side, from one to the next, and how many there are."""
+    """Return the start of the first tile along a side, their spacing, and their number."""
     count = min(_MOST_ALONG, size // TILE_PX)
     if not count:
         return 0, 1, 0

@@ -1,4 +1,4 @@
-"""What the fringes of a capture say of a motion that takes a certain course in time."""
+"""Observations of a motion with a given trajectory in time, from the fringes of a capture."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,16 +13,17 @@ from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.sequence_plan import SequencePlan
 
-# Successive fringes tell of a motion between them if their positions follow it at least this differently.
-_APART = 0.05
-# What bent brightness curves and interreflection do grows with the period: one that is longer by far tells nothing.
+# Successive fringes observe a motion between them if their responses to it differ by at least this.
+_LEAST_RESPONSE_DIFFERENCE = 0.05
+# Errors from nonlinear brightness curves and interreflection grow with the period: a much longer one is useless.
 _COMPARABLE = 4.0
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """How far a motion has come: from 0 to 1 at once between the frames `first` and `last`, or evenly from the one to
-    the other if it is `slow`.
+    """The completed share of a motion over time, from 0 to 1.
+
+    It is a step between the frames `first` and `last`, or a linear ramp from the one to the other if it is `slow`.
     """
 
     first: int
@@ -30,7 +31,7 @@ class Trajectory:
     slow: bool = False
 
     def at(self, times: Ints) -> Floats:
-        """The share (N,) of the motion that is done in frames (N,)."""
+        """Return the completed share (N,) of the motion in frames (N,)."""
         if self.slow:
             share: Floats = (times - self.first) / (self.last - self.first)
             return share
@@ -38,25 +39,26 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Showing:
-    """All frames of a fringe, repeats among them: the fit to them, and when they were taken, `times` (N,)."""
+class FringeObservation:
+    """The fit to all frames of a fringe, including repeats, and their `times` (N,) in the sequence."""
 
     fit: FringeFit
     times: Ints
 
-    def moved(self, course: Trajectory, motion_px: Floats) -> "Showing":
-        """The same, told of a motion (P,) of its pixels."""
-        return replace(self, fit=replace(self.fit, moved_px=course.at(self.times)[:, None] * motion_px))
+    def with_known_motion(self, trajectory: Trajectory, motion_px: Floats) -> "FringeObservation":
+        """Return a fit that takes a known motion (P,) of its pixels into account."""
+        return replace(self, fit=replace(self.fit, moved_px=trajectory.at(self.times)[:, None] * motion_px))
 
 
-# For x and for y, those of its fringes, longest first.
-Showings = tuple[tuple[Showing, ...], tuple[Showing, ...]]
+# The fringes of x and of y, longest first.
+FringeObservations = tuple[tuple[FringeObservation, ...], tuple[FringeObservation, ...]]
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What pixels say of a motion: `motion_px` with its `precision` (M,), and which says it: its `row` (M,) among the P
-    pixels for x, then the same for y.
+class MotionObservations:
+    """Observed motion: `motion_px` with its `precision` (M,).
+
+    `row` (M,): the coordinate observed, numbered by the P pixels for x, then by the same for y.
     """
 
     motion_px: Floats
@@ -64,10 +66,10 @@ class Seen:
     row: Ints
 
 
-def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showings:
-    """Those of a capture."""
+def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeObservations:
+    """Fit all fringes of a capture at the pixels."""
 
-    def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> Showing:
+    def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> FringeObservation:
         taken = [
             (shift, time)
             for shift, frame in zip(shifts, frames, strict=True)
@@ -76,45 +78,47 @@ def showings_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Showin
         ]
         times = np.array([time for _, time in taken])
         levels = tiles.levels(times.tolist(), pixels.number).astype(np.float64)
-        return Showing(FringeFit(levels, np.array([shift for shift, _ in taken]), period, pixels.noise), times)
+        return FringeObservation(
+            FringeFit(levels, np.array([shift for shift, _ in taken]), period, pixels.noise), times
+        )
 
     x, y = (tuple(of(each.frames, each.shifts, each.period) for each in axis.fringes) for axis in plan.axes)
     return x, y
 
 
 @dataclass(frozen=True)
-class Witnesses:
-    """The fringes, told of a motion, if only of none. What is left they tell."""
+class MotionObserver:
+    """Fits of fringes that take a known motion, or none, into account; what remains can be observed."""
 
-    showings: Showings
+    observations: FringeObservations
     pixels: Pixels
 
-    def tell(self, course: Trajectory) -> Seen:
-        """What they say of a motion of this course, beyond that of which they were told."""
+    def observe(self, trajectory: Trajectory) -> MotionObservations:
+        """Return the motion along this trajectory that remains beside the known motion."""
         parts = []
         every = np.arange(len(self.pixels))
-        for axis, (of_axis, apart) in enumerate(zip(self.showings, self._apart, strict=True)):
-            follows = [one.fit.follow(course.at(one.times)) for one in of_axis]
-            found = [(one.motion_px, one.precision) for one in follows]
-            for (before, after), known in zip(pairwise(follows), apart, strict=True):
+        for axis, (of_axis, apart) in enumerate(zip(self.observations, self._position_differences, strict=True)):
+            responses = [one.fit.response_to(trajectory.at(one.times)) for one in of_axis]
+            found = [(one.motion_px, one.precision) for one in responses]
+            for (before, after), known in zip(pairwise(responses), apart, strict=True):
                 if known is not None:
-                    found.append(_between(*known, after.response - before.response))
+                    found.append(_motion_between(*known, after.response - before.response))
             parts += [(*part, every + axis * len(every)) for part in found]
         motion_px, precision, row = (np.concatenate(column) for column in zip(*parts, strict=True))
-        says = precision > 0
-        return Seen(motion_px[says], precision[says], row[says])
+        is_informative = precision > 0
+        return MotionObservations(motion_px[is_informative], precision[is_informative], row[is_informative])
 
     @cached_property
-    def _apart(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
-        """Of x and y, per two successive fringes: how far their positions are apart (P,), and the variance of that.
+    def _position_differences(self) -> tuple[list[tuple[Floats, Floats] | None], ...]:
+        """For x and y, per two successive fringes: the difference of their positions (P,), and its variance.
 
-        Beside noise, they are apart by what interreflection and bent brightness curves do to each, which varies in a
-        tile. None where one period is longer by far.
+        Besides noise, the variance contains the scatter within a tile due to interreflection and nonlinear brightness
+        curves. None if one period is much longer than the other.
         """
         found = []
-        for axis, of_axis in enumerate(self.showings):
+        for axis, of_axis in enumerate(self.observations):
             of_pairs: list[tuple[Floats, Floats] | None] = []
-            # Told of a motion, every fringe puts a pixel where it was before: the longest as well as the others.
+            # With a known motion, every fringe gives the position before it: the longest as well as the others.
             longest = of_axis[0].fit
             coordinate = _nearest(longest, self.pixels.projector_px[:, axis] - longest.mean_moved_px)
             for longer, shorter in pairwise(one.fit for one in of_axis):
@@ -135,23 +139,25 @@ def _with_variance(apart_px: Floats, noise: Floats, tile: Ints) -> tuple[Floats,
     return apart_px, noise + max(spread**2 - median(noise), 0.0)
 
 
-def _between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
-    """What two fringes say by how far their positions are apart (P,): the motion, and its precision (P,).
+def _motion_between(apart_px: Floats, variance: Floats, response: Floats) -> tuple[Floats, Floats]:
+    """Return the motion and its precision (P,) from the difference of the positions of two fringes (P,).
 
-    `response` (P,): by how much the second follows a motion more than the first.
+    `response` (P,): how much more the second position follows a motion than the first.
     """
-    says = np.abs(response) > _APART
-    return np.where(says, apart_px / np.where(says, response, 1.0), 0.0), np.where(says, response**2 / variance, 0.0)
+    is_informative = np.abs(response) > _LEAST_RESPONSE_DIFFERENCE
+    return np.where(is_informative, apart_px / np.where(is_informative, response, 1.0), 0.0), np.where(
+        is_informative, response**2 / variance, 0.0
+    )
 
 
 def _nearest(fit: FringeFit, target: Floats) -> Floats:
-    """The coordinates (P,) with the fit's positions within the period that are nearest to the target."""
+    """Return the coordinates (P,) nearest to the target with the fit's positions within the period."""
     nearest: Floats = fit.position + fit.period * np.rint((target - fit.position) / fit.period)
     return nearest
 
 
 def _median_of_group(values: Floats, group: Ints) -> Floats:
-    """For each value (P,) the median of those of its group; the groups are in order."""
+    """Return for each value (P,) the median of its group; the groups are in order."""
     ordered = values[np.lexsort((values, group))]
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     counts = np.diff(starts, append=len(values))

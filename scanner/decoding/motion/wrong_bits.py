@@ -1,4 +1,4 @@
-"""What wrong bits leave where something moved: a shadow turns bits over that have no inverse; only coordinates tell."""
+"""Detection of wrong bits from the coordinates: a moving shadow flips bits that have no inverse to check them."""
 
 from typing import cast
 
@@ -14,21 +14,21 @@ from scanner.decoding.motion.cycles import in_wrong_cycles
 from scanner.decoding.motion.inconsistent_pixels import MOST, patches
 from scanner.decoding.sequence_plan import SequencePlan
 
-# How many cells neighbours are apart that are of no surface; and how much farther than most.
+# Neighbours on a surface are not farther apart than this many cells, nor this many times the usual distance.
 _FAR_CELLS, _TIMES_USUAL = 1.4, 4.0
 _AROUND = np.ones((5, 5), np.uint8)
 
 
 def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None:
-    """Mask, in place, what wrong bits have left, where something is known to have `moved` (H, W), or not.
+    """Mask, in place, pixels with wrong bits; `moved` (H, W): where something is known to have moved, or None.
 
-    Where fringes tell the position within a cycle, those that are in another cycle than the surface around them; where
-    codes are alone, patches in which pixels contradict themselves or their surface, if those are not most of all.
+    With fringes, these are the pixels with a period slip relative to their surface. With codes alone, they are patches
+    whose pixels are inconsistent or jump, unless such patches cover most of the picture.
     """
     wrong = in_wrong_cycles(plan, maps) if plan.fringes else _in_broken_patches(plan, maps)
     wrong &= maps.reason != MaskReason.DARK
     maps.reason[wrong] = np.uint8(MaskReason.MOVED)
-    # What is isolated on the border of another cycle would look like a code that is not that of the fringes.
+    # Isolated pixels on the border of another period would look like a code that does not belong to the fringes.
     near = cv2.dilate(wrong.astype(np.uint8), _AROUND) > 0
     maps.projector_px[wrong | (maps.reason != MaskReason.KEPT) & (near if moved is None else near | moved)] = np.nan
 
@@ -45,30 +45,33 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
 
 
 def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
-    """Pixels of the grid (h, w) that are farther from the next one than cells leave them, and not as far as the next
-    ones are from each other: those of a steep surface are.
+    """Return pixels of the grid (h, w) that are farther from their neighbour than cells explain.
+
+    Pixels on a steep surface are not counted, whose steps are all alike.
     """
     found = np.zeros(coarse.of(maps.reason).shape, np.bool_)
     for number, axis in enumerate(plan.axes):
         value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
         for jumps, at in ((found, value), (found.T, value.T)):
             steps = np.diff(at, axis=0)
-            far = _is_far(np.abs(steps), axis.cell) & _is_far(_beside_next(steps), axis.cell)
+            far = _is_far(np.abs(steps), axis.cell) & _is_far(_step_change(steps), axis.cell)
             jumps[:-1] |= far
             jumps[1:] |= far
     return found
 
 
 def _is_far(distance: Floats32, cell: float) -> Bools:
-    """(h, w), NaN where unknown; which is not far."""
+    """Return which distances (h, w) are far; NaN, unknown, is not."""
     known = np.isfinite(distance)
     usual = median(distance[known]) if known.any() else 0.0
     return known & (distance > max(_FAR_CELLS * cell, _TIMES_USUAL * usual))
 
 
-def _beside_next(steps: Floats32) -> Floats32:
-    """By how much each step (h, w), from one row to the next, differs from the one before or after it, whichever is the
-    more like it; itself, where both are unknown; NaN where it is.
+def _step_change(steps: Floats32) -> Floats32:
+    """Return the difference of each step (h, w) between rows from the more similar one of the steps before and after
+    it.
+
+    It is the step itself if both are unknown, and NaN if the step is.
     """
     others = np.full((2, *steps.shape), np.nan, np.float32)
     others[0, 1:], others[1, :-1] = steps[:-1], steps[1:]

@@ -1,4 +1,4 @@
-"""When it was that pictures of the same scene changed."""
+"""Locating the time of a change in a series of pictures of one scene."""
 
 import numpy as np
 import pytest
@@ -12,20 +12,20 @@ STRIPES = (16.0, 8.0, 4.0, 2.0, 1.0) * 2
 
 
 def picture(shift: int) -> Image:
-    """A wavy scene, so many pixels to the right."""
+    """Return a wavy scene, shifted to the right by so many pixels."""
     x = np.arange(SHAPE[1]) - shift
     return np.broadcast_to(120 + 60 * np.sin(x / 3), SHAPE).astype(np.uint8)
 
 
 @pytest.mark.parametrize("changed", [2, 5, 8])
-def test_a_change_is_where_it_was(changed: int) -> None:
+def test_a_change_is_located(changed: int) -> None:
     moment = moment_of([picture(number >= changed) for number in range(10)], EVERYWHERE, 4, STRIPES)
     assert moment is not None
     assert (moment.before, moment.after) == (tuple(range(changed)), tuple(range(changed, 10)))
     assert 1.3 < moment.gained < 20
 
 
-def test_a_picture_of_before_and_after() -> None:
+def test_a_picture_taken_during_the_change() -> None:
     pictures = [picture(number >= 5) for number in range(10)]
     pictures[5] = ((picture(0).astype(np.float64) + picture(1)) / 2).astype(np.uint8)
     moment = moment_of(pictures, EVERYWHERE, 4, STRIPES)
@@ -40,12 +40,12 @@ def test_an_even_picture_never_changes() -> None:
     assert moment.gained < 1.3
 
 
-def test_too_few_pixels_tell_nothing() -> None:
+def test_too_few_pixels_give_no_result() -> None:
     few = np.zeros(SHAPE, np.bool_)
     few[:10, :10] = True
     assert moment_of([picture(0), picture(1), picture(1)], few, 1, STRIPES[:3]) is None
 
 
 @pytest.mark.parametrize("narrow", [1.0, 2.0, 4.0])
-def test_pictures_that_differ_by_their_stripes_are_no_change(narrow: float) -> None:
+def test_differences_between_stripe_widths_are_not_taken_for_a_change(narrow: float) -> None:
     assert moment_of([picture(width <= narrow) for width in STRIPES], EVERYWHERE, 5, STRIPES) is None

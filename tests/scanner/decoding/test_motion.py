@@ -1,4 +1,4 @@
-"""Motion during a capture of the made-up scene: the projector's picture moves by a known number of pixels."""
+"""Motion during a capture of a synthetic scene: the projector's picture moves by a known number of pixels."""
 
 import re
 from collections.abc import Callable
@@ -19,13 +19,13 @@ from tests.support.synthetic_capture import Light, Scene, decode
 
 SCENE = Scene()
 STANDARD = sequence_for(SCENE.projector)
-# As other programs show them: all along x, then all along y.
+# The order of other programs: all patterns along x, then all along y.
 APART = tuple(sorted(STANDARD, key=lambda pattern: getattr(pattern, "axis", "")))
 
 
 @dataclass(frozen=True)
 class Moved(Scene):
-    """The scene after the picture has moved."""
+    """Return the scene after the projector's picture has moved."""
 
     right_px: float = 0.0
     down_px: float = 0.0
@@ -55,7 +55,7 @@ def found(decoding: Decoding) -> MotionFound:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_rest_is_no_motion(preset: PresetName) -> None:
+def test_no_motion_is_found_at_rest(preset: PresetName) -> None:
     motion = found(SCENE.decode(PRESETS[preset].patterns(SCENE.projector)))
     assert not motion.significant
     assert motion.unseen == ()
@@ -73,7 +73,7 @@ def test_a_bump_among_the_fringes(px: float, before_the_end: int) -> None:
     assert str(motion).startswith("the projector")
 
 
-def test_a_drift_shifts_neither_axis_against_the_other() -> None:
+def test_a_drift_does_not_shift_the_axes_against_each_other() -> None:
     total_px, count = 1.0, len(STANDARD)
     decoding = decode(
         STANDARD, frames(STANDARD, lambda n: (total_px * n / count, total_px * n / count)), SCENE.projector
@@ -85,20 +85,20 @@ def test_a_drift_shifts_neither_axis_against_the_other() -> None:
     assert abs(x - y) < 0.03
 
 
-def test_a_large_bump_is_too_large() -> None:
+def test_a_large_bump_is_refused() -> None:
     motion = found(bumped(STANDARD, len(STANDARD) - 10, 0.9, 0.9))
     assert motion.is_too_large
     assert re.match(r"the projector moved by about 1\.\d px or more between frames 31 and 32", str(motion))
 
 
-def test_a_bump_that_may_be_other_parts_of_periods_is_not_told_by_its_size() -> None:
+def test_a_bump_of_ambiguous_size_is_given_a_lower_bound() -> None:
     motion = found(bumped(STANDARD, len(STANDARD) - 10, 1.2, 1.2))
     assert motion.is_too_large
     assert "moved by more than 0.84 projector pixels between" in str(motion)
 
 
 def test_coordinates_have_the_share_of_the_shortest_fringe_in_a_bump() -> None:
-    """A lens out of focus makes the longer fringe the surer one, and yet all are brought to the mean of the shorter."""
+    """Even if blur makes the longer fringe more precise, the shorter one determines the mean."""
     patterns, px = PRESETS["concave"].patterns(SCENE.projector), 0.2
     at = next(n for n, p in enumerate(patterns) if p == Phase("x", 8.43, 0.75))
     blurred = [
@@ -115,7 +115,7 @@ def test_coordinates_have_the_share_of_the_shortest_fringe_in_a_bump() -> None:
     assert abs(x - y) < 0.02
 
 
-def test_fringes_that_a_bump_has_broken_are_blamed_on_it() -> None:
+def test_inconsistent_fringes_are_attributed_to_the_bump() -> None:
     motion = found(bumped(STANDARD, len(STANDARD) - 2, 1.5, 1.5))
     assert motion.is_too_large
     assert str(motion).startswith("the projector")
@@ -132,7 +132,7 @@ def test_a_bump_before_the_fringes_changes_nothing() -> None:
 
 @dataclass(frozen=True)
 class Panned(Scene):
-    """The scene after a projector of a focal length of 1.5 widths has panned or tilted: its sides move more."""
+    """Return the scene after a projector of focal length 1.5 widths has panned or tilted: its sides move more."""
 
     right_px: float = 0.0
     down_px: float = 0.0
@@ -156,9 +156,7 @@ class Panned(Scene):
         ("standard", -15.8, 0.3, "x by about 16"),
     ],
 )
-def test_a_knock_of_a_whole_period_between_code_and_fringes(
-    preset: PresetName, right_px: float, down_px: float, said: str
-) -> None:
+def test_a_period_slip_between_code_and_fringes(preset: PresetName, right_px: float, down_px: float, said: str) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
     after = Panned(SCENE.camera, SCENE.projector, right_px=right_px, down_px=down_px)
     frames = [
@@ -172,7 +170,7 @@ def test_a_knock_of_a_whole_period_between_code_and_fringes(
         decode(patterns, frames, SCENE.projector)
 
 
-def test_a_small_bump_among_the_codes_is_not_said_to_be_large() -> None:
+def test_a_small_bump_during_the_codes_is_not_reported_as_large() -> None:
     patterns = PRESETS["quick"].patterns(SCENE.projector)
     after = Panned(SCENE.camera, SCENE.projector, right_px=1.5, down_px=0.3)
     frames = [(after if number >= 6 else SCENE).frame(pattern, number) for number, pattern in enumerate(patterns)]
@@ -185,20 +183,20 @@ FIRST_OF_Y = next(number for number, pattern in enumerate(APART) if getattr(patt
 
 @dataclass(frozen=True)
 class Turned(Scene):
-    """The scene after the camera has turned, so that all of it has moved in its picture."""
+    """Return the scene after the camera has turned, which shifts the whole picture."""
 
     right_px: float = 0.0
     down_px: float = 0.0
 
     def frame(self, pattern: Pattern, number: int) -> Image:
         still = super().frame(pattern, number)
-        # OpenCV's cubic interpolation moves ramps by up to 0.05 px too far.
+        # OpenCV's cubic interpolation shifts ramps by up to 0.05 px.
         moved = ndimage.shift(still.astype(np.float64), (self.down_px, self.right_px), order=3, mode="nearest")
         return np.rint(np.clip(moved, 0, 255)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("patterns", [APART, tuple(p for p in APART if not isinstance(p, Phase))])
-def test_axes_apart_at_rest(patterns: tuple[Pattern, ...]) -> None:
+def test_no_motion_is_found_between_the_axes_at_rest(patterns: tuple[Pattern, ...]) -> None:
     inside, whole = (found(replace(SCENE, zoom=zoom).decode(patterns)) for zoom in (0.5, 1.6))
     assert not inside.significant
     assert not whole.significant
@@ -224,7 +222,7 @@ def test_a_camera_that_turned_between_the_axes(right_px: float, down_px: float) 
 
 
 @pytest.mark.parametrize("px", [0.4, 3.0])
-def test_a_camera_that_turned_among_the_fringes_is_not_taken_for_another_motion(px: float) -> None:
+def test_a_camera_turn_during_the_fringes_is_not_attributed_to_the_axes(px: float) -> None:
     at = len(STANDARD) - 5
     after = Turned(SCENE.camera, SCENE.projector, right_px=px, down_px=px / 2)
     frames = [(after if number >= at else SCENE).frame(pattern, number) for number, pattern in enumerate(STANDARD)]
@@ -236,7 +234,7 @@ def test_a_camera_that_turned_among_the_fringes_is_not_taken_for_another_motion(
     assert "each somewhere else" not in said
 
 
-def test_frames_that_are_each_somewhere_else() -> None:
+def test_independent_motion_of_each_frame() -> None:
     moves = np.random.default_rng(3).uniform(-0.25, 0.25, (len(STANDARD), 2))
     frames = [
         Turned(SCENE.camera, SCENE.projector, right_px=right, down_px=down).frame(pattern, number)
@@ -268,7 +266,7 @@ CODES = tuple(pattern for pattern in APART if not isinstance(pattern, Phase))
 @pytest.mark.parametrize(
     ("patterns", "right_px", "down_px"), [(APART, 0.1, 0.25), (CODES, -0.2, 0.1), (CODES, -6.0, 5.0), (CODES, 4.0, 9.0)]
 )
-def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_picture(
+def test_a_projector_turn_between_the_axes_is_measured_at_the_border(
     patterns: tuple[Pattern, ...], right_px: float, down_px: float
 ) -> None:
     whole = replace(Moved(SCENE.camera, SCENE.projector), zoom=1.6)
@@ -279,7 +277,7 @@ def test_a_projector_that_turned_between_the_axes_shows_by_the_border_of_its_pic
     ]
     motion = found(decode(patterns, frames, SCENE.projector))
     assert motion.significant
-    # This picture moves evenly, as no projector's does that turns.
+    # This picture shifts uniformly, unlike that of a projector that turns.
     assert motion.motion[:2] == pytest.approx((right_px, down_px), abs=max(0.04, 0.1 * np.hypot(right_px, down_px)))
     assert "the projector moved by" in str(motion)
     assert motion.is_too_large == (abs(down_px) > 0.5)
@@ -298,7 +296,7 @@ def test_a_camera_that_turned_before_the_finest_bits_of_a_code(pairs_after: int)
     assert motion.shift.motions[1, 5] == pytest.approx(share * px, abs=0.05)
 
 
-def test_stripes_that_flicker_leaves_are_no_motion() -> None:
+def test_stripes_due_to_flicker_are_not_taken_for_motion() -> None:
     brightness = 1 + np.random.default_rng(4).uniform(-0.15, 0.15, len(CODES))
     frames = replace(SCENE, zoom=1.6).frames(CODES)
     flickering = [np.rint(factor * each).astype(np.uint8) for factor, each in zip(brightness, frames, strict=True)]
@@ -307,7 +305,7 @@ def test_stripes_that_flicker_leaves_are_no_motion() -> None:
     assert 0.005 < max(float(np.abs(each.motions).max()) for each in motion.unseen) < 0.05
 
 
-def test_the_first_axis_again_is_a_witness() -> None:
+def test_repeating_the_first_axis_observes_the_motion() -> None:
     again = (*APART, *tuple(phase_sequence("x", 6.7, 4))[:2])
     assert found(SCENE.decode(again)).significant is False
     motion = found(bumped(again, FIRST_OF_Y, 0.3))
@@ -317,7 +315,7 @@ def test_the_first_axis_again_is_a_witness() -> None:
     assert 0.2 < motion.size_px < 0.4
 
 
-def test_a_drift_that_explains_little_of_what_is_seen_is_not_taken_back() -> None:
+def test_a_drift_that_explains_little_is_not_corrected() -> None:
     seen = found(bumped(STANDARD, 30, 0.1, 0.25))
     drift = replace(seen, significant=True, slow=True, size_px=1.5, explained=0.9)
     assert not drift.is_too_large
@@ -331,7 +329,7 @@ def test_a_bump_of_several_px_in_the_middle_of_a_fringe_is_named() -> None:
         bumped(patterns, 27, 5.0, -4.0)
 
 
-def test_a_bump_in_the_middle_of_a_code_leaves_pixels_a_period_apart() -> None:
+def test_a_bump_during_a_code_causes_period_slips() -> None:
     patterns = PRESETS["quick"].patterns(SCENE.projector)
     apart = tuple(sorted(patterns, key=lambda pattern: getattr(pattern, "axis", "")))
     of_code = [n for n, pattern in enumerate(apart) if isinstance(pattern, Gray) and pattern.axis == "y"]

@@ -1,4 +1,4 @@
-"""The loops that motion is measured with, against made-up motions and against the same in NumPy."""
+"""The compiled loops of motion measurement, against known motions and against NumPy."""
 
 import numpy as np
 import pytest
@@ -10,34 +10,34 @@ from scanner.decoding.motion.rigid import COLUMNS, fit_motion
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 
 PERIOD, SHIFTS = 8.0, np.arange(6) / 6
-# In the frames, how much of the motion is done.
-COURSE = np.array([0.0, 0.0, 0.0, 0.4, 1.0, 1.0])
+# The completed share of the motion in each frame.
+TRAJECTORY = np.array([0.0, 0.0, 0.0, 0.4, 1.0, 1.0])
 
 
 def fringe(motion_px: float) -> FringeFit:
-    """Of 500 pixels that have moved so far."""
+    """A fringe in 500 pixels that move by `motion_px`."""
     rng = np.random.default_rng(4)
     position, amplitude = rng.uniform(0, PERIOD, 500), rng.uniform(20, 90, 500)
-    angle = 2 * np.pi * ((position + motion_px * COURSE[:, None]) / PERIOD + SHIFTS[:, None])
+    angle = 2 * np.pi * ((position + motion_px * TRAJECTORY[:, None]) / PERIOD + SHIFTS[:, None])
     return FringeFit(100 + amplitude * np.cos(angle), SHIFTS, PERIOD, np.full(500, 2.0))
 
 
-@pytest.mark.parametrize("told_px", [None, 0.0])
-def test_a_fringe_tells_how_far_its_pixels_moved_and_what_that_did_to_them(told_px: float | None) -> None:
+@pytest.mark.parametrize("known_px", [None, 0.0])
+def test_a_fringe_measures_a_motion_and_its_response_to_it(known_px: float | None) -> None:
     rest, moved = fringe(0.0), fringe(1e-3)
-    if told_px is not None:  # that pixels have moved so far, each its own
-        moved = FringeFit(moved.levels, SHIFTS, PERIOD, moved.noise, np.full((6, 500), told_px))
-    follows = moved.follow(COURSE)
+    if known_px is not None:  # a known motion of each pixel
+        moved = FringeFit(moved.levels, SHIFTS, PERIOD, moved.noise, np.full((6, 500), known_px))
+    observed = moved.response_to(TRAJECTORY)
     shifted = (moved.position - rest.position + PERIOD / 2) % PERIOD - PERIOD / 2
-    assert np.median(np.abs(follows.response - shifted / 1e-3)) < 2e-3
-    assert 0.2 < np.median(follows.response) < 0.8
-    # Less what two numbers for all pixels take of it, in the place of a second harmonic.
-    assert np.median(follows.motion_px) == pytest.approx(1e-3, rel=0.1)
-    assert np.all(follows.precision > 0)
-    assert not rest.follow(np.ones(6)).precision.any()
+    assert np.median(np.abs(observed.response - shifted / 1e-3)) < 2e-3
+    assert 0.2 < np.median(observed.response) < 0.8
+    # The fit of a second harmonic, two numbers for all pixels, takes away a little of it.
+    assert np.median(observed.motion_px) == pytest.approx(1e-3, rel=0.1)
+    assert np.all(observed.precision > 0)
+    assert not rest.response_to(np.ones(6)).precision.any()
 
 
-def test_the_motion_is_the_robust_mean_of_what_pixels_say() -> None:
+def test_the_motion_is_the_robust_mean_of_the_observations() -> None:
     rng = np.random.default_rng(7)
     design, group = rng.normal(0, 1, (300, COLUMNS)), np.repeat(np.arange(30), 10)
     row = np.concatenate([np.arange(300), rng.integers(0, 300, 500)])

@@ -1,4 +1,4 @@
-"""Devices and people that do not behave: decoded all the same, and said so; what it cannot be is still refused."""
+"""Captures with anomalies due to devices or people are decoded with a warning; real errors are still refused."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from scanner.patterns import Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, decode, dimmed
 
 SCENE = Scene(camera=(400, 300), projector=(400, 260))
-# Ambient light is stronger than the projector's, so that a brighter frame is brighter by more than a bit.
+# Ambient light is stronger than the projector's, so that a brighter frame changes by more than a bit does.
 BRIGHT_ROOM = replace(SCENE, exposure=60.0, ambient=70.0, black_level=0.03)
 STANDARD = sequence_for(SCENE.projector)
 CODE = sequence_for(SCENE.projector, shifts=0, cell=1)
@@ -104,7 +104,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_an_odd_capture_decodes(case: Case) -> None:
+def test_a_capture_with_an_anomaly_decodes(case: Case) -> None:
     frames = [np.rint(np.clip(f, 0, 255)).astype(np.uint8) for f in case.change(case.scene.frames(case.patterns))]
     decoding = decode(case.patterns, frames, case.scene.projector)
     errors = np.abs(case.scene.errors(decoding))
@@ -120,7 +120,7 @@ def test_an_odd_capture_decodes(case: Case) -> None:
 
 # The last: lit in a fifth of the image only.
 @pytest.mark.parametrize(("quality", "scene"), [(50, SCENE), (85, SCENE), (70, replace(SCENE, zoom=2.0))])
-def test_what_a_file_format_leaves_out_is_in_the_sigma(quality: int, scene: Scene) -> None:
+def test_lossy_compression_raises_the_sigma(quality: int, scene: Scene) -> None:
     frames = []
     for frame in scene.frames(QUICK):
         _, compressed = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -136,7 +136,7 @@ def test_what_a_file_format_leaves_out_is_in_the_sigma(quality: int, scene: Scen
 
 
 @pytest.mark.parametrize("scene", [replace(SCENE, projector_blur_px=2.5), replace(SCENE, camera_blur_px=3.0)])
-def test_bits_that_are_not_resolved_are_left_out(scene: Scene) -> None:
+def test_unresolved_bits_are_ignored(scene: Scene) -> None:
     decoding = scene.decode(CODE)
     assert any("was left out: cells of 2 px" in warning for warning in decoding.warnings)
     assert 5_000 < len(decoding.matches) < 30_000, "a few hundred with all bits"

@@ -1,4 +1,4 @@
-"""Frames that are each somewhere else are told from light that some of them have too much of."""
+"""Independent shifts of single frames are distinguished from changes of light."""
 
 import numpy as np
 import pytest
@@ -15,19 +15,19 @@ def shifts(shift_px: np.ndarray, by_shifts: float = 0.9) -> FrameShifts:
 
 
 @given(seed=st.integers(0, 1000), size_px=st.floats(0.1, 0.5))
-def test_shifts_of_all_frames_are_told_from_light(seed: int, size_px: float) -> None:
+def test_shifts_of_all_frames_are_distinguished_from_light(seed: int, size_px: float) -> None:
     found = shifts(np.random.default_rng(seed).choice([-1, 1], (2, COUNT)) * size_px)
     assert found.is_no_event
-    assert found.are_told_from_light
+    assert found.are_distinct_from_light
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.45, True), (0.8, False), (0.97, False)])
-def test_a_late_frame_and_its_opposite_step_are_none(share: float, told: bool) -> None:
+@pytest.mark.parametrize(("share", "is_motion"), [(0.45, True), (0.8, False), (0.97, False)])
+def test_ghosting_in_a_frame_is_not_taken_for_shifts(share: float, is_motion: bool) -> None:
     squares = np.full(COUNT, (1 - share) / (COUNT - 2))
     squares[[1, 6]] = share / 2
-    assert shifts(0.5 * np.sqrt(np.stack([squares, squares]))).are_told_from_light == told
+    assert shifts(0.5 * np.sqrt(np.stack([squares, squares]))).are_distinct_from_light == is_motion
 
 
-@pytest.mark.parametrize(("by_shifts", "told"), [(0.3, False), (0.8, True)])
-def test_what_shifts_do_not_explain_is_light(by_shifts: float, told: bool) -> None:
-    assert shifts(np.full((2, COUNT), 0.2), by_shifts).are_told_from_light == told
+@pytest.mark.parametrize(("by_shifts", "is_motion"), [(0.3, False), (0.8, True)])
+def test_what_shifts_do_not_explain_is_light(by_shifts: float, is_motion: bool) -> None:
+    assert shifts(np.full((2, COUNT), 0.2), by_shifts).are_distinct_from_light == is_motion

@@ -1,4 +1,4 @@
-"""Segments of a surface in which a wrong bit named another cycle; edges of surfaces are none."""
+"""Period slips of segments of a surface, which edges of surfaces are not."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ SHADOW = np.s_[20:100, 60:90]
 
 
 def maps(px: np.ndarray, border: Bools) -> Maps:
-    """Coordinates (H, W, 2), with pixels on a border left out, as what is not smooth is."""
+    """Return maps of coordinates (H, W, 2), without the pixels on a border, which are masked as not smooth."""
     left_out = border | np.roll(border, 1, axis=0) | np.roll(border, 1, axis=1)
     reason = np.where(left_out, np.uint8(MaskReason.ISOLATED), np.uint8(MaskReason.KEPT))
     noisy = px + np.random.default_rng(3).normal(0, 0.05, px.shape)
@@ -28,19 +28,19 @@ def maps(px: np.ndarray, border: Bools) -> Maps:
 
 
 def wall() -> np.ndarray:
-    """(H, W, 2): a wall, seen somewhat obliquely."""
+    """Return the coordinates (H, W, 2) of a wall seen obliquely."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     near = 1 + 0.001 * u
     return np.stack([30 + 1.6 * u / near, 20 + (1.4 * v + 0.1 * u) / near], axis=2)
 
 
 def edge(shown: Bools) -> Bools:
-    """Where it begins and ends."""
+    """Return the pixels on the border of the mask."""
     return (shown != np.roll(shown, -1, axis=0)) | (shown != np.roll(shown, -1, axis=1))
 
 
 @pytest.mark.parametrize(("axis", "stripe_px", "cycles"), [(0, 16.0, 1), (0, 64.0, -3), (1, 16.0, 2)])
-def test_lit_stripes_in_a_shadow_are_wrong_and_dark_ones_are_not(axis: int, stripe_px: float, cycles: int) -> None:
+def test_only_lit_stripes_slip_in_a_shadow(axis: int, stripe_px: float, cycles: int) -> None:
     px = wall()
     shadow = np.zeros(SHAPE, np.bool_)
     shadow[SHADOW] = True
@@ -54,7 +54,7 @@ def test_lit_stripes_in_a_shadow_are_wrong_and_dark_ones_are_not(axis: int, stri
     assert 500 < np.count_nonzero(turned & kept) < 2000
 
 
-def test_a_thing_in_front_of_the_wall_is_no_other_cycle() -> None:
+def test_an_object_before_the_wall_is_no_period_slip() -> None:
     px = wall()
     thing = np.zeros(SHAPE, np.bool_)
     thing[30:90, 40:100] = True
@@ -62,8 +62,8 @@ def test_a_thing_in_front_of_the_wall_is_no_other_cycle() -> None:
     assert not in_wrong_cycles(PLAN, maps(px, edge(thing))).any()
 
 
-def test_a_steep_surface_is_no_patch_of_wrong_bits() -> None:
-    """Where codes are alone, beside a wall on which most of the next pixels are of the same cell."""
+def test_a_steep_surface_is_not_masked_as_wrong_bits() -> None:
+    """With codes alone, beside a wall on which most neighbours share a cell."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
     floor = v > 60 + 0.1 * u
     px = np.floor(np.stack([30 + 0.6 * u, 20 + 0.4 * v + 3.2 * np.maximum(v - 60 - 0.1 * u, 0)], axis=2))

@@ -1,4 +1,4 @@
-"""Something moves in a part of the picture while frames are taken: that part is masked, and the rest is right."""
+"""An object moves in a part of the picture during a capture: that part is masked, and the rest is correct."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,12 +8,12 @@ import pytest
 
 from calib.numerics import Bools, Image
 from scanner.decoding import Decoding
-from scanner.decoding.checks.contradictions import Oddity
+from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.learning import _passed_over
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion import CoarseFrames, find_unrest
-from scanner.decoding.motion.inconsistent_pixels import Unrest
+from scanner.decoding.motion import CoarseFrames, find_inconsistent_pixels
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
@@ -21,19 +21,19 @@ from tests.support.synthetic_capture import Scene, decode
 
 SCENE = Scene()
 STANDARD = sequence_for(SCENE.projector)
-# Another surface at another place, twice as bright: who walks by is closer to the projector.
+# Another surface, twice as bright: a passing person is closer to the projector.
 OTHER = replace(SCENE, turn_deg=-20.0, zoom=0.6, exposure=400.0, seed=2)
-# The same place in the shadow of something.
+# The same scene in a shadow.
 SHADED = replace(SCENE, exposure=0.1 * SCENE.exposure)
-# Of the camera's 225 × 300 pixels.
+# A part of the camera's 225 × 300 pixels.
 PLACE = np.s_[60:190, 200:250]
 EVERYWHERE = np.s_[:, :]
 
 
-def passed(
+def with_passing_object(
     patterns: Sequence[Pattern], numbers: Sequence[int], place: tuple[slice, slice] = PLACE, other: Scene = OTHER
 ) -> list[Image]:
-    """Frames that show something else in some place, in those of some numbers."""
+    """Return frames of which those in `numbers` show another scene at `place`."""
     frames = SCENE.frames(patterns)
     for number in numbers:
         frames[number] = frames[number].copy()
@@ -41,8 +41,8 @@ def passed(
     return frames
 
 
-def around(margin_px: int) -> Bools:
-    """(H, W): the place, and so many pixels around it."""
+def around_place(margin_px: int) -> Bools:
+    """Return the mask (H, W) of the place, dilated by a margin."""
     chosen = np.zeros(SCENE.camera[::-1], np.bool_)
     rows, columns = PLACE
     chosen[rows.start - margin_px : rows.stop + margin_px, columns.start - margin_px : columns.stop + margin_px] = True
@@ -50,12 +50,12 @@ def around(margin_px: int) -> Bools:
 
 
 def of_fringes(patterns: Sequence[Pattern]) -> set[int]:
-    """Numbers of the frames that show fringes."""
+    """Return the numbers of the frames that show fringes."""
     return {number for number, pattern in enumerate(patterns) if isinstance(pattern, Phase)}
 
 
 def wrong(decoding: Decoding) -> float:
-    """The share of the matches that are off by more than a pixel."""
+    """Return the share of matches with an error above one pixel."""
     return float(np.mean(np.abs(SCENE.errors(decoding)).max(axis=1) > 1))
 
 
@@ -69,22 +69,22 @@ def wrong(decoding: Decoding) -> float:
         ("quick", 15, "phase"),
     ],
 )
-def test_who_goes_past_is_masked(preset: PresetName, first: int, named: str) -> None:
+def test_a_passing_object_is_masked(preset: PresetName, first: int, named: str) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
-    decoding = decode(patterns, passed(patterns, range(first, first + 4)), SCENE.projector)
+    decoding = decode(patterns, with_passing_object(patterns, range(first, first + 4)), SCENE.projector)
     moved, kept, lit = decoding.reasons == MaskReason.MOVED, decoding.reasons == MaskReason.KEPT, SCENE.well_lit()
-    assert np.mean(kept[lit & ~around(6)]) > 0.99
-    assert np.mean(moved & ~around(6)) < 0.005, "the place has 0.1"
+    assert np.mean(kept[lit & ~around_place(6)]) > 0.99
+    assert np.mean(moved & ~around_place(6)) < 0.005, "the place has 0.1"
     if first in of_fringes(patterns):
-        assert np.mean(moved[around(-4) & lit]) > 0.95
+        assert np.mean(moved[around_place(-4) & lit]) > 0.95
     else:
-        assert 0.1 < np.mean(kept[around(-4) & lit]) < 0.9, "fringes tell where the codes were right"
+        assert 0.1 < np.mean(kept[around_place(-4) & lit]) < 0.9, "fringes tell where the codes were right"
     assert wrong(decoding) < 0.002
     assert any("Something moved in" in warning and named in warning for warning in decoding.warnings)
 
 
-def test_who_crosses_nearly_all_of_the_picture_is_masked_where_that_was() -> None:
-    """A third at a time, here in a pair of bits, there in another, and amid the steps of a fringe."""
+def test_an_object_crossing_the_picture_is_masked_where_it_was_seen() -> None:
+    """A third of the picture at a time: in one pair of bits, in another, and in some steps of a fringe."""
     frames, lit = SCENE.frames(STANDARD), SCENE.well_lit()
     columns = np.flatnonzero(lit.any(axis=0))
     edges = np.quantile(columns, [0.0, 0.31, 0.62, 0.93]).astype(int)
@@ -101,18 +101,20 @@ def test_who_crosses_nearly_all_of_the_picture_is_masked_where_that_was() -> Non
     assert wrong(decoding) < 0.005
 
 
-def test_what_is_pushed_aside_is_masked_where_it_was_and_is() -> None:
-    frames = passed(STANDARD, range(30, len(STANDARD)), other=replace(SCENE, turn_deg=9.0))
+def test_a_displaced_object_is_masked_at_its_old_and_new_place() -> None:
+    frames = with_passing_object(STANDARD, range(30, len(STANDARD)), other=replace(SCENE, turn_deg=9.0))
     decoding = decode(STANDARD, frames, SCENE.projector)
-    assert 0.5 < np.mean((decoding.reasons == MaskReason.MOVED)[around(-4)]) < 0.8, "not all of what is there changed"
+    assert 0.5 < np.mean((decoding.reasons == MaskReason.MOVED)[around_place(-4)]) < 0.8, (
+        "not all of what is there changed"
+    )
     assert wrong(decoding) < 0.005
 
 
 @pytest.mark.parametrize("first_from_end", [6, 10], ids=["only fine bits after it", "coarse ones as well"])
-def test_a_large_thing_is_masked_where_codes_are_alone(first_from_end: int) -> None:
+def test_a_large_object_is_masked_in_codes_without_fringes(first_from_end: int) -> None:
     patterns = sequence_for(SCENE.projector, cell=2, shifts=0)
     large, lit = np.s_[20:205, 60:240], SCENE.well_lit()
-    frames = passed(patterns, range(len(patterns) - first_from_end, len(patterns)), large)
+    frames = with_passing_object(patterns, range(len(patterns) - first_from_end, len(patterns)), large)
     decoding = decode(patterns, frames, SCENE.projector)
     assert 0.3 < np.count_nonzero(lit[large]) / np.count_nonzero(lit) < 0.6
     assert np.mean((decoding.reasons == MaskReason.MOVED)[large][lit[large]]) > 0.95
@@ -120,23 +122,23 @@ def test_a_large_thing_is_masked_where_codes_are_alone(first_from_end: int) -> N
 
 
 @pytest.mark.parametrize("of_coarse_bit", [4, 9])
-def test_a_shadow_amid_coarse_bits_alone_costs_the_pixels_that_were_lit(of_coarse_bit: int) -> None:
+def test_a_shadow_in_a_coarse_bit_masks_only_the_pixels_that_were_lit(of_coarse_bit: int) -> None:
     patterns = sequence_for(SCENE.projector, cell=2, shifts=0)
     large, lit = np.s_[20:205, 60:240], SCENE.well_lit()
-    decoding = decode(patterns, passed(patterns, [of_coarse_bit], large, SHADED), SCENE.projector)
+    decoding = decode(patterns, with_passing_object(patterns, [of_coarse_bit], large, SHADED), SCENE.projector)
     assert 0.3 < np.mean((decoding.reasons == MaskReason.KEPT)[large][lit[large]]) < 0.7
     assert wrong(decoding) < 0.005
 
 
-def test_a_shadow_on_the_longer_fringe_alone_leaves_what_the_shorter_one_says() -> None:
-    decoding = decode(STANDARD, passed(STANDARD, range(26, 30), other=SHADED), SCENE.projector)
-    assert 0.2 < np.mean((decoding.reasons == MaskReason.KEPT)[around(-4) & SCENE.well_lit()]) < 0.8
+def test_a_shadow_in_the_longer_fringe_keeps_positions_of_the_shorter_one() -> None:
+    decoding = decode(STANDARD, with_passing_object(STANDARD, range(26, 30), other=SHADED), SCENE.projector)
+    assert 0.2 < np.mean((decoding.reasons == MaskReason.KEPT)[around_place(-4) & SCENE.well_lit()]) < 0.8
     assert wrong(decoding) < 0.002
 
 
-def test_a_hand_is_masked_as_small_as_it_is() -> None:
+def test_the_mask_of_a_hand_has_its_size() -> None:
     hand = np.s_[100:125, 210:235]
-    decoding = decode(STANDARD, passed(STANDARD, range(28, 32), hand), SCENE.projector)
+    decoding = decode(STANDARD, with_passing_object(STANDARD, range(28, 32), hand), SCENE.projector)
     moved = decoding.reasons == MaskReason.MOVED
     assert np.mean(moved[hand]) > 0.8
     assert 0.007 < np.mean(moved) < 0.011, "0.009 is the hand"
@@ -144,9 +146,9 @@ def test_a_hand_is_masked_as_small_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("number", [5, 17, 30])
-def test_a_frame_of_another_scene_is_nothing_that_moved(number: int) -> None:
-    """All over the picture it contradicts the others: it is named, whatever is masked."""
-    frames = passed(STANDARD, [number], EVERYWHERE, replace(SCENE, turn_deg=90.0, zoom=0.5))
+def test_a_frame_of_another_scene_is_named_as_corrupted(number: int) -> None:
+    """It contradicts the others all over the picture, so that it is named, whatever is masked."""
+    frames = with_passing_object(STANDARD, [number], EVERYWHERE, replace(SCENE, turn_deg=90.0, zoom=0.5))
     try:
         decoding = decode(STANDARD, frames, SCENE.projector)
     except InputError as error:
@@ -163,7 +165,7 @@ def test_a_frame_of_another_scene_is_nothing_that_moved(number: int) -> None:
     [SCENE, replace(SCENE, projector_blur_px=3.0), replace(SCENE, gamma=3.0), replace(SCENE, read_noise=6.0)],
     ids=["at rest", "blurred projector", "strong gamma", "noisy camera"],
 )
-def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
+def test_no_motion_is_found_at_rest(preset: PresetName, scene: Scene) -> None:
     try:
         decoding = scene.decode(PRESETS[preset].patterns(scene.projector))
     except InputError as error:
@@ -172,14 +174,14 @@ def test_nothing_moved(preset: PresetName, scene: Scene) -> None:
     assert not np.any(decoding.reasons == MaskReason.MOVED)
 
 
-def test_where_all_that_is_lit_seems_to_move_frames_are_compared_there_all_the_same(
+def test_flicker_is_measured_even_if_all_lit_pixels_seem_to_move(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As when a lamp is switched on that lights more than the projector does."""
+    """As happens when a lamp is switched on that lights more than the projector does."""
     frames = SCENE.frames(STANDARD)
     lit = np.ptp(np.stack(frames), axis=0) > 25
-    seeming = Unrest(lit, lit, ~lit, 0.9, (30, 31))
-    monkeypatch.setattr("scanner.decoding.learning.find_unrest", lambda *_: seeming)
+    seeming = InconsistentPixels(lit, lit, ~lit, 0.9, (30, 31))
+    monkeypatch.setattr("scanner.decoding.learning.find_inconsistent_pixels", lambda *_: seeming)
     flicker = decode(STANDARD, frames, SCENE.projector).flicker
     assert flicker is not None
     assert 0 <= flicker < 0.005
@@ -187,7 +189,7 @@ def test_where_all_that_is_lit_seems_to_move_frames_are_compared_there_all_the_s
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("knocked_px", [6, 14])
-def test_a_camera_that_was_knocked_is_no_thing_that_moved(preset: PresetName, knocked_px: int) -> None:
+def test_a_bumped_camera_is_not_taken_for_a_moving_object(preset: PresetName, knocked_px: int) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
     plan, coarse = plan_sequence(patterns, SCENE.projector), CoarseFrames(SCENE.camera[::-1])
     first = next(number for number, pattern in enumerate(patterns) if isinstance(pattern, Phase))
@@ -197,11 +199,11 @@ def test_a_camera_that_was_knocked_is_no_thing_that_moved(preset: PresetName, kn
     ]
     for number in range(len(plan.patterns)):
         coarse.add(frames[plan.shown.index(number)])
-    assert find_unrest(plan, coarse, NoiseModel(at_black=1.0, gain=1 / 30)) is None
+    assert find_inconsistent_pixels(plan, coarse, NoiseModel(at_black=1.0, gain=1 / 30)) is None
 
 
 @pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
-def test_the_grid_is_put_back_where_it_was_taken(shape: tuple[int, int]) -> None:
+def test_a_grid_mask_is_enlarged_to_the_pixels_it_was_taken_from(shape: tuple[int, int]) -> None:
     coarse = CoarseFrames(shape)
     row, column = np.mgrid[: shape[0], : shape[1]]
     chosen = np.asarray(coarse.of(column), np.float64) > shape[1] / 2
@@ -212,15 +214,13 @@ def test_the_grid_is_put_back_where_it_was_taken(shape: tuple[int, int]) -> None
 
 
 @pytest.mark.parametrize(("first_moved", "is_passed_over"), [(2, False), (3, False), (5, True), (9, True), (11, False)])
-def test_bits_next_to_frames_in_which_something_moved_are_not_taken_for_exchanged(
-    first_moved: int, is_passed_over: bool
-) -> None:
+def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved: int, is_passed_over: bool) -> None:
     plan = plan_sequence(PRESETS["quick"].patterns(SCENE.projector), SCENE.projector)
     nowhere = np.zeros((1, 1), np.bool_)
-    unrest = Unrest(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
-    odd = Oddity("cells are not neighbours", (7, 8))
+    inconsistent = InconsistentPixels(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
+    anomaly = Anomaly("cells are not neighbours", (7, 8))
     if is_passed_over:
-        assert [*_passed_over(plan, [odd], [], unrest)] == [odd]
+        assert [*_passed_over(plan, [anomaly], [], inconsistent)] == [anomaly]
     else:
         with pytest.raises(InputError, match="not neighbours"):
-            _passed_over(plan, [odd], [], unrest)
+            _passed_over(plan, [anomaly], [], inconsistent)
