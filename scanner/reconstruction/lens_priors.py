@@ -48,8 +48,8 @@ def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapp
     if not known:
         seen = " or ".join(f"{name} of {size}" for name, size in {**cameras, **projectors}.items())
         raise InputError(
-            f"lens.from: {file} states no distortion with its sigmas for {seen} pixels: expected a calibration of devices "
-            "with images of these sizes, by scan board for instance"
+            f"lens.from: {file} states no distortion with its sigmas for {seen} pixels: expected a calibration of "
+            "devices with images of these sizes, by scan board for instance"
         )
     for name in lenses.keys() - known.keys():
         log.info("lens.from: %s states no lens of %s; it is taken as an ordinary one", file, name)
