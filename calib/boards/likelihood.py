@@ -27,7 +27,9 @@ from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend
 from calib.refinement import ORDINARY_LENSES, Cells, LensPrior, misfit, with_tails
 
 _STEPS = 60
-_TAILED = [device.start + term for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
+_TAILED = np.array(
+    [[device.start + term] for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
+)
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 # One sigma of what devices and boards are like, before any is seen: enough to hold what a set of views leaves open.
 _ASPECT_SIGMA = 0.002

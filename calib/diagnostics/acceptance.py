@@ -167,11 +167,8 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
 
 
 def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
-    worst, corner = _skewest(refinement)
-    limit = float(chi2.ppf(_SIGNIFICANT, refinement.fit.state.off_square.size))
-    if refinement.tension > limit or (
-        far_from_square(refinement, knowledge) and not _measured(refinement, corner, knowledge)
-    ):
+    worst = _skewest(refinement)
+    if refinement.tension > float(chi2.ppf(_SIGNIFICANT, refinement.fit.state.off_square.size)):
         seen = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
         raise RefusalError(
             f"The faces are not square to each other{seen}, where "
@@ -187,23 +184,16 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
         )
 
 
-def _skewest(refinement: Refinement) -> tuple[Floats, int]:
-    """The angles off square, in degrees (3,), of the corner that is farthest from it, and which corner that is."""
+def _skewest(refinement: Refinement) -> Floats:
+    """The angles off square, in degrees (3,), of the corner that is farthest from it."""
     off_square = np.degrees(refinement.fit.state.off_square)
-    corner = int(np.argmax(np.linalg.norm(off_square, axis=1)))
-    return off_square[corner], corner
+    worst: Floats = off_square[np.argmax(np.linalg.norm(off_square, axis=1))]
+    return worst
 
 
 def far_from_square(refinement: Refinement, knowledge: Knowledge) -> bool:
     """Whether a corner is farther from square than the prior of its angles expects; False for an exact corner."""
-    return bool(np.linalg.norm(_skewest(refinement)[0]) > _TENSION_SIGMAS * knowledge.squareness_deg > 0)
-
-
-def _measured(refinement: Refinement, corner: int, knowledge: Knowledge) -> bool:
-    """Whether the matches determine a corner's angles better than the prior does."""
-    columns = refinement.fit.state.angle_columns(corner)
-    sigma_deg = np.degrees(np.sqrt(np.diag(refinement.covariance)[columns]))
-    return bool(np.all(sigma_deg < knowledge.squareness_deg))
+    return bool(np.linalg.norm(_skewest(refinement)) > _TENSION_SIGMAS * knowledge.squareness_deg > 0)
 
 
 def _given_centre(knowledge: Knowledge) -> str:

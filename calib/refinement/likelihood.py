@@ -14,7 +14,7 @@ from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
 from calib.refinement.known_rig import KnownRig
 from calib.refinement.lens_prior import ORDINARY_LENSES, LensPrior
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.refinement.parameters import CAMERA, PER_CORNER, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
 from calib.refinement.tails import with_tails
 from calib.refusal import PHOTOS, RIG, Wording
 
@@ -29,15 +29,16 @@ class Prior:
     """Prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
 
     The prior is Gaussian, except for lens terms and angles: it is heavy-tailed there, because few lenses and walls
-    deviate strongly, but those few may do so by many sigmas. `tailed` (size,): mask of these columns. `powers` (size,):
-    power of a device's focal length with which a term scales for the same image distortion, if the prior is on the
-    distortion of the image. `held`: an unknown column that is held for now; its prior still counts. `rig`: joint prior
-    from other data on the columns that all captures share.
+    deviate strongly, but those few may do so by many sigmas. `tailed`: these columns, in arrays (n, d) of rows that
+    deviate together: lens terms one by one, the three angles of a corner in one row. `powers` (size,): power of a
+    device's focal length with which a term scales for the same image distortion, if the prior is on the distortion of
+    the image. `held`: an unknown column that is held for now; its prior still counts. `rig`: joint prior from other
+    data on the columns that all captures share.
     """
 
     mean: Floats
     sigma: Floats
-    tailed: Bools
+    tailed: tuple[Ints, ...]
     powers: Ints
     held: int | None = None
     rig: KnownRig | None = None
@@ -65,7 +66,8 @@ class Prior:
         """Return for each column (size,) its cost, half the gradient and half the (non-negative) curvature."""
         z = (state.additive() - self.mean) * self.root_precision
         cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
-        cost[self.tailed], slope[self.tailed], curvature[self.tailed] = with_tails(z[self.tailed])
+        for columns in self.tailed:
+            cost[columns], slope[columns], curvature[columns] = with_tails(z[columns])
         return cost, slope * self.root_precision, curvature * self.root_precision**2
 
     def radial_scale(self, state: State, other: State) -> Floats:
@@ -145,9 +147,8 @@ class Knowledge:
         if self.rig is None:
             for device, lens in zip((CAMERA, PROJECTOR), self.lenses, strict=True):
                 powers[device.start + 3 : device.stop] = lens.powers
-        tailed = np.zeros(layout.size, np.bool_)
-        for columns in (angles, *(slice(device.start + 3, device.stop) for device in (CAMERA, PROJECTOR))):
-            tailed[columns] = True
+        terms = np.concatenate([np.arange(device.start + 3, device.stop) for device in (CAMERA, PROJECTOR)])
+        tailed = terms[:, None], np.arange(angles.start, angles.stop).reshape(-1, PER_CORNER)
         for i, pose in enumerate(layout.poses):
             tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
             for row, plane in zip(tilts, pose.planes, strict=True):

@@ -127,7 +127,7 @@ def test_asked_to_end_while_it_tidies_up(bench: FaultBench, config: Path) -> Non
     folder = config.parent
     first = {"at": f"{RECORDER}:write_png", "call": 5, "do": "Ctrl-C"}
     again = {"at": f"{RESULT}:keep_recording", "do": "Ctrl-C again and again"}
-    late = {"at": "scanner.commands.main:_told", "do": "SIGTERM"}
+    late = {"at": "scanner.commands.main:_reported", "do": "SIGTERM"}
     ended = bench.run(folder, "--config", config, "--out", folder / "room", faults=[first, again, late])
     assert ended.code == 130
     assert "The 4 frames captured so far" in ended.said

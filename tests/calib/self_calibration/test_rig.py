@@ -106,6 +106,19 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
+def test_walls_farther_off_square_than_told_are_inside_a_wider_sigma() -> None:
+    rng = np.random.default_rng(8)
+    deviations, warned = [], 0
+    for _ in range(5):
+        capture = random_capture(rng, **LENSES, walls_off_deg=0.8, distance=(1.5, 2.5))  # type: ignore[arg-type]
+        found = _calibrate(capture, "refined", squareness_deg=0.3, decentering=0.0)
+        sigma = found.calibration.sigma.camera.focal_px[0]
+        deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
+        warned += any("farther from square than was expected" in note for note in found.notes)
+    assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
+    assert 1 <= warned <= 5
+
+
 @pytest.mark.parametrize("method", ["paper", "refined"])
 def test_legs_leave_the_vertex_along_the_faces(method: Method) -> None:
     capture = random_capture(np.random.default_rng(9), noise_px=0.02, distance=(1.5, 2.0))

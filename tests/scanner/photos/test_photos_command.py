@@ -206,12 +206,12 @@ def test_a_camera_that_only_turned_is_refused(walls: Walls, tmp_path: Path, caps
 
 def test_unrelated_photos_are_refused(walls: Walls, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = photo(walls, FIRST), photo(painted(9), SECOND)
-    refused(capsys, write_photos(tmp_path, *images), tmp_path / "out", "belong together", "--matches")
+    refused(capsys, write_photos(tmp_path, *images), tmp_path / "out", "features of the photos match", "--matches")
 
 
 def test_photos_of_nothing_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = np.full((480, 640, 3), 90, np.uint8), np.full((480, 640, 3), 91, np.uint8)
-    refused(capsys, write_photos(tmp_path, *images), tmp_path / "out", "belong together")
+    refused(capsys, write_photos(tmp_path, *images), tmp_path / "out", "features of the photos match")
 
 
 @pytest.mark.parametrize(
