@@ -124,8 +124,8 @@ def _refuse_wrong_input(captures: Mapping[PairName, Matches], sizes: Mapping[str
 def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> tuple[PairName, SelfCalibration]:
     """The pair whose corner tells most of its camera's focal length, and what it tells.
 
-    Where no corner calibrates a pair alone, as of walls that are not flat, one is taken that has a closed form: all
-    pairs together have to tell whether that leads to anything.
+    Where no corner calibrates a pair alone, as of walls that are not flat, one is taken that has a closed form, where
+    there are several cameras and projectors: together they tell whether that leads to anything.
     """
     cornered = {
         pair: matches.with_faces(np.where(matches.face < len(FACES), matches.face, NO_FACE))
@@ -138,7 +138,9 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
             "Turn one projector and one camera towards a corner of the room; the others follow from there.",
         )
     refusals: list[RefusalError] = []
-    for method in _METHODS:
+    # With one camera, or one projector, nothing tells that a poor start ended in a wrong minimum.
+    several = min(len({pair[role] for pair in captures}) for role in (0, 1)) > 1
+    for method in _METHODS if several else _METHODS[:1]:
         found: list[tuple[float, PairName, SelfCalibration]] = []
         for pair, matches in cornered.items():
             try:

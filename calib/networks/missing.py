@@ -47,8 +47,7 @@ def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str
         here, there = _part(size, centres, by_new), _part(size, centres, by_others)
         return (
             f"In the picture of {known}, {new} {seen} {here} and {partner} {there}: nothing that both {lit}.",
-            f"Let {partner} {lit} what {new} {seen} there, or {new} what {partner} {seen}, on surfaces that are not "
-            "all one plane.",
+            f"Let {partner} {lit} what {new} {seen} there, or {new} what {partner} {seen}.",
         )
     return (
         f"What {new} and {partner} both {lit} in the picture of {known}, {_part(size, centres, by_new & by_others)}, "
