@@ -30,11 +30,11 @@ def pairs_to_take(config: Config) -> dict[Pair, Config]:
                     f"rigs: {name} has {size} pixels with {' and '.join(pair)}, and {sizes[name]} elsewhere"
                 )
         own.principal_point(own.camera_size)
-        if own.required_rig.backend != config.required_rig.backend and "simulated" in (
-            own.required_rig.backend,
-            config.required_rig.backend,
-        ):
-            raise InputError(f"rigs: {' and '.join(pair)} mix simulated and real devices")
+    backends = {own.required_rig.backend for own in pairs.values()}
+    if "simulated" in backends and len(backends) > 1:
+        raise InputError(
+            "rigs: simulated devices see and light a room of their own; expected all of them to be, or none"
+        )
     return pairs
 
 

@@ -74,6 +74,7 @@ def test_a_pair_is_the_common_keys_with_those_of_its_devices() -> None:
         ("rigs=null", "no 'rigs'"),
         ("rigs.cameras.left.rig.poze=1", "rigs: left with stage: unknown key 'rig.poze'"),
         ("rigs.cameras={le-ft: {}}", "is no name of a device"),
+        ("rigs.cameras.left.rig={backend: opencv, device: 0}", "'rig"),
         ("rigs.cameras={stage: {}}", "the same name"),
         ("rigs={cameras: {left: {}}, projectors: {stage: {}}}", "two pairs of devices or more"),
         ("rigs.projectors.side.camera={width: 320, height: 240}", "left has 320 × 240 pixels with left and side"),
