@@ -134,17 +134,17 @@ def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supp
     against.
     """
     poses = supposed_poses(first, second, thorough=thorough)
-    said = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
-    value = [_meets_closely(each) if thorough else each.worth for each in said]
+    roughly = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
+    value = [_meets_closely(each) if thorough else each.worth for each in roughly]
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
     found: list[Supposed] = []
     for _, k in rated[:_SETTLED]:
         if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
-        settled_said = evidence(first, second, pose, tolerance(first, second), _MORE)
-        if _holds(settled_said, 2 * _MORE, _SURE_SHARE if thorough else _LEAST_SHARE):
-            found.append(Supposed(pose, settled_said.worth))
+        closely = evidence(first, second, pose, tolerance(first, second), _MORE)
+        if _holds(closely, 2 * _MORE, _SURE_SHARE if thorough else _LEAST_SHARE):
+            found.append(Supposed(pose, closely.worth))
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
