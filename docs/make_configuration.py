@@ -1,7 +1,7 @@
 """Write docs/configuration.md from the schema that checks configurations:  python docs/make_configuration.py
 
-The meaning of a key is its description in scanner/configuration/schema.py or hw/settings.py; a test fails
-while the file is stale.
+The meaning of a key is its description in schema.py or sections.py of scanner/configuration, or in hw/settings.py; a
+test fails while the file is stale.
 """
 
 from collections.abc import Iterator

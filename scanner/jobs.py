@@ -18,7 +18,7 @@ from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.reconstruction import is_calibration, read_captures, read_masks, refuse_impossible
+from scanner.reconstruction import is_calibration, lenses_of, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import Operator, Progress, Terminal
 
@@ -54,7 +54,8 @@ def scan(
     drawn = read_masks(masks, config.camera_size) if masks else None
     check_places(config.required_rig, captures, operator or terminal)
     earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
-    refuse_impossible(config, len(earlier) + captures, config.camera_size, config.projector_size)
+    lenses_of(config, config.camera_size, config.projector_size)
+    refuse_impossible(config, len(earlier) + captures)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(
             config,
@@ -97,7 +98,8 @@ def resume(
     drawn = read_masks(masks, settings.camera_size) if masks else None
     whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []
     earlier = read_captures([*settings.earlier, *whole], settings.camera_size, settings.projector_size)
-    refuse_impossible(settings, len(earlier) + 1, begun.camera_size, begun.projector_size)
+    lenses_of(settings, begun.camera_size, begun.projector_size)
+    refuse_impossible(settings, len(earlier) + 1)
     with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
         return pipeline.resume(begun, settings, made, terminal, masks=drawn, earlier=earlier), out
 
@@ -129,7 +131,8 @@ def replay(
     drawn = read_masks(masks, recording.camera_size) if masks else None
     known = _calibration_for(recording, calibration, settings) if calibration else None
     earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
-    refuse_impossible(settings, len(earlier) + 1, recording.camera_size, recording.projector_size)
+    lenses_of(settings, recording.camera_size, recording.projector_size)
+    refuse_impossible(settings, len(earlier) + 1)
     with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
         if keep_recording:
             recording.copy_to(folder / CAPTURE_FOLDER)
@@ -151,7 +154,7 @@ def calibrate(
     if not captures:
         raise InputError(f"{known[0]}: expected captures of a corner to join with this calibration, found none")
     config = config.model_copy(update={"earlier": known})
-    refuse_impossible(config, len(captures), config.camera_size, config.projector_size)
+    refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)
 

@@ -2,11 +2,5 @@
 
 from scanner.configuration.edit import check_text, set_keys, with_key, write_text
 from scanner.configuration.example_files import example
-from scanner.configuration.schema import (
-    CONFIGURATION_KEY,
-    CharucoSettings,
-    Config,
-    ScaleSettings,
-    load_config,
-    recorded_config,
-)
+from scanner.configuration.schema import CONFIGURATION_KEY, Config, load_config, recorded_config
+from scanner.configuration.sections import CharucoSettings, ScaleSettings

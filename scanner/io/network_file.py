@@ -9,7 +9,7 @@ from pydantic import Field
 from calib.geometry import Intrinsics, Motion
 from scanner.errors import InputError
 from scanner.io.calibration_file import DeviceEntry
-from scanner.io.room_file import PlacedEntry
+from scanner.io.room_file import PlacedEntry, Unit
 from scanner.io.validation import Entry, validate
 from scanner.io.yaml_text import read_yaml
 
@@ -21,7 +21,7 @@ class _NetworkDevice(DeviceEntry, PlacedEntry):
 
 
 class _NetworkEntry(Entry):
-    unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
+    unit: Unit
     devices: list[_NetworkDevice] = Field(min_length=2, max_length=1000)
 
 

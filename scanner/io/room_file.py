@@ -14,6 +14,7 @@ from scanner.io.yaml_text import flow_yaml, read_yaml
 
 _Cosine = Annotated[Number, Field(ge=-2, le=2)]
 _Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
+Unit = Annotated[str, Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
 _ROUNDED = 1e-6  # of a rotation that someone has written with few digits
 
@@ -38,7 +39,7 @@ class _StationEntry(PlacedEntry):
 
 
 class _RoomEntry(Entry):
-    unit: str = Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")
+    unit: Unit
     stations: list[_StationEntry] = Field(min_length=1, max_length=10_000)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -45,14 +46,16 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -
     """
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
-    for number, ((camera, projector), config) in enumerate(pairs.items(), start=1):
-        place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
-        place.mkdir(parents=True)
-        name = f"{camera} sees {projector} ({number} of {len(pairs)})"
+    for projector, alike in groupby(pairs, key=lambda pair: pair[1]):
         with _others_black(pairs, projector):
-            taken = take(config.required_rig, config, place, terminal, name)
-        decoded[camera, projector] = labelled(taken, config)
-        sizes |= {camera: config.camera_size, projector: config.projector_size}
+            for camera, _ in alike:
+                config = pairs[camera, projector]
+                place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
+                place.mkdir(parents=True)
+                name = f"{camera} sees {projector} ({len(decoded) + 1} of {len(pairs)})"
+                taken = take(config.required_rig, config, place, terminal, name)
+                decoded[camera, projector] = labelled(taken, config)
+                sizes |= {camera: config.camera_size, projector: config.projector_size}
     return Captures(decoded, sizes)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Matches, Size
+from calib.geometry import Calibration, Matches
 from calib.numerics import Bools, Ints
 from calib.plane_segmentation import NO_PLANE, find_faces
 from calib.refusal import RefusalError
@@ -25,9 +25,8 @@ from scanner.results import Decoded, SelfCalibrated, Stage, naming
 _FEWEST_FOR_A_HOMOGRAPHY = 4
 
 
-def refuse_impossible(config: Config, count: int, camera_size: Size, projector_size: Size) -> None:
-    """Raise InputError if the configured method cannot calibrate that many captures by devices of these sizes."""
-    lenses_of(config, camera_size, projector_size)
+def refuse_impossible(config: Config, count: int) -> None:
+    """Raise InputError if the configured method cannot calibrate that many captures."""
     if count > 1 and config.method == "paper":
         raise InputError(
             f"'method: paper' calibrates from one capture, found {count}: use 'method: refined' for several"
@@ -117,7 +116,7 @@ def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration,
     """A solution for each capture, in baselines. Raises RefusalError, InputError."""
     metadata = labelled[-1].metadata
     sizes, point = (metadata.camera_size, metadata.projector_size), config.principal_point(metadata.camera_size)
-    refuse_impossible(config, len(labelled), *sizes)
+    refuse_impossible(config, len(labelled))
     squareness_deg, lenses = config.corner.squareness_deg, lenses_of(config, *sizes)
     known = read_known(config.earlier, metadata.camera_size, metadata.projector_size)
     if len(labelled) == 1 and known is None:

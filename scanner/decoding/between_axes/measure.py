@@ -122,7 +122,8 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
         return
     seen = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
-    stripes = [_stripe_px(lit)[pair] for pair in lit.of_pairs]
+    width = _stripe_px(lit)
+    stripes = [width[pair] for pair in lit.of_pairs]
     shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)
     for chosen in (shown.scene, shown.border):
         moment = moment_of([*lit.of_pairs.values()], chosen, first, stripes)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
 from calib.geometry.camera import Intrinsics
 from calib.geometry.corner import Corner
-from scanner.configuration.schema import ScaleSettings
+from scanner.configuration.sections import ScaleSettings
 from scanner.errors import InputError
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.quantities.calibration_table import calibration_table, truth_line

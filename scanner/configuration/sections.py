@@ -1,0 +1,258 @@
+"""Sections of a configuration: what may be said of each device, of the patterns and of the scene."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from calib.geometry import Size
+from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
+from scanner.io import Flag, Number, Pair, Section, Whole, refuse_more_pixels
+from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
+
+_LARGEST_SIDE_PX = 32768
+_MOST_DEVICES = 8
+_NAME = re.compile(r"\w+")
+
+Exposure = Annotated[Number, Field(gt=0, le=1e8)]
+Period = Annotated[Number, Field(ge=4, le=1024)]
+
+
+class _DeviceSettings(Section):
+    width: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Width of the image in pixels.")
+    height: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Height of the image in pixels.")
+
+    @model_validator(mode="after")
+    def _both_or_neither(self) -> "_DeviceSettings":
+        if (self.width is None) != (self.height is None):
+            raise ValueError("give both width and height, or neither")
+        refuse_more_pixels(self.width or 0, self.height or 0)
+        return self
+
+    @property
+    def size(self) -> Size | None:
+        """Of the image, or None if it is not given."""
+        return None if self.width is None or self.height is None else Size(self.width, self.height)
+
+
+class PrincipalPointSettings(Section):
+    """Prior knowledge of the camera's principal point: its position, or only that it is near the image's centre."""
+
+    known: Pair | None = Field(
+        default=None, description="(x, y) in pixels, if it was measured; the centre of the top left pixel is (0, 0)."
+    )
+    prior: Literal["centre"] | None = Field(default=None, description="Where it is expected, if it was not measured.")
+    sigma_px: Number | None = Field(
+        default=None, gt=0, le=_LARGEST_SIDE_PX, description="How far from there it may be; default 3 % of the width."
+    )
+
+    @model_validator(mode="after")
+    def _known_or_prior(self) -> "PrincipalPointSettings":
+        if self.known is not None and (self.prior is not None or self.sigma_px is not None):
+            raise ValueError("give known: [x, y], or prior: centre with sigma_px, not both")
+        return self
+
+
+class CameraSettings(_DeviceSettings):
+    """The camera's image, and what is known of its optics."""
+
+    principal_point: PrincipalPointSettings = Field(
+        default=PrincipalPointSettings(), description="{known: [x, y]}, or {prior: centre, sigma_px: …}."
+    )
+
+
+class ProjectorSettings(_DeviceSettings):
+    """The projector's image, and how bright it makes its grey levels."""
+
+    response: tuple[Number, ...] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=256,
+        description="Light at equally spaced grey levels, from 0 for black to 1 for white, as scan check measures it; "
+        "pictures are then sent so that fringes are true sines. Left out, the decoder straightens what gamma bends.",
+    )
+
+    @model_validator(mode="after")
+    def _rising(self) -> "ProjectorSettings":
+        if self.response is not None:
+            ProjectorResponse(self.response)
+        return self
+
+    @property
+    def known_response(self) -> ProjectorResponse | None:
+        """The response that scan check measured, if the configuration has it."""
+        return None if self.response is None else ProjectorResponse(self.response)
+
+
+class SequenceSettings(Section):
+    """Which patterns are projected; a key that is given overrides the preset."""
+
+    preset: PresetName = Field(
+        default="standard",
+        description="The sequence to start from; left out with a camera that takes a second a frame, quick.",
+    )
+    code: Code | None = Field(
+        default=None,
+        description="gray; or xor: the same cells in fine stripes, which bounced light does not turn over; or both, "
+        "which must agree with each other or one of them with the fringes.",
+    )
+    cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
+    inverses: Flag | None = Field(default=None, description="Whether each bit is followed by its inverse.")
+    periods: tuple[Period, ...] | None = Field(
+        default=None, min_length=1, max_length=8, description="Periods of the fringes in projector pixels."
+    )
+    shifts: Whole | None = Field(
+        default=None, ge=0, le=64, description="Steps of each fringe, 3 or more; 0 for no fringes."
+    )
+
+    exposures_us: tuple[Exposure, ...] = Field(
+        default=(), max_length=8, description="Exposures of each pattern; left out, the one that the rig is set to."
+    )
+
+    @model_validator(mode="after")
+    def _decodable(self) -> "SequenceSettings":
+        chosen = self._chosen
+        if chosen.shifts in (1, 2):
+            raise ValueError(f"shifts must be 3 or more, or 0 for no fringes, found {chosen.shifts}")
+        if len(set(chosen.periods)) < len(chosen.periods):
+            raise ValueError(f"periods must differ, found {', '.join(f'{period:g}' for period in chosen.periods)}")
+        if len(set(self.exposures_us)) < len(self.exposures_us) or len(self.exposures_us) == 1:
+            raise ValueError("exposures_us must be two or more that differ, or left out")
+        if chosen.shifts and chosen.cell > max(chosen.periods):
+            raise ValueError(
+                f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "
+                "or fringes look alike"
+            )
+        return self
+
+    @property
+    def _chosen(self) -> Preset:
+        keys = ("code", "cell", "inverses", "periods", "shifts")
+        return replace(
+            PRESETS[self.preset], **{key: value for key in keys if (value := getattr(self, key)) is not None}
+        )
+
+    def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+        """The sequence for a projector of (width, height)."""
+        return self._chosen.patterns(projector_size)
+
+
+class CornerSettings(Section):
+    """Prior knowledge of the corner."""
+
+    squareness_deg: Number = Field(
+        default=SQUARENESS_DEG,
+        ge=0,
+        le=10,
+        description="Standard deviation of the faces' angles around 90°; 0 if exact.",
+    )
+    same: Flag = Field(default=True, description="Whether several captures show the same corner.")
+
+
+class LensSettings(Section):
+    """Prior knowledge of both lenses; values that are not given default to those of ordinary lenses."""
+
+    decentering: Number | None = Field(
+        default=None,
+        ge=0,
+        le=0.1,
+        description="Standard deviation of p1 and p2 of both devices; 0 for lenses that are not decentred at all; "
+        f"default {DECENTERING:g}.",
+    )
+    k3: Number | None = Field(
+        default=None, ge=0, le=10, description=f"Standard deviation of k3 of both devices; default {THIRD_RADIAL:g}."
+    )
+    source: Path | None = Field(
+        default=None,
+        alias="from",
+        description="A calibration.yaml, or a result that has one, by boards say, whose lens terms with their sigmas "
+        "are expected of devices with the same image size; paths relative to this file.",
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "LensSettings":
+        if self.source is not None and (self.decentering is not None or self.k3 is not None):
+            raise ValueError("give decentering and k3, or from: calibration.yaml, not both")
+        return self
+
+
+class CharucoSettings(Section):
+    """A printed ChArUco board that lies flat somewhere in the scanned room, lit by the projector."""
+
+    board: str = Field(
+        default="6x9", pattern=r"^\d{1,2}x\d{1,2}$", description="Squares across and down, as scan board counts them."
+    )
+    square_mm: Number = Field(gt=0, le=1e4, description="Side of a square, as it was measured on the print.")
+    sigma_mm: Number | None = Field(
+        default=None, gt=0, le=1e3, description="Standard deviation of that side; left out, it counts as exact."
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> "CharucoSettings":
+        if min(self.columns, self.rows) < 3:
+            raise ValueError(f"board must be 3x3 squares or more, found {self.board}")
+        if self.sigma_mm is not None and self.sigma_mm > 0.2 * self.square_mm:
+            raise ValueError(f"sigma_mm ({self.sigma_mm:g}) must be well below square_mm, which is {self.square_mm:g}")
+        return self
+
+    @property
+    def columns(self) -> int:
+        """Squares across."""
+        return int(self.board.partition("x")[0])
+
+    @property
+    def rows(self) -> int:
+        """Squares down."""
+        return int(self.board.partition("x")[2])
+
+
+class ScaleSettings(Section):
+    """One known length; without it, lengths are in units of the baseline."""
+
+    baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
+    camera_to_corner_m: Number | None = Field(
+        default=None, gt=0, le=1e4, description="Distance from the camera to the point where the three faces meet."
+    )
+    sigma_m: Number | None = Field(
+        default=None, gt=0, le=1e4, description="Standard deviation of that length; left out, it counts as exact."
+    )
+    charuco: CharucoSettings | None = Field(
+        default=None, description="{square_mm: …, board: 6x9}: a printed sheet in the scene, in place of a length."
+    )
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> "ScaleSettings":
+        given = [key for key in ("baseline_m", "camera_to_corner_m", "charuco") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give {' or '.join(given)}, not both: one length fixes the scale")
+        length = self.baseline_m or self.camera_to_corner_m
+        if self.sigma_m is not None and length is None:
+            raise ValueError("sigma_m belongs to a length: give baseline_m or camera_to_corner_m with it")
+        if self.sigma_m is not None and length is not None and self.sigma_m > 0.2 * length:
+            raise ValueError(f"sigma_m ({self.sigma_m:g}) must be well below the length, which is {length:g}")
+        return self
+
+
+class NetworkSettings(Section):
+    """Named cameras and projectors of a network: for each what differs from the other keys of this file."""
+
+    cameras: dict[str, dict[str, Any]] = Field(
+        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {serial: 1234}}}."
+    )
+    projectors: dict[str, dict[str, Any]] = Field(
+        min_length=1,
+        max_length=_MOST_DEVICES,
+        description="As in {stage: {rig: {screen: 1}}, side: {rig: {screen: 2}}}.",
+    )
+
+    @model_validator(mode="after")
+    def _named(self) -> "NetworkSettings":
+        names = [*self.cameras, *self.projectors]
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"{name!r} is no name of a device: expected letters, digits and underscores")
+        if len(set(names)) < len(names):
+            raise ValueError("a camera and a projector have the same name")
+        return self
