@@ -328,8 +328,8 @@ class CameraRigSettings(BaseModel):
     gain: float | None = None
     screen: int | str | None = Field(
         None,
-        description="Number, name or geometry (as in 1920x1080+1920+0) of the projector's screen; left out, the only "
-        "one of the projector's size.",
+        description="Number, name or geometry (as in 1920x1080+1920+0) of the projector's screen, or an X display of "
+        "its own (as in :0.1); left out, the only screen of the projector's size.",
     )
     refresh_hz: float | None = Field(
         None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."

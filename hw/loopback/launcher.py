@@ -69,13 +69,18 @@ class CameraProcess:
 
 
 @contextmanager
-def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[CameraProcess]:
-    """Run the camera that sees the screen's light in a process of its own; it can be found once this yields.
+def camera_process(
+    screen: VirtualScreen, settings: LoopbackSettings, *others: VirtualScreen
+) -> Iterator[CameraProcess]:
+    """Run the camera that sees the light of one screen or several in a process of its own; it can be found once this
+    yields.
 
     Raises DeviceError if it does not start.
     """
     command = [sys.executable, "-m", "hw.loopback"]
-    command += ["--screen", str(screen.file), "--settings", settings.model_dump_json()]
+    for each in (screen, *others):
+        command += ["--screen", str(each.file)]
+    command += ["--settings", settings.model_dump_json()]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
         try:

@@ -96,7 +96,7 @@ class Config(Section):
         if self.rigs is None:
             raise InputError(
                 "the configuration has no 'rigs': name a network's devices, as in rigs: {cameras: {left: {}, right: "
-                "{rig: {serial: 1234}}}, projectors: {stage: {}}}"
+                "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
         return {

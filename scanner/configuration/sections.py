@@ -239,7 +239,7 @@ class NetworkSettings(Section):
     """Named cameras and projectors of a network: for each what differs from the other keys of this file."""
 
     cameras: dict[str, dict[str, Any]] = Field(
-        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {serial: 1234}}}."
+        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {camera: 1234}}}."
     )
     projectors: dict[str, dict[str, Any]] = Field(
         min_length=1,
