@@ -11,6 +11,7 @@ from hw.backends import backend_of
 from hw.cameras import CameraDriver, OpenedCamera
 from hw.errors import DeviceError
 from hw.projector.process import ScreenProjector
+from hw.rig import exposure_control, settable_exposure
 from hw.settings import CameraRigSettings
 from hw.timing.streamed_rig import streamed
 from hw.timing.synchronisation import synchronised
@@ -32,6 +33,16 @@ class RealPair:
     projector_size: Size
 
 
+@dataclass(frozen=True)
+class _Opened:
+    """A camera, what was asked of it, and its exposure since then, if that is settable; `closing` closes it."""
+
+    camera: OpenedCamera
+    wanted: object
+    exposure_us: float | None
+    closing: ExitStack
+
+
 class RealDevices:
     """All devices of some pairs, from opening to closing (a context manager).
 
@@ -42,7 +53,7 @@ class RealDevices:
         self._pairs = pairs
         self._open = ExitStack()
         self._screens: dict[str, ScreenProjector] = {}
-        self._cameras: dict[str, tuple[object, OpenedCamera, ExitStack]] = {}
+        self._cameras: dict[str, _Opened] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as opening:
@@ -66,7 +77,7 @@ class RealDevices:
     def together(self, projector: str) -> list[list[str]]:
         """The cameras in a projector's light: all that are triggered together, each streaming one alone."""
         streaming = {
-            camera: self._cameras[camera][1].capabilities.streaming
+            camera: self._cameras[camera].camera.capabilities.streaming
             for camera, other in self._pairs
             if other == projector
         }
@@ -115,17 +126,22 @@ class RealDevices:
         self._screens[projector] = opened
 
     def _camera(self, name: str, projector: str) -> OpenedCamera:
-        """Open a camera, and open it anew only where its settings differ in this projector's light."""
+        """Open a camera, and open it anew only where its settings differ in this projector's light. Its exposure is the
+        first one again.
+        """
         pair = self._pairs[name, projector]
         refresh_hz = self._known_hz(name, projector) or _USUAL_REFRESH_HZ
         wanted = pair.settings.model_copy(update={"screen": None, "refresh_hz": refresh_hz}), pair.camera_size
         if name in self._cameras:
-            known, camera, closing = self._cameras[name]
-            if known == wanted:
-                return camera
-            closing.close()
+            known = self._cameras[name]
+            if known.wanted == wanted:
+                if known.exposure_us is not None:
+                    exposure_control(known.camera).expose_for(known.exposure_us)
+                return known.camera
+            known.closing.close()
         closing = self._open.enter_context(ExitStack())
         driver = self._drivers[pair.settings.backend]
         camera = closing.enter_context(driver.connect(pair.settings, pair.camera_size, refresh_hz))
-        self._cameras[name] = wanted, camera, closing
+        control = settable_exposure(camera)
+        self._cameras[name] = _Opened(camera, wanted, control.exposure_us if control else None, closing)
         return camera

@@ -28,6 +28,7 @@ class Bench:
     opened: list[str] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
     shown: dict[int, np.ndarray] = field(default_factory=dict)
+    cameras: dict[str, SimpleNamespace] = field(default_factory=dict)
 
     @contextmanager
     def window(self, wanted: int, size: tuple[int, int]) -> Iterator[SimulatedWindow]:
@@ -43,9 +44,13 @@ class Bench:
     def connect(self, settings: Any, size: tuple[int, int], refresh_hz: float) -> Iterator[SimpleNamespace]:
         about = f"{settings.camera} at {settings.exposure_us} µs, {refresh_hz:g} Hz"
         self.opened.append(about)
-        streaming = settings.backend == "opencv"
+        abilities = Capabilities(True) if settings.backend == "opencv" else Capabilities(exposure="settable")
+        camera = SimpleNamespace(name=settings.camera, size=size, identity={}, capabilities=abilities)
+        camera.exposure_us = settings.exposure_us
+        camera.expose_for = lambda exposure_us: setattr(camera, "exposure_us", exposure_us)
+        self.cameras[settings.camera] = camera
         try:
-            yield SimpleNamespace(name=settings.camera, size=size, identity={}, capabilities=Capabilities(streaming))
+            yield camera
         finally:
             self.closed.append(about)
 
@@ -90,6 +95,8 @@ def test_each_device_is_opened_once_and_only_one_projector_shows_something(bench
                 assert rig.identity["projector"].startswith(f"screen {screen} ")
                 assert bench.shown[screen].all()
                 assert not bench.shown[other].any()
+                assert bench.cameras["a"].exposure_us == 16_667
+                bench.cameras["a"].expose_for(50_000)  # as several exposures of each pattern leave it
         assert bench.closed == []
     assert bench.opened == ["screen 0", "screen 1", "a at 16667.0 µs, 60 Hz", "b at 16667.0 µs, 60 Hz"]
     assert sorted(bench.closed) == sorted(bench.opened)
