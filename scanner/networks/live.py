@@ -1,6 +1,7 @@
 """Captures of a network by its own devices: projector by projector shows its sequence, and all cameras see it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from calib.geometry import Size
@@ -42,7 +43,9 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
     wanted = {pair: PairSettings(own.required_rig, own.camera_size, own.projector_size) for pair, own in pairs.items()}
-    with open_network(wanted) as network:
+    with ExitStack() as devices:
+        with terminal.step("Opening all devices"):
+            network = devices.enter_context(open_network(wanted))
         for together in _shown_once(pairs, network):
             planned: list[PlannedCapture] = []
             for camera, projector in together:

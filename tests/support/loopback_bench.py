@@ -1,7 +1,6 @@
 """A loopback rig for tests, scans with it, and what its frames should show."""
 
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -12,7 +11,6 @@ from pathlib import Path
 from threading import Thread
 
 import numpy as np
-import pytest
 
 from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, shown_on, virtual_screen
 from hw.loopback.settings import LoopbackSettings
@@ -98,16 +96,6 @@ def broken_off(config: Path, number: signal.Signals) -> tuple[int, str]:
             process.send_signal(signal.SIGABRT)  # it tells where it hangs, and lets go of the camera
             message = process.communicate()[1]
         return process.returncode, message
-
-
-def own_address() -> str:
-    """Another address of this computer than 127.0.0.1: that of the interface to the network, where nothing is sent."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("198.51.100.1", 9))
-        except OSError:
-            pytest.skip("a second GigE Vision camera needs a second address: this computer has no network")
-        return str(probe.getsockname()[0])
 
 
 def digits(room: SimulatedRoom, pattern: Pattern, size: tuple[int, int]) -> np.ndarray:

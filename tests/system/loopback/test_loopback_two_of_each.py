@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, cast
@@ -14,14 +14,14 @@ import yaml
 from calib.numerics import Image
 from hw import real_devices
 from hw.aravis import backend as aravis
-from hw.loopback.launcher import camera_process, virtual_screen
+from hw.loopback.launcher import loopback_network, own_addresses
 from hw.loopback.lit_room import LitRoom
 from hw.loopback.settings import LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
-from tests.support.loopback_bench import Keeper, own_address, wrong_frames
+from tests.support.loopback_bench import Keeper, wrong_frames
 
 pytestmark = pytest.mark.xdist_group("loopback")
 
@@ -78,6 +78,8 @@ def counted(device: Callable[..., Any], opened: list[str]) -> Callable[..., Any]
 def test_a_network_of_two_cameras_and_two_projectors(
     tmp_path: Path, keeper: Keeper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if len(own_addresses()) < len(CAMERAS):
+        pytest.skip("a second GigE Vision camera needs a second address: this computer has no network")
     keeper.end()  # it has the address of the first camera
     opened: list[str] = []
     for module, name in ((real_devices, "ScreenProjector"), (aravis.load(), "AravisCamera")):
@@ -90,12 +92,9 @@ def test_a_network_of_two_cameras_and_two_projectors(
             address=address,
             serial=name,
         )
-        for pose, (name, address) in enumerate(zip(CAMERAS, ("127.0.0.1", own_address()), strict=True))
+        for pose, (name, address) in enumerate(zip(CAMERAS, own_addresses(), strict=True))
     }
-    with ExitStack() as running:
-        screens = [running.enter_context(virtual_screen(PROJECTOR)) for _ in PROJECTORS]
-        for each in settings.values():
-            running.enter_context(camera_process(screens[0], each, *screens[1:]))
+    with loopback_network([*settings.values()], [PROJECTOR] * 2) as screens:
         config = tmp_path / "hall.yaml"
         config.write_text(
             yaml.safe_dump(
