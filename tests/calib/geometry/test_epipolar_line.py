@@ -78,7 +78,7 @@ def test_what_lies_behind_a_device_is_not_in_front() -> None:
     assert not found.in_front.any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(-0.6, 0.6), st.sampled_from([0, 1]))
 def test_every_pose_gives_the_other_coordinate_back(x: float, y: float, z: float, roll: float, axis: int) -> None:
     """Wherever a point is in the projector's image, and the line of its camera pixel not along the stripe."""

@@ -90,7 +90,7 @@ def test_coordinates_between_edges_are_those_of_the_plane(
     assert np.abs(errors.mean(axis=0)).max() < 0.01
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(scale=st.floats(0.25, 0.9), turn_deg=st.floats(-180, 180), skew=st.floats(-0.3, 0.3))
 def test_at_any_magnification_and_turn(scale: float, turn_deg: float, skew: float) -> None:
     turn = np.radians(turn_deg)
