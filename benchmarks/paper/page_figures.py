@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from paper.curves import CURVES
-from paper.experiment import Figures
-from paper.markdown import NONE, image, mean_of, method_name, number, table
+from paper.markdown import NONE, answered, image, mean_of, method_name, number, table
 from paper.page_tables import Parts, Pictures
 from paper.plots import Axis, curves, heat_maps
 
@@ -20,29 +19,21 @@ _STYLES = {"refined": "s0", "paper": "s1", "refined, told so": "s2", "bound": "b
 
 
 def figure_7(parts: Parts) -> tuple[str, Pictures]:
-    """Errors of the ball in each room, and the maps of the first."""
+    """Errors of the ball, means over the rooms, and the maps of the first."""
     rooms = sorted(parts)
     methods = list(parts[rooms[0]]["methods"])
-    head = ["", *(f"{room}: MAE, size" for room in rooms), "mean MAE, mm", "mean size error, mm"]
     rows = []
     for method in methods:
         fits = [parts[room]["methods"][method] for room in rooms]
-        cells = [_fit(fit) for fit in fits]
         maes = mean_of(fit["mean_absolute_mm"] for fit in fits if fit)
         sizes = mean_of(abs(fit["diameter_error_mm"]) for fit in fits if fit)
-        rows.append([method_name(method), *cells, number(maes), number(sizes)])
+        rows.append([method_name(method) + answered(fits), number(maes), number(sizes)])
     first = parts[rooms[0]]["methods"]
     there = {method_name(method): fit for method, fit in first.items() if fit}
     shown = {name: fit["map_um"] for name, fit in there.items()}
     titles = {name: f"MAE {number(fit['mean_absolute_mm'])} mm" for name, fit in there.items()}
     drawn = heat_maps(shown, titles, f"errors of the sphere's fit in {rooms[0]}")
-    return table(head, rows), {"figure7.svg": drawn}
-
-
-def _fit(fit: Figures | None) -> str:
-    if fit is None:
-        return NONE
-    return f"{number(fit['mean_absolute_mm'])}, {number(fit['diameter_error_mm'], signed=True)}"
+    return table(["", "MAE, mm", "size, mm"], rows), {"figure7.svg": drawn}
 
 
 def figure_8(parts: Parts) -> str:
@@ -83,7 +74,7 @@ def beyond(parts: Parts) -> tuple[str, Pictures]:
         log = curve.log and min(curve.values) > 0
         styles = {shown: _STYLES[key] for key, shown in _NAMES.items()}
         pictures[file] = curves(Axis(curve.label, log), "median error (%)", lines, f"error over {name}", styles)
-        texts.append(f"**Error over {name}.**\n\n{image(f'images/results/{file}', f'error over {name}')}")
+        texts.append(image(f"images/results/{file}", f"error over {name}"))
     return "\n\n".join(texts), pictures
 
 
