@@ -1,11 +1,9 @@
 """Figures 7 and 8 and the curves beyond the paper, on the page."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from paper.curves import CURVES
-from paper.markdown import NONE, answered, image, mean_of, method_name, number, table
+from paper.markdown import answered, image, mean_of, method_name, number, table
 from paper.page_tables import Parts, Pictures
 from paper.plots import Axis, curves, heat_maps
 
@@ -37,30 +35,20 @@ def figure_7(parts: Parts) -> tuple[str, Pictures]:
 
 
 def figure_8(parts: Parts) -> str:
-    """Errors in px of the focal length and the principal point."""
+    """Mean absolute errors in px of the focal length and the principal point."""
+    photos = [parts[room][kind] for room in sorted(parts) for kind in ("original", "cropped")]
+    keys = {"refined": "`scan photos`", "sigma_px": "its σ", **{peer: peer for peer in _peers(parts)}}
     rows = []
-    for room in sorted(parts):
-        for photos in ("original", "cropped"):
-            figures = parts[room][photos]
-            width, height = figures["size"]
-            f, x, y = figures["truth_px"]
-            about = f"{room}, {photos}, {width} × {height}"
-            truth = f"{f:.0f}, ({x:.0f}, {y:.0f})"
-            ours = _triple(figures["refined"], f"refused (exit code {figures['exit_code']})")
-            sigma = _triple(figures["sigma_px"], signed=False)
-            peers = [_triple(figures.get(key)) for key in _peers(parts)]
-            rows.append([about, truth, ours, sigma, *peers])
-    head = ["", "truth: f, PP", "`scan photos`: f, x₀, y₀ off by", "its σ", *_peers(parts)]
-    return table(head, rows)
+    for key, shown in keys.items():
+        errors = [figures.get(key) for figures in photos]
+        each = [mean_of(None if three is None else abs(three[i]) for three in errors) for i in range(3)]
+        rows.append([shown + answered(errors), *map(number, each)])
+    return table(["", "f", "x₀", "y₀"], rows)
 
 
 def _peers(parts: Parts) -> list[str]:
     found = {key for room in parts.values() for key in room["original"] if key.startswith("COLMAP")}
     return sorted(found, reverse=True)
-
-
-def _triple(errors: Sequence[float] | None, none: str = NONE, *, signed: bool = True) -> str:
-    return none if errors is None else ", ".join(number(error, signed=signed) for error in errors)
 
 
 def beyond(parts: Parts) -> tuple[str, Pictures]:
