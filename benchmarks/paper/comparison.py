@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from paper.experiment import Results
 from paper.markdown import mean_of, mean_size, method_name, number
-from paper.page_tables import OWN_METHODS, TWO_VIEW_METHODS, Parts
+from paper.page_tables import LENSES_CORRECTED, OWN_METHODS, STARTS, Parts
 
 _REFINED = "refined"
 _REFINED_METHODS = [key for _, key, _ in OWN_METHODS if key.startswith(_REFINED)]
@@ -28,7 +28,7 @@ def where_peers_are_better(results: Results) -> str:
 def _intrinsics(own: Parts, two_views: Parts) -> Iterator[str]:
     ours = {key: {room: mean_size(own[room][key]) for room in own} for key in _REFINED_METHODS}
     others = {key: own for _, key, _ in OWN_METHODS if key not in _REFINED_METHODS}
-    others |= {key: two_views for _, key, _ in TWO_VIEW_METHODS}
+    others |= {start + lenses: two_views for start in STARTS for lenses in ("", LENSES_CORRECTED)}
     for other, parts in others.items():
         theirs = {room: mean_size(parts.get(room, {}).get(other)) for room in own}
         yield from _rooms_won(f"“{method_name(other)}”", theirs, ours)

@@ -21,24 +21,14 @@ OWN_METHODS = (
     ("**refined**, PP unknown, walls square to ± 0.3° only", "refined, PP and walls unknown", ""),
     ("**refined**, two captures jointly, PP unknown", "refined, two captures, PP unknown", ""),
 )
-TWO_VIEW_METHODS = (
-    ("COLMAP, two views, C", "C", "C"),
-    ("COLMAP, two views, C-BA", "C-BA", "C-BA"),
-    ("COLMAP, two views, R", "R", "R"),
-    ("COLMAP, two views, R-BA", "R-BA", "R-BA"),
-    ("COLMAP, two views, C, lenses corrected", "C, lenses corrected", ""),
-    ("COLMAP, two views, C-BA, lenses corrected", "C-BA, lenses corrected", ""),
-    ("COLMAP, two views, R, lenses corrected", "R, lenses corrected", ""),
-    ("COLMAP, two views, R-BA, lenses corrected", "R-BA, lenses corrected", ""),
-)
+STARTS = ("C", "C-BA", "R", "R-BA")  # of COLMAP's two views
+LENSES_CORRECTED = ", lenses corrected"
 
 
-def table_1(own: Parts, two_views: Parts, many_views: Parts) -> str:
+def table_1(own: Parts, many_views: Parts) -> str:
     """Mean absolute errors of each method. The signed errors of each room are in `results/table1*.json`."""
     rooms = sorted(own)
     rows = [_method_row(own, rooms, *method) for method in OWN_METHODS]
-    rows += [_method_row(two_views, rooms, *method) for method in TWO_VIEW_METHODS] if two_views else []
-    rows += [_draws_row(two_views, name) for name in ("R", "R-BA")] if two_views else []
     rows += [_many_views_row(many_views)] if many_views else []
     quoted = f"{published.MEAN_ERRORS['DroidCalib, 20 views']}"
     rows.append(["DroidCalib, 20 views (f_c only; needs weights and a GPU: quoted)", NONE, NONE, NONE, quoted])
@@ -57,12 +47,20 @@ def _largest(values: Iterable[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def _draws_row(parts: Parts, key: str) -> list[str]:
-    """The median of a room's draws: their mean would be that of the one that ran farthest."""
+def table_1_two_views(parts: Parts) -> str:
+    """COLMAP's two views; of random starts also the median of further draws, as a mean would be the farthest's."""
     draws = [figures["R, further draws"] for figures in parts.values()]
-    medians = [_median(mean_size(draw[key]) for draw in of_room) for of_room in draws]
-    shown = f"COLMAP, two views, {key}, median of {len(draws[0])} further random starts"
-    return [shown, number(mean_of(medians)), number(_largest(medians)), NONE, NONE]
+    rows = []
+    for start in STARTS:
+        decoded, corrected = (
+            [mean_size(figures.get(start + lenses)) for figures in parts.values()] for lenses in ("", LENSES_CORRECTED)
+        )
+        redrawn = [_median(mean_size(draw[start]) for draw in room) for room in draws if start in room[0]]
+        stated = f"{published.MEAN_ERRORS[start]}"
+        means = (f"{number(mean_of(each))}{answered(each)}" for each in (decoded, corrected, redrawn))
+        rows.append([start, *means, stated])
+    further = f"median of {len(draws[0])} further random starts"
+    return table(["COLMAP, two views: error, %", "mean", "lenses corrected", further, "the paper's own figure"], rows)
 
 
 def _median(values: Iterable[float | None]) -> float | None:
