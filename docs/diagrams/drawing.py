@@ -22,7 +22,7 @@ _STYLE = (
 )
 _HEAD = (
     '<marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
-    '<path d="M0,0L8,4L0,8z" fill="context-stroke"/></marker>'
+    '<path d="M0,0L8,4L0,8z" style="fill:var(--ink)"/></marker>'
 )
 
 
