@@ -54,7 +54,7 @@ class Config(Section):
     earlier: tuple[Path, ...] = Field(
         default=(),
         max_length=_MOST_EARLIER,
-        description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
+        description="Earlier results or matches of this unchanged rig, to calibrate together with the new capture; "
         "paths relative to this file.",
     )
 
@@ -96,7 +96,7 @@ class Config(Section):
         if self.rigs is None:
             raise InputError(
                 "the configuration has no 'rigs': name a network's devices, as in rigs: {cameras: {left: {}, right: "
-                "{rig: {serial: 1234}}}, projectors: {stage: {}}}"
+                "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
         return {
