@@ -23,13 +23,12 @@ A configuration is a YAML file, such as [configs/room-sim.yaml](../configs/room-
 [configs/room.yaml](../configs/room.yaml); `scan new` writes one.
 
 - A scan needs `rig.backend` and the sizes of camera and projector; `scan patterns` the projector's; `scan replay` only
-  `camera.principal_point`; `scan calibrate` also the sizes. Everything else is optional: – is no default, or the one
-  that the meaning gives.
+  `camera.principal_point`; `scan calibrate` also the sizes. Everything else is optional.
 - The command line overrides the file, with YAML values: `--set camera.width=640`.
 - An unknown key or impossible value is an error that names the nearest key or the possible values.
 - Values are numbers where the table says nothing else. Names end in their units: pixels, degrees, metres, µs, Hz.
 """
-_HEADER = "| key | values | default | meaning |\n| --- | --- | --- | --- |"
+_HEADER = "| key | values (default) | meaning |\n| --- | --- | --- |"
 _REAL_DEVICES = """\
 ## `rig:`
 
@@ -55,7 +54,7 @@ def document() -> str:
     rows = Counter(row for rig in real for row in _rows(schema, rig, "rig"))
     shared = [row for row, count in rows.items() if count == len(real)]
     names = ", ".join(f"`{rig['properties']['backend']['const']}`" for rig in (*real, *rigs[:1]))
-    backend = f"| `rig.backend` | {names} | `simulated` | The kind of rig. |"
+    backend = f"| `rig.backend` | {names} (`simulated`) | The kind of rig. |"
     return "\n".join(
         [
             _INTRODUCTION,
@@ -89,17 +88,13 @@ def _rows(schema: Schema, section: Schema, key: str) -> Iterator[str]:
         if not options and "const" not in field and _options(field):
             yield _row(field, f"{key}.{name}")
     for name, option in inner:
-        yield f"| `{name}:` | | | **{option['description']}** |"
+        yield f"| `{name}:` | | **{option['description']}** |"
         yield from _rows(schema, option, name)
 
 
 def _row(field: Schema, key: str) -> str:
-    cells = (
-        f"`{key}`",
-        " or ".join(dict.fromkeys(map(_values, _options(field)))),
-        _default(field),
-        field["description"],
-    )
+    values = " or ".join(dict.fromkeys(map(_values, _options(field))))
+    cells = (f"`{key}`", values + _default(field), field["description"])
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
@@ -146,10 +141,10 @@ def _range(option: Schema) -> str:
 def _default(field: Schema) -> str:
     value = field.get("default")
     if value is None or value == []:
-        return "–"
+        return ""
     if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    return f"`{value:.6g}`" if isinstance(value, float) else f"`{value}`"
+        return f" (`{str(value).lower()}`)"
+    return f" (`{value:.6g}`)" if isinstance(value, float) else f" (`{value}`)"
 
 
 def main() -> None:
