@@ -28,7 +28,7 @@ A configuration is a YAML file, such as [configs/room-sim.yaml](../configs/room-
 - An unknown key or impossible value is an error that names the nearest key or the possible values.
 - Values are numbers where the table says nothing else. Names end in their units: pixels, degrees, metres, µs, Hz.
 """
-_HEADER = "| key | values (default) | meaning |\n| --- | --- | --- |"
+_HEADER = "|key |values (default) |meaning|\n|--- |--- |---|"
 _REAL_DEVICES = """\
 ## `rig:`
 
@@ -54,7 +54,7 @@ def document() -> str:
     rows = Counter(row for rig in real for row in _rows(schema, rig, "rig"))
     shared = [row for row, count in rows.items() if count == len(real)]
     names = ", ".join(f"`{rig['properties']['backend']['const']}`" for rig in (*real, *rigs[:1]))
-    backend = f"| `rig.backend` | {names} (`simulated`) | The kind of rig. |"
+    backend = _line("`rig.backend`", f"{names} (`simulated`)", "The kind of rig.")
     return "\n".join(
         [
             _INTRODUCTION,
@@ -88,14 +88,17 @@ def _rows(schema: Schema, section: Schema, key: str) -> Iterator[str]:
         if not options and "const" not in field and _options(field):
             yield _row(field, f"{key}.{name}")
     for name, option in inner:
-        yield f"| `{name}:` | | **{option['description']}** |"
+        yield _line(f"`{name}:`", "", f"**{option['description']}**")
         yield from _rows(schema, option, name)
 
 
 def _row(field: Schema, key: str) -> str:
     values = " or ".join(dict.fromkeys(map(_values, _options(field))))
-    cells = (f"`{key}`", values + _default(field), field["description"])
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return _line(f"`{key}`", values + _default(field), field["description"])
+
+
+def _line(*cells: str) -> str:
+    return "|" + " |".join(cell.replace("|", "\\|") for cell in cells) + "|"
 
 
 def _sections(schema: Schema, field: Schema) -> Iterator[Schema]:
