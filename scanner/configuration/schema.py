@@ -143,7 +143,7 @@ class Config(Section):
             )
         x, y = setting.known
         if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {camera_size} image")
+            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside the {camera_size} image")
         return PrincipalPoint((x, y), 0.0)
 
 
@@ -182,7 +182,7 @@ def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable
     """
     data = metadata.get(CONFIGURATION_KEY)
     if not isinstance(data, dict):
-        raise InputError(f"{where}: does not say with which configuration it was made: give it with --config FILE")
+        raise InputError(f"{where}: contains no configuration: give one with --config FILE")
     data = deepcopy(data)
     for override in overrides:
         _apply(override, data)

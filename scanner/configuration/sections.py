@@ -125,7 +125,7 @@ class SequenceSettings(Section):
         if chosen.shifts and chosen.cell > max(chosen.periods):
             raise ValueError(
                 f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "
-                "or fringes look alike"
+                "or fringes are ambiguous"
             )
         return self
 
