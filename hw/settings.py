@@ -199,7 +199,7 @@ class SimulatedRigSettings(BaseModel):
         0.0,
         ge=0.0,
         le=0.9,
-        description="Largest relative change of brightness between frames, whatever the exposure.",
+        description="Largest relative deviation of a frame's brightness, whatever the exposure.",
     )
     rolling_shutter_ms: float = Field(
         0.0,

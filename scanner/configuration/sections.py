@@ -98,7 +98,8 @@ class SequenceSettings(Section):
     )
     code: Code | None = Field(
         default=None,
-        description="`gray`; `xor`, finer stripes that resist interreflection; or `both`, which must agree.",
+        description="`gray`; `xor`, finer stripes that resist interreflection; or `both`, checked against each other "
+        "or the fringes.",
     )
     cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe, in projector pixels.")
     inverses: Flag | None = Field(default=None, description="Each bit is followed by its inverse.")
