@@ -45,6 +45,6 @@ def _write(path: Path, report: CheckReport) -> str:
     if report.response is not None:
         values["projector.response"] = [round(light, _LIGHT_DIGITS) for light in report.response]
     if not values:
-        return f"{path} is as it was: there is nothing to write into it"
+        return f"{path} is unchanged: there is nothing to write"
     backup = set_keys(path, values)
-    return f"{path}: {' and '.join(values)} set; as it was at first it is kept in {backup.name}"
+    return f"{path}: {' and '.join(values)} set; the original file is {backup.name}"

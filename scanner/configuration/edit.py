@@ -63,7 +63,7 @@ def _replace(path: Path, text: str) -> Path:
         fresh.replace(real)
     except OSError as error:
         fresh.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is as it was") from error
+        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is unchanged") from error
     return backup
 
 
@@ -76,8 +76,8 @@ def with_key(text: str, key: str, value: object, where: str) -> str:
     wanted = _with(before, section, name, value)
     if changed is None or _parsed(changed, where) != wanted:
         raise InputError(
-            f"{where}: '{key}' cannot be set without touching more of the file; write this line into '{section}:' "
-            f"yourself: {name}: {shown}"
+            f"{where}: '{key}' cannot be set without changing other lines; write this one into '{section}:' yourself: "
+            f"{name}: {shown}"
         )
     return changed
 

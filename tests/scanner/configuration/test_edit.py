@@ -153,7 +153,7 @@ def test_a_configuration_that_would_be_wrong_is_not_written(path: Path, value: o
 def test_a_folder_that_may_not_be_written_to(path: Path) -> None:
     path.parent.chmod(0o500)
     try:
-        with pytest.raises(InputError, match="as it was"):
+        with pytest.raises(InputError, match="it is unchanged"):
             set_keys(path, {"rig.exposure_us": 5.0})
     finally:
         path.parent.chmod(0o700)

@@ -187,7 +187,7 @@ def test_the_configuration_is_checked_as_it_is_typed(console: Console) -> None:
     field.fill(before + "# a word on it\n")
     visit.wait_for("This can be saved.")
     visit.press("Save")
-    visit.wait_for("The file as it was at first is")
+    visit.wait_for("The original file is")
     assert console.config.read_text() == before + "# a word on it\n"
     console.config.write_text(before)
     expect(field).to_have_value(before, timeout=PATIENCE_MS)
