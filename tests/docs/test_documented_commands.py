@@ -101,13 +101,13 @@ def shrunk(settings: dict[str, Any]) -> dict[str, Any]:
 
 @one_after_the_other()
 @pytest.mark.parametrize("command", RUN, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
-def test_it_runs(run: Run, command: Documented, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_runs(run: Run, command: Documented, capsys: pytest.CaptureFixture[str]) -> None:
     code = run(command.text)
     assert code == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", PARSED, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
-def test_its_arguments_are_understood(command: Documented) -> None:
+def test_the_arguments_are_valid(command: Documented) -> None:
     parse(command)
 
 
@@ -155,7 +155,7 @@ def test_settings_in_the_text_exist() -> None:
     assert len(found) >= 2
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_have_targets() -> None:
     links = [
         (page, target)
         for page in PAGES

@@ -18,7 +18,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_every_link_leads_somewhere() -> None:
+def test_every_link_has_a_target() -> None:
     dead, count = [], 0
     for page in TEXTS:
         for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
@@ -44,6 +44,6 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert "arithmatex" not in pages[tmp_path / "site" / "method" / "index.html"]
 
 
-def test_the_page_of_names_has_every_name() -> None:
+def test_the_api_page_lists_every_name() -> None:
     page = (ROOT / "docs" / "python-names.md").read_text(encoding="utf-8")
     assert sorted(re.findall(r"^::: calib\.\w+\.(\w+)$", page, flags=re.MULTILINE)) == calib.__all__

@@ -104,7 +104,7 @@ def changed(change: Callable[[np.ndarray], np.ndarray | None]) -> Callable[[Phon
     ],
     ids=["rotated", "frozen", "silent", "gone"],
 )
-def test_what_goes_wrong_with_a_camera_amid_a_scan_is_named(
+def test_a_camera_failure_during_a_scan_is_named(
     config: Path,
     phone: Phone,
     room: SimulatedRoom,
@@ -119,7 +119,7 @@ def test_what_goes_wrong_with_a_camera_amid_a_scan_is_named(
     assert captured(capture, room) >= BEFORE
 
 
-def test_after_ctrl_c_what_is_missing_is_taken(config: Path, phone: Phone, room: SimulatedRoom) -> None:
+def test_after_ctrl_c_a_scan_takes_the_missing_frames(config: Path, phone: Phone, room: SimulatedRoom) -> None:
     after_frames(BEFORE, config, lambda: os.kill(os.getpid(), signal.SIGINT))
     code, capture = scan(config)
     assert code == 130

@@ -46,7 +46,7 @@ def is_whole(capture: Path, frames: Path) -> bool:
 
 @pytest.mark.parametrize("fault", ["SIGKILL", "SIGTERM"])
 @pytest.mark.parametrize("moment", [LISTING, COPYING, SYNCING, PUBLISHING], ids=lambda moment: moment["at"])
-def test_ended_while_it_imports(
+def test_an_import_is_interrupted(
     bench: FaultBench, frames: Path, tmp_path: Path, fault: str, moment: dict[str, object]
 ) -> None:
     out = tmp_path / "capture"
@@ -65,7 +65,7 @@ def test_ended_while_it_imports(
 
 
 @pytest.mark.parametrize("options", ["size=12k", "size=400k", "size=2m,nr_inodes=20"])
-def test_a_disk_that_does_not_take_an_import(bench: FaultBench, frames: Path, tmp_path: Path, options: str) -> None:
+def test_an_import_onto_a_full_disk(bench: FaultBench, frames: Path, tmp_path: Path, options: str) -> None:
     where = tmp_path / "disk"
     where.mkdir()
     mount = {"where": where, "options": options}

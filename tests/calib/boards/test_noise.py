@@ -38,7 +38,9 @@ def four() -> tuple[SyntheticBoards, list[View], State, Prior]:
     return boards, views, start, prior
 
 
-def test_noise_is_the_same_from_any_start(four: tuple[SyntheticBoards, list[View], State, Prior]) -> None:
+def test_the_noise_estimate_does_not_depend_on_the_start(
+    four: tuple[SyntheticBoards, list[View], State, Prior],
+) -> None:
     _, views, start, prior = four
     rough = rough_levels(views)
     found = []
@@ -55,7 +57,9 @@ def test_noise_is_the_same_from_any_start(four: tuple[SyntheticBoards, list[View
     assert max(weights) < 4 * min(weights)
 
 
-def test_a_board_left_out_moves_the_estimate_as_told(four: tuple[SyntheticBoards, list[View], State, Prior]) -> None:
+def test_leaving_out_a_board_moves_the_estimate_as_predicted(
+    four: tuple[SyntheticBoards, list[View], State, Prior],
+) -> None:
     boards, views, _, _ = four
     sizes = boards.calibration.camera.size, boards.calibration.projector.size
     board = Board(boards.reach, 1, "m")

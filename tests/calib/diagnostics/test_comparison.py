@@ -35,7 +35,7 @@ def test_the_truth_is_within_the_sigmas(boards: tuple[SystematicErrors, Systemat
     assert difference.scale == 1.0
 
 
-def test_a_zoom_of_half_a_per_cent_is_told(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
+def test_a_zoom_of_half_a_per_cent_is_found(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
     found, truth = boards
     projector = truth.calibration.projector
     zoomed = replace(projector, focal_px=(1.005 * projector.focal_px[0],) * 2)
@@ -46,7 +46,7 @@ def test_a_zoom_of_half_a_per_cent_is_told(boards: tuple[SystematicErrors, Syste
     assert 1.0 < difference.px.max() < 20.0
 
 
-def test_without_a_length_only_shapes_count(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
+def test_without_a_scale_only_shapes_are_compared(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
     found, truth = boards
     tripled = SystematicErrors.of(replace(truth.calibration, translation=3 * truth.calibration.translation), None)
     free = compare(found, tripled, grid(found), DEPTHS, metric=False)

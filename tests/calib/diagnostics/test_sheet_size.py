@@ -32,7 +32,7 @@ def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float)
     return points, rig.camera.project(placed(points)) + rng.normal(0, px / 2, points.shape), matches
 
 
-def test_errors_are_within_the_noise_that_is_told() -> None:
+def test_errors_are_within_the_stated_noise() -> None:
     errors = []
     for seed in range(30):
         found = size_of_sheet(*seen(np.random.default_rng(seed), RIG, 2.0, 0.1), RIG, None)
@@ -41,7 +41,7 @@ def test_errors_are_within_the_noise_that_is_told() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
-def test_it_goes_with_the_calibration_as_is_told() -> None:
+def test_the_scale_changes_with_the_calibration_as_predicted() -> None:
     case = before(1)
     rig, uncertainty = case.known.calibration, case.known.uncertainty
     sheet = seen(np.random.default_rng(0), rig, 0.9, 0.05)

@@ -15,7 +15,7 @@ def _pixels() -> np.ndarray:
     return np.concatenate([pixels, DEVICE[None, 1:3]])
 
 
-def test_a_ray_meets_its_pixel_again_and_is_that_of_the_camera_model() -> None:
+def test_rays_project_back_to_their_pixels_and_match_the_camera_model() -> None:
     pixels = _pixels()
     rays, _ = unproject(DEVICE, pixels)
     again, _, _ = project(DEVICE, 3.0 * rays)

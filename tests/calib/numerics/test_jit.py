@@ -32,7 +32,7 @@ NUMBERS = arrays.arrays(np.float64, 20, elements=st.floats(allow_nan=True, allow
 
 
 @given(NUMBERS, NUMBERS)
-def test_divides_as_numpy_does(numerator: Floats, denominator: Floats) -> None:
+def test_division_follows_numpy(numerator: Floats, denominator: Floats) -> None:
     found = np.empty(20)
     ratios(numerator, denominator, found)
     with np.errstate(all="ignore"):
@@ -83,7 +83,7 @@ def test_machine_code_follows_the_compiled_functions_that_it_calls() -> None:
     assert {"projection.py", "relative_pose.py"} <= set(files)
 
 
-def test_a_borrowed_name_is_found() -> None:
+def test_an_imported_constant_is_found() -> None:
     source = (
         "from calib.geometry.radial_distortion import STEP\n"
         "import numpy as np\n@compiled\ndef f(x):\n    return STEP * np.sin(x)\n"
@@ -91,7 +91,7 @@ def test_a_borrowed_name_is_found() -> None:
     assert borrowed(source) == ["STEP"]
 
 
-def test_compiling_is_told_once() -> None:
+def test_compiling_is_announced_once() -> None:
     told: list[str] = []
     when_compiling(lambda: told.append("compiling"))
     for _ in range(2):

@@ -102,7 +102,7 @@ def test_the_corner_fits_where_the_projectors_pixels_are_square(focal: float, pr
     np.testing.assert_allclose(found.at_infinity, [-0.1, 0.05, -0.2], atol=0.01)
 
 
-def test_matches_that_are_smooth_at_few_places_only_are_refused() -> None:
+def test_matches_smooth_in_few_places_are_refused() -> None:
     x, y = np.meshgrid(np.arange(450.0), np.arange(400.0))
     camera_px = np.stack([x.ravel(), y.ravel()], axis=1)
     scattered = np.random.default_rng(0).uniform(0, 200, camera_px.shape)

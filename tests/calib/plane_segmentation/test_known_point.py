@@ -18,7 +18,7 @@ def room() -> SimulatedRoom:
     return SimulatedRoom(SimulatedRigSettings(seed=15), CAMERA, PROJECTOR)
 
 
-def test_a_box_is_no_wall_where_the_principal_point_is_known(room: SimulatedRoom) -> None:
+def test_with_a_known_principal_point_a_box_is_not_taken_for_a_wall(room: SimulatedRoom) -> None:
     truth, known = room.ground_truth(), room.calibration
     assert known is not None
     lit = np.isfinite(truth.projector_px).all(axis=-1)

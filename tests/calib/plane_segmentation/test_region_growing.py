@@ -95,7 +95,7 @@ def test_a_cell_is_the_least_squares_of_its_inliers() -> None:
     assert fits.square[0] == pytest.approx(square.sum())
 
 
-def test_matches_on_a_line_say_nothing_about_what_is_across() -> None:
+def test_matches_on_a_line_leave_the_perpendicular_direction_open() -> None:
     rng = np.random.default_rng(4)
     along = np.array([0.6, 0.8])
     camera_px = rng.uniform(0, 10, (40, 1)) * along

@@ -30,7 +30,7 @@ def fitted_at(points: NDArray[np.float32], row: int, column: int, window: int) -
 
 
 @pytest.mark.parametrize(("window", "missing"), [(7, 0.0), (7, 0.3), (11, 0.5), (15, 0.0)])
-def test_planes_are_those_of_least_squares(window: int, missing: float) -> None:
+def test_planes_match_least_squares(window: int, missing: float) -> None:
     """On a picture of several strips and tiles, at their borders and the picture's as much as elsewhere."""
     points = wavy_surface(140, 530, missing)
     planes = window_planes(points, FOCAL_PX, window)
@@ -48,7 +48,7 @@ def test_planes_are_those_of_least_squares(window: int, missing: float) -> None:
     assert compared > 0.4 * len(rows) * len(columns)
 
 
-def test_where_no_plane_can_be_fitted_there_is_none() -> None:
+def test_degenerate_windows_give_no_plane() -> None:
     points = wavy_surface(60, 60, 0.0)
     lonely, in_a_row = np.full_like(points, np.nan), np.full_like(points, np.nan)
     lonely[::10, ::10] = points[::10, ::10]
@@ -67,7 +67,7 @@ def test_pictures_smaller_than_a_window() -> None:
     assert np.isfinite(planes.normals).all()
 
 
-def test_a_point_far_off_spoils_only_the_windows_it_is_in() -> None:
+def test_an_outlier_affects_only_its_own_windows() -> None:
     points = wavy_surface(80, 80, 0.0)
     spoiled = points.copy()
     spoiled[40, 40] *= 1e-4

@@ -31,7 +31,7 @@ def test_the_order_of_matches_does_not_matter(scene: Scene) -> None:
     np.testing.assert_array_equal(in_order.points[both], shuffled.points[both])
 
 
-def test_the_residual_at_a_pixel_is_that_of_its_point(scene: Scene) -> None:
+def test_the_residual_of_a_pixel_belongs_to_its_point(scene: Scene) -> None:
     """Even if a match that was dropped for its residual comes later."""
     matches, alone = scene.matches, organised(scene, np.arange(len(scene.matches)))
     camera_px, wrong = matches.camera_px[::10], matches.projector_px[::10] + np.array([40.0, 25.0])

@@ -79,7 +79,7 @@ def test_too_few_matches_are_named() -> None:
         into_cells(matches.with_faces(face), (0,))
 
 
-def test_cells_that_hold_next_to_nothing_are_left_out() -> None:
+def test_nearly_empty_cells_are_left_out() -> None:
     noisy, _ = _matches(0.1)
     cells = into_cells(noisy)
     per_cell = (cells.noise_px / cells.sigma_px) ** 2

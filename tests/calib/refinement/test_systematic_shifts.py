@@ -31,7 +31,7 @@ def solve(which: Matches, shifts: Shifts | None) -> SelfCalibration:
     return self_calibrate(which, *sizes, principal_point=point, squareness_deg=0.0, shifts=shifts)
 
 
-def test_the_prediction_is_what_a_new_fit_does() -> None:
+def test_the_prediction_matches_a_new_fit() -> None:
     capture = random_capture(np.random.default_rng(0), count=20_000, distance=(1.5, 3.0))
     matches = capture.matches
     gradient = np.zeros((len(matches), 2, 2))
@@ -53,7 +53,7 @@ def test_the_prediction_is_what_a_new_fit_does() -> None:
     assert sigma[0] < sigma[1] < sigma[0] + 0.02 * before.possible_percent * PAPER_CAMERA.focal_px[0]
 
 
-def test_smooth_errors_move_the_solution_as_far_as_their_covariance_says() -> None:
+def test_smooth_errors_move_the_solution_as_their_covariance_predicts() -> None:
     """Drawn again and again on the same matches, with their noise."""
     rng, smooth_px = np.random.default_rng(1), 0.003
     matches = random_capture(rng, count=20_000, distance=(1.5, 3.0)).matches

@@ -24,12 +24,14 @@ def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Ca
     return replace(found, found=found.estimate())
 
 
-def test_rigs_that_are_the_same_are_not_turned(case: Case) -> None:
+def test_unchanged_rigs_are_not_reported(case: Case) -> None:
     assert changed_extrinsics(case.found) == ()
 
 
 @pytest.mark.parametrize(("station", "turn_deg"), [(2, (0.0, 0.02, 0.0)), (4, (0.01, 0.0, 0.03))])
-def test_a_small_turn_is_found_with_its_size(case: Case, station: int, turn_deg: tuple[float, float, float]) -> None:
+def test_a_small_rotation_is_found_with_its_size(
+    case: Case, station: int, turn_deg: tuple[float, float, float]
+) -> None:
     (found,) = changed_extrinsics(turned(case, station, turn_deg).found)
     assert found.station == station
     assert found.turn_deg == pytest.approx(float(np.linalg.norm(turn_deg)), rel=0.2)

@@ -46,7 +46,7 @@ def seen(points: Floats, rng: np.random.Generator) -> Matches:
     return Matches(camera_px, projector_px + noise, None, np.full(len(points), NOISE_PX))
 
 
-def test_the_turn_is_recovered_with_a_true_sigma() -> None:
+def test_the_rotation_is_recovered_with_a_true_sigma() -> None:
     rng = np.random.default_rng(1)
     stations = [
         seen(lump(rng, 30_000) + CENTRE, rng),

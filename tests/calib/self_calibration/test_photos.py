@@ -130,7 +130,7 @@ def test_derivatives_of_the_shared_camera_are_exact() -> None:
             assert np.abs(numerical - exact).max() < 1e-5 * max(1.0, np.abs(exact).max()), f"column {column}"
 
 
-def test_a_step_between_states_is_undone_by_moving() -> None:
+def test_step_to_is_the_inverse_of_moved() -> None:
     photos = random_photos(np.random.default_rng(6), photos=3, count=100)
     camera = without_lens(1500.0, np.array([700.0, 600.0]), -0.05)
     (_, first), (_, second) = photos.pairs

@@ -67,7 +67,7 @@ def test_bounded_search_ends_below_the_exact_search() -> None:
     assert abs(solution.best_focal_px - focal_px[np.argmin(solution.objective)]) <= 1.0
 
 
-def test_every_sum_of_the_objective_closes_at_the_truth_and_there_only() -> None:
+def test_every_term_of_the_objective_vanishes_only_at_the_truth() -> None:
     """E_pro and E_cycle each tell the focal length on their own, as in the paper's second table."""
     capture = random_capture(np.random.default_rng(2), count=5_000, noise_px=0.0)
     objective = objective_for(capture.matches, PAPER_CAMERA.principal_point_px)
@@ -94,7 +94,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
-def test_walls_off_square_are_inside_the_sigma() -> None:
+def test_walls_off_square_stay_within_the_sigma() -> None:
     rng = np.random.default_rng(8)
     deviations = []
     for _ in range(5):
@@ -106,7 +106,7 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
-def test_walls_farther_off_square_than_told_are_inside_a_wider_sigma() -> None:
+def test_walls_farther_off_square_than_assumed_stay_within_a_wider_sigma() -> None:
     rng = np.random.default_rng(8)
     deviations, warned = [], 0
     for _ in range(5):
@@ -127,13 +127,13 @@ def test_legs_leave_the_vertex_along_the_faces(method: Method) -> None:
     assert np.sum(found.normals * capture.corner.normals, axis=1).min() > 0.999
 
 
-def test_residual_is_the_noise() -> None:
+def test_the_residual_matches_the_noise() -> None:
     capture = random_capture(np.random.default_rng(4), noise_px=0.1)
     # Two coordinates of 0.1 px each.
     assert 0.13 < _calibrate(capture, "refined").residual_px < 0.15
 
 
-def test_wrong_matches_do_not_move_the_answer() -> None:
+def test_outliers_do_not_move_the_solution() -> None:
     capture = random_capture(np.random.default_rng(4), **LENSES, outliers=0.02)  # type: ignore[arg-type]
     face = capture.matches.face
     assert face is not None

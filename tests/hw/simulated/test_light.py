@@ -61,7 +61,7 @@ def empty() -> EmptyRoom:
     return EmptyRoom(light, gatherer, gathered, solve(scene, gatherer.mesh, gathered))
 
 
-def test_every_node_of_an_empty_room_is_exposed_and_gets_all_its_light_from_the_room(empty: EmptyRoom) -> None:
+def test_every_node_of_an_empty_room_receives_light_only_from_the_room(empty: EmptyRoom) -> None:
     assert empty.gathered.exposed.all()
     np.testing.assert_allclose(empty.gathered.from_nodes.sum(axis=1), ALBEDO, rtol=1e-4)
 
@@ -103,7 +103,7 @@ def test_form_factors_from_a_wall_to_the_ceiling(empty: EmptyRoom, place: tuple[
     assert 1e-5 < error < 0.015
 
 
-def test_energy_is_conserved_over_all_reflections(empty: EmptyRoom) -> None:
+def test_reflections_conserve_energy(empty: EmptyRoom) -> None:
     """What a ceiling of radiosity 1 sends out falls on the walls 1 / (1 − albedo) times."""
     count = empty.mesh.solving_count
     incident = float(empty.areas() @ empty.interreflection.ceiling[:count])
@@ -147,7 +147,7 @@ def test_direct_light_falls_with_the_square_of_distance_and_the_cosine(distance:
     assert irradiance_on_axis(distance, turn) == pytest.approx(np.cos(turn) / along_axis**2)
 
 
-def test_near_a_crease_fringes_reach_across_and_further_away_they_cancel(empty: EmptyRoom) -> None:
+def test_indirect_fringes_survive_near_a_crease_and_cancel_farther_away(empty: EmptyRoom) -> None:
     """The light of the other face keeps fringes of 16 pixels within a centimetre and loses them beyond ten."""
     optics = empty.light.projector.optics
     picture = empty.gatherer.picture

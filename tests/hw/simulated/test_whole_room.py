@@ -45,7 +45,7 @@ def test_opposite_walls_are_not_parallel_and_every_match_is_where_a_ray_met_a_su
         assert np.all(thrown[:, 2] > 0)
 
 
-def test_there_are_as_many_places_as_stations() -> None:
+def test_every_station_has_a_pose() -> None:
     settings = SimulatedRigSettings.model_validate({"room": "whole", "stations": 10, "pose": 8})
     assert at_place(settings, 1) == settings.model_copy(update={"pose": 9})
     with pytest.raises(DeviceError, match="places 0 to 9"):

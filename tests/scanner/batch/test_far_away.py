@@ -55,7 +55,7 @@ def memory() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("where", ["memory", "bucket"])
-def test_captures_and_results_elsewhere(where: str, result: Path, request: pytest.FixtureRequest) -> None:
+def test_captures_and_results_in_remote_storage(where: str, result: Path, request: pytest.FixtureRequest) -> None:
     from distributed import Client
 
     root = request.getfixturevalue(where)

@@ -54,7 +54,7 @@ def captures(made: SyntheticBoards, tmp_path_factory: pytest.TempPathFactory) ->
         ("parallel", "chessboard:7x5", 4, "Parallel boards do not determine focal lengths"),
     ],
 )
-def test_what_is_wrong_is_told(
+def test_mistakes_are_reported(
     given: str,
     board: str,
     code: int,

@@ -61,7 +61,7 @@ def test_a_compensated_fringe_is_a_sine_of_light() -> None:
     assert np.abs(bent - wanted).max() > 0.15
 
 
-def test_recordings_mean_the_same_and_tell_what_was_done(room: SimulatedRoom) -> None:
+def test_recordings_state_the_compensation(room: SimulatedRoom) -> None:
     stream = capture(rig_in(room), QUICK, response=ProjectorResponse((0.0, 0.3, 1.0)))
     assert stream.patterns == QUICK
     devices = cast(dict[str, str], stream.metadata["devices"])

@@ -39,7 +39,7 @@ def with_cameras(monkeypatch: pytest.MonkeyPatch, list_cameras: Callable[[], obj
 
 @pytest.mark.usefixtures("no_devices")
 @pytest.mark.parametrize("rig", RIGS)
-def test_it_can_be_used_as_it_is(
+def test_the_new_configuration_is_usable_unchanged(
     rig: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -56,7 +56,7 @@ def test_it_can_be_used_as_it_is(
     assert config.required_rig.backend == (RIGS[rig].backend or "simulated")
 
 
-def test_what_was_found_is_filled_in(
+def test_found_devices_are_filled_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = ("backend: aravis", 'camera: "Maker-22345678"', "pixel_format: Mono8")
@@ -93,6 +93,6 @@ def test_an_earlier_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "expected a name that ends with .yaml" in capsys.readouterr().err
 
 
-def test_what_is_shipped_is_what_is_in_the_checkout() -> None:
+def test_shipped_configurations_match_the_checkout() -> None:
     for rig in RIGS.values():
         assert (EXAMPLES / rig.example).samefile(ROOT / "configs" / rig.example)

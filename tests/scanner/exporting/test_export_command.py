@@ -132,19 +132,19 @@ def test_damaged_results(
     assert {path.name for path in result.parent.iterdir()} <= {"room"}
 
 
-def test_a_folder_of_something_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_no_result_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", tmp_path, "--to", "opencv") == 2
     assert "expected a result folder, with calibration.yaml and cloud.ply" in capsys.readouterr().err
 
 
-def test_a_mesh_needs_neighbours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_without_neighbouring_points_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room", keep=lambda pixels: pixels[:, 1] == 200)
     assert run("export", written.folder, "--to", "mesh") == 2
     assert "no three points are neighbours" in capsys.readouterr().err
     assert run("export", written.folder, "--to", "ply", "--quiet") == 0
 
 
-def test_without_a_scale_a_baseline_becomes_a_metre_and_this_is_said(
+def test_without_a_scale_the_baseline_is_exported_as_one_metre_with_a_note(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written = write_result(tmp_path / "room", unit="baseline")

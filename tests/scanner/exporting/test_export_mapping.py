@@ -83,7 +83,7 @@ def wall_through(content: dict[str, Any]) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("warp", ["stmap.tiff", "warp.png"])
-def test_squares_of_the_wall_are_square(mapping: Path, warp: str) -> None:
+def test_squares_on_the_wall_are_square(mapping: Path, warp: str) -> None:
     found = listing(mapping)["content"]
     row, column = np.indices((found["height"], found["width"]))
     board = (255 * ((row // SQUARE_PX + column // SQUARE_PX) % 2)).astype(np.uint8)
@@ -106,7 +106,7 @@ def test_squares_of_the_wall_are_square(mapping: Path, warp: str) -> None:
     assert error.max() < 0.5
 
 
-def test_white_is_even_where_projectors_meet(mapping: Path) -> None:
+def test_white_is_uniform_where_projectors_overlap(mapping: Path) -> None:
     found = listing(mapping)["content"]
     white = np.full((found["height"], found["width"]), 255, np.uint8)
     points, _ = wall_through(found)
@@ -136,7 +136,7 @@ def test_weights_add_up_to_one(mapping: Path) -> None:
     assert np.quantile(np.abs(total[shared] - 1), 0.95) < 0.01
 
 
-def test_maps_are_what_each_projector_lights(mapping: Path) -> None:
+def test_maps_cover_what_each_projector_lights(mapping: Path) -> None:
     for name, projector in PROJECTORS.items():
         depth, position = image(mapping / f"{name}-depth.tiff"), image(mapping / f"{name}-position.tiff")
         rows, columns = np.indices(depth.shape)
@@ -151,7 +151,7 @@ def test_maps_are_what_each_projector_lights(mapping: Path) -> None:
         assert np.quantile(np.linalg.norm(position.reshape(-1, 3) - points, axis=1)[on_wall], 0.99) < 0.005
 
 
-def test_from_an_eye_the_box_shows_what_the_wall_behind_it_would(network: Path, tmp_path: Path) -> None:
+def test_from_a_viewpoint_the_box_continues_the_picture_of_the_wall(network: Path, tmp_path: Path) -> None:
     eye = np.array([2.0, 2.2, 1.5])
     told = ",".join(f"{value:.9f}" for value in to_network(eye) * Y_UP)
     assert run("export", network, "--to", "mapping", "--out", tmp_path / "m", f"--eye={told}", "--quiet") == 0
@@ -172,7 +172,7 @@ def test_from_an_eye_the_box_shows_what_the_wall_behind_it_would(network: Path, 
             assert 0.001 < np.median(np.linalg.norm(off_px[part], axis=1)) < 0.3
 
 
-def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
+def test_a_projector_is_exported_as_a_camera_of_the_scene(mapping: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     scene = trimesh.load(mapping / "mapping.glb", process=False)
     (mesh,) = scene.geometry.values()
@@ -206,7 +206,7 @@ def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any
     return np.array(origin) + shares @ np.array([across, along]) + rough, np.tile(normal, (400, 1)), triangles
 
 
-def test_the_wall_is_the_largest_that_is_upright() -> None:
+def test_the_largest_upright_plane_is_the_wall() -> None:
     parts = (
         rectangle((-1.0, -1.0, 3.0), (0, 1.5, 0), (1.0, 0, 0)),
         rectangle((0.2, -1.0, 4.0), (0, 1.5, 0), (1.6, 0, 0)),
@@ -325,7 +325,7 @@ def of_stations(folder: Path) -> None:
         (None, ("--to", "ply", "--gamma", "2"), "--eye and --gamma are for mapping"),
     ],
 )
-def test_what_cannot_be_mapped(
+def test_scenes_that_cannot_be_mapped_are_refused(
     network: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

@@ -16,13 +16,13 @@ def halves() -> Matches:
     return Matches(pixels, pixels).with_faces((pixels[:, 0] >= 40).astype(np.int32))
 
 
-def test_a_sharp_lens_leaves_faces_as_they_are() -> None:
+def test_with_a_sharp_lens_faces_keep_their_margins() -> None:
     matches = halves()
     assert without_margins(matches, SIZE, 0.0) is matches
     assert without_margins(matches, SIZE, 0.9) is matches
 
 
-def test_matches_within_two_sigmas_of_the_border_have_no_face() -> None:
+def test_matches_within_two_blur_sigmas_of_the_border_lose_their_face() -> None:
     found = without_margins(halves(), SIZE, 4.0)
     assert found.face is not None
     column, row = found.camera_px.T

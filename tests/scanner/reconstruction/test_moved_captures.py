@@ -33,7 +33,7 @@ def capture() -> tuple[Decoded, SelfCalibration]:
     ("at_rest", "likely", "refused"),
     [(0.1, 0.4, False), (0.1, 0.6, True), (1.2, 0.9, False), (1.2, 1.3, True)],
 )
-def test_it_may_cost_what_the_view_is_unsure_of_anyway(
+def test_motion_is_accepted_up_to_the_uncertainty_at_rest(
     capture: tuple[Decoded, SelfCalibration], at_rest: float, likely: float, refused: bool
 ) -> None:
     decoded, solution = capture

@@ -11,7 +11,7 @@ from tests.support.reports import calibrated_report
 NUMBER = r"\d+(\.\d+)?"
 
 
-def test_the_faces_are_measured_in_the_unit_above_them() -> None:
+def test_flatness_is_in_the_unit_of_the_table_head() -> None:
     report = calibrated_report(room())  # in metres
     found, scene = flatness(report), report.scene
     assert found is not None

@@ -24,14 +24,14 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     return write_result(tmp_path_factory.mktemp("finished") / "room", keep=sparse_at_the_left)
 
 
-def test_every_point_is_where_the_rays_of_its_match_meet(written: Written) -> None:
+def test_points_are_where_the_rays_of_their_matches_meet(written: Written) -> None:
     met = intersect(written.scan.matches, written.scan.calibration)
     apart = np.linalg.norm(met.points - written.scan.points, axis=1) / np.linalg.norm(met.points, axis=1)
     assert 0 < apart.max() < 1e-6  # of the file's 24 bits
     assert len(written.scan) < written.scan.matched
 
 
-def test_an_older_result_opens_as_the_same(written: Written, tmp_path: Path) -> None:
+def test_an_older_result_opens_with_the_same_matches(written: Written, tmp_path: Path) -> None:
     older = write_result(tmp_path / "room", keep=sparse_at_the_left, numbered=False)
     assert read_cloud(older.folder / "cloud.ply").match is None
     assert np.array_equal(older.scan.matches.projector_px, written.scan.matches.projector_px)
@@ -39,7 +39,7 @@ def test_an_older_result_opens_as_the_same(written: Written, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("numbers", ["others", "too large", "negative", "twice the same"])
-def test_wrong_numbers_are_refused(tmp_path: Path, numbers: str) -> None:
+def test_wrong_match_numbers_are_refused(tmp_path: Path, numbers: str) -> None:
     written = write_result(tmp_path / "room")
     match = np.array(read_cloud(written.folder / "cloud.ply").match)
     match[:] = {

@@ -14,7 +14,7 @@ _CORNERS = (0, 2)  # stations that look into one
 
 
 @pytest.mark.parametrize("changed", _CORNERS)
-def test_of_two_corners_at_odds_the_one_counts_that_explains_most_stations(
+def test_of_two_contradicting_corners_the_better_supported_one_is_used(
     example: SolvedExample, changed: int
 ) -> None:
     captures = read_stations(example.files, example.config, Terminal(quiet=True))

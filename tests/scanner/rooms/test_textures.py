@@ -57,7 +57,7 @@ def shades(piece: Piece) -> Floats:
     return np.concatenate(rows).ravel().astype(np.float64)
 
 
-def test_pictures_lie_where_the_paint_is(room: SolvedRoom, pieces: list[Piece]) -> None:
+def test_textures_match_the_painted_walls(room: SolvedRoom, pieces: list[Piece]) -> None:
     under_pictures = [piece for piece in pieces if piece.jpeg]
     assert len(under_pictures) == len(room.stations)
     share = sum(len(piece.mesh.triangles) for piece in under_pictures) / sum(len(p.mesh.triangles) for p in pieces)
@@ -68,7 +68,7 @@ def test_pictures_lie_where_the_paint_is(room: SolvedRoom, pieces: list[Piece]) 
         assert 0.85 < np.corrcoef(shades(piece), paint)[0, 1] < 0.9999
 
 
-def test_pictures_agree_where_they_meet(pieces: list[Piece]) -> None:
+def test_textures_agree_at_seams(pieces: list[Piece]) -> None:
     """Vertices at seams are in two pieces."""
     at: dict[tuple[float, ...], list[float]] = {}
     for piece in pieces:
@@ -80,7 +80,7 @@ def test_pictures_agree_where_they_meet(pieces: list[Piece]) -> None:
     assert 0.5 < np.median(off) < 8  # of 100; the light differs by up to 60
 
 
-def test_files_are_gltf_with_their_pictures_in_them(pieces: list[Piece], tmp_path: Path) -> None:
+def test_files_are_gltf_with_embedded_pictures(pieces: list[Piece], tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     path = tmp_path / "room.glb"
     write_pieces(path, pieces, 1.0)
@@ -99,14 +99,14 @@ def test_files_are_gltf_with_their_pictures_in_them(pieces: list[Piece], tmp_pat
     assert all(view["byteOffset"] % 4 == 0 for view in document["bufferViews"])
 
 
-def test_without_pictures_there_are_the_vertices_colours(example: SolvedExample) -> None:
+def test_without_pictures_vertex_colours_are_used(example: SolvedExample) -> None:
     mesh = fused(example.solved)
     (piece,) = textured(example.solved.stations, example.solved.calibration, mesh)
     assert not piece.jpeg
     assert len(piece.mesh.triangles) == len(mesh.triangles)
 
 
-def test_light_that_differs_is_made_common() -> None:
+def test_different_lighting_is_equalised() -> None:
     rng = np.random.default_rng(0)
     paint = rng.uniform(60, 140, (96, 128))
     light = np.linspace(0.6, 1.5, 128) * np.linspace(1.1, 0.9, 96)[:, None]
