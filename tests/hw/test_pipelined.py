@@ -63,7 +63,7 @@ def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
     assert rig.pipelined.rhythm.outstanding == pytest.approx(latency_ms / 40, abs=1.1)
 
 
-def test_pictures_are_sent_on_their_way_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_are_sent_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
     """What that takes is no part of a frame's time."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.002, sending_s=0.008))
     assert rig.pipelined is not None
@@ -86,18 +86,14 @@ def test_lost_frames_are_taken_again(monkeypatch: pytest.MonkeyPatch, latency_ms
 
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
-def test_pictures_that_came_late_without_a_word_are_found_out(
-    monkeypatch: pytest.MonkeyPatch, latency_ms: float
-) -> None:
+def test_unreported_late_pictures_are_detected(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005), late_every=9)
     assert rig.pipelined is not None
     assert 4 <= rig.pipelined.doubted <= 20
 
 
 @pytest.mark.parametrize("seed", [1, 14])
-def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
+def test_a_picture_that_is_late_twice_is_detected(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """The same one, of a group whose frames follow each other as before: twice the same is not the scene's own."""
     bench = Bench(0.12, transfer_s=0.005, jitter_s=0.008, lag_s=0.001, seed=seed)
     rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
@@ -121,7 +117,7 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
 
 
 @pytest.mark.parametrize("latency_ms", [20, 120])
-def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+def test_a_single_late_picture_does_not_stop_the_pipeline(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     """Its group is repeated pipelined: two more frames, at any latency."""
     elapsed = []
     for late in (False, True):
@@ -144,7 +140,7 @@ def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1.3 < rig.sequential.tally.seconds_per_frame * 30 < 3
 
 
-def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_delay_of_exposures_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the rehearsal already; where it comes as a surprise, they are taken again."""
     missed = []
     for surprising in (False, True):
@@ -166,7 +162,7 @@ def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest
     assert 1 / 30 + 0.01 < rig.sequential.tally.seconds_per_frame < 1.6 / 30
 
 
-def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_causes_no_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005, noise=60.0).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures()
@@ -176,7 +172,7 @@ def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rig.pipelined.doubted <= 2
 
 
-def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unverifiable_pictures_are_taken_sequentially(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures(12)
@@ -217,7 +213,7 @@ def scanned_without_inverses(
 
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
-def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+def test_bits_without_inverses_are_pipelined(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     """This costs one parity picture for each axis."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, noise=30.0, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, noise=30.0)
@@ -230,7 +226,7 @@ def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_
 
 @pytest.mark.parametrize("exposure_s", [1 / 60, 1 / 30])
 @pytest.mark.parametrize("late_every", [5, 8])
-def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
+def test_unreported_late_bits_without_inverses_are_detected(
     monkeypatch: pytest.MonkeyPatch, exposure_s: float, late_every: int
 ) -> None:
     """By half an exposure, or by a whole one: then a frame shows the picture before its own, and nothing else."""
@@ -241,9 +237,7 @@ def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
 
 
 @pytest.mark.parametrize("seed", [219, 366, 460, 545])
-def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
+def test_random_late_pictures_on_a_busy_computer_are_detected(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """Next to black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
     bench = Bench(0.05, transfer_s=0.005, jitter_s=0.001, lag_s=0.001, noise=30.0, seed=seed, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_share=0.08, noise=30.0)
@@ -263,7 +257,7 @@ def test_a_free_running_camera_has_one_frame_between_two_pictures(
     assert (rig.pipelined is not None) == (latency_ms >= 50)
 
 
-def test_a_camera_of_which_nobody_knows_when_it_exposes_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_with_unknown_exposure_times_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
     class Untold(Bench):
         """Exposes on a trigger, without stating its capability."""
 
@@ -283,7 +277,7 @@ def test_a_camera_of_which_nobody_knows_when_it_exposes_is_not_pipelined(monkeyp
     assert synchronised(bench, bench, {}).pipelined is None
 
 
-def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_lost_repeatedly_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench._lost = frozenset(range(bench.exposures + 6, 10_000))
@@ -292,7 +286,7 @@ def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.Monke
         list(frames)
 
 
-def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_complement_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench.delay_every(7)
@@ -305,7 +299,7 @@ def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPat
     assert rig.pipelined.doubted >= 2
 
 
-def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_abandoned_scan_leaves_no_picture_in_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.12, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     frames = rig.photograph(pictures(), level=pairs())
@@ -330,6 +324,6 @@ def test_in_a_scene_that_verifies_nothing_acquisition_is_sequential(monkeypatch:
     assert rig.sequential.tally.retriggered <= 10
 
 
-def test_neighbours_are_never_alike() -> None:
+def test_neighbouring_test_pictures_differ() -> None:
     """Otherwise frames of wrong pictures would pass."""
     assert all(np.mean(one != other) > 0.2 for one, other in pairwise(pictures()))

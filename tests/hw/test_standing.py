@@ -46,7 +46,7 @@ FRINGE = 0.5 + 0.1 * np.cos(2 * np.pi * np.arange(SIZE[0]) / 23)
     [(0.02, 0.05, 0), (0.5, 0.53, 0), (1 - COARSE, COARSE, 1), (COARSE, FRINGE, 1)],
     ids=["dim greys", "greys", "inverse", "faint fringe"],
 )
-def test_what_rests_stands_and_a_few_per_cent_of_another_picture_do_not(
+def test_equal_frames_agree_and_a_few_per_cent_of_another_picture_do_not(
     compared: Standing, before: np.ndarray | float, now: np.ndarray | float, seldom: int
 ) -> None:
     assert all(stand(compared, before, now, 0.0) for _ in range(40))

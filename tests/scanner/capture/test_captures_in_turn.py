@@ -93,7 +93,7 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_device_that_fails_midway_costs_nothing_that_was_captured(
+def test_a_device_failure_keeps_the_captured_frames(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "room"
@@ -139,7 +139,7 @@ def test_the_operator_is_asked_between_captures_and_may_stop(
 
 
 @pytest.mark.usefixtures("unmoved")
-def test_without_a_terminal_nobody_can_be_asked(
+def test_without_a_terminal_several_captures_are_refused(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--config", str(config), "--captures", "2", "--out", str(tmp_path / "room")]) == 2
@@ -152,7 +152,9 @@ def test_without_a_terminal_nobody_can_be_asked(
         places.check_places(SimulatedRigSettings(), 2, Operator())
 
 
-def test_the_end_of_the_input_is_an_answer(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_end_of_the_input_stops_the_captures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def end() -> str:
         raise EOFError
 
@@ -161,7 +163,7 @@ def test_the_end_of_the_input_is_an_answer(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr() == ("", "Go on [y/n]? ")
 
 
-def test_a_simulated_rig_steps_aside_by_itself() -> None:
+def test_a_simulated_rig_moves_by_itself() -> None:
     settings = SimulatedRigSettings(seed=4, pose=2)
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})

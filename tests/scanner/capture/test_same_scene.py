@@ -73,7 +73,7 @@ def test_the_projectors_motion_shows_in_the_stripes(before: list[np.ndarray]) ->
         refuse_another_scene("frame 1", before[1], moved[1], scale)
 
 
-def test_flicker_is_usual_and_another_exposure_is_not(before: list[np.ndarray], after: list[np.ndarray]) -> None:
+def test_flicker_is_tolerated_and_another_exposure_is_not(before: list[np.ndarray], after: list[np.ndarray]) -> None:
     for one, other in zip(before, after, strict=True):
         refuse_another_scene("frame 3", one, (0.9 * other).astype(np.uint8))
         with pytest.raises(InputError, match=r"frame 3 was shown again, and it is 0\.[56]. times as bright"):
@@ -82,7 +82,7 @@ def test_flicker_is_usual_and_another_exposure_is_not(before: list[np.ndarray], 
             refuse_another_scene("frame 3", one // 2, other // 2 + 60)
 
 
-def test_something_that_stands_there_now_is_seen(before: list[np.ndarray], after: list[np.ndarray]) -> None:
+def test_a_new_object_is_detected(before: list[np.ndarray], after: list[np.ndarray]) -> None:
     other = after[0].copy()
     bright = np.argwhere(other > np.percentile(other, 97))
     (top, left), (bottom, right) = bright.min(axis=0), bright.max(axis=0)

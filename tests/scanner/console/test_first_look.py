@@ -25,7 +25,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_it_is_some_of_what_is_saved(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_preview_is_a_part_of_the_saved_cloud(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEFAULT_SHOWN", 5000)
     looks: list[tuple[ViewedCloud, int, bool]] = []
 
@@ -46,7 +46,7 @@ def test_it_is_some_of_what_is_saved(config: Path, monkeypatch: pytest.MonkeyPat
     assert some.unit == rig.calibration.unit
 
 
-def test_the_page_is_told_once_and_before_the_result(config: Path) -> None:
+def test_the_page_gets_the_preview_once_and_before_the_result(config: Path) -> None:
     class Broken(Notebook):
         """A page that can show results, and no clouds before."""
 

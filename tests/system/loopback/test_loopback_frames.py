@@ -47,7 +47,7 @@ class Stream:
 @pytest.mark.parametrize(
     ("after_s", "theirs"), [([EXPOSURE_S + 0.002], 0), ([0.03, EXPOSURE_S + 0.002], 1), ([EXPOSURE_S + 0.04], 0)]
 )
-def test_a_frame_that_is_there_before_the_trigger_was_confirmed_late_is_kept(after_s: list[float], theirs: int) -> None:
+def test_a_frame_before_a_late_trigger_confirmation_is_kept(after_s: list[float], theirs: int) -> None:
     """A camera that confirms a trigger late may have obeyed at once: its frame may be there before that is known."""
     camera = object.__new__(aravis.load().AravisCamera)
     camera._disturbed = camera._free_running = False

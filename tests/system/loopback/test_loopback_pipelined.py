@@ -46,7 +46,7 @@ def test_no_frame_of_a_wrong_picture_is_accepted_on_a_busy_computer(
     ],
     ids=["late and lossy", "slow panel"],
 )
-def test_every_frame_is_of_its_own_picture(
+def test_every_frame_shows_its_own_picture(
     config: Path, rig: Loopback, room: SimulatedRoom, conditions: Conditions
 ) -> None:
     rig.camera.change(conditions)

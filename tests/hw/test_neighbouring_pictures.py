@@ -31,7 +31,7 @@ def held(shown: list[np.ndarray], frame: np.ndarray, number: int) -> float:
 @pytest.mark.parametrize(
     ("number", "late_ms"), [(3, 1.85), (LAST - 11, -5.2), (LAST - 5, -5.2), (LAST - 1, -5.2), (LAST, 1.85)]
 )
-def test_more_than_two_per_cent_of_a_neighbour_are_found(
+def test_more_than_two_per_cent_of_a_neighbouring_picture_is_detected(
     monkeypatch: pytest.MonkeyPatch, number: int, late_ms: float
 ) -> None:
     """Of the picture before, which stays too long, or of the next, which comes too soon: in bits, in the steps of a
