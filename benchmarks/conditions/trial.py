@@ -25,7 +25,7 @@ from conditions.judging import (
 )
 from conditions.plain_decoder import plain_matches
 from hw.settings import PanelSettings, SimulatedRigSettings
-from hw.simulated.picture import panel_shape
+from hw.simulated.picture import panel_homography
 from hw.simulated.simulation import SimulatedRoom
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, write_calibration
@@ -134,7 +134,7 @@ def _truth(
     projector_px = shown.ground_truth().projector_px.astype(np.float64)
     true = shown.calibration
     if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
-        shape = panel_shape(PanelSettings.model_validate(dict(panel)), *projector_size)
+        shape = panel_homography(PanelSettings.model_validate(dict(panel)), *projector_size)
         return Truth(projector_px, room.calibration, pinhole=False, panel=shape)
     return Truth(projector_px, true)
 

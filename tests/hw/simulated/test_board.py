@@ -37,7 +37,7 @@ def test_rays_meet_the_board_which_is_slightly_bent(room: SimulatedRoom) -> None
     board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector, room.room.scene)
     uv = np.random.default_rng(0).uniform(-1, 1, (2, 50)) * board.half[:, None]
     points = board.points(uv)
-    met, hit = board.meet(camera.centre, points - camera.centre[:, None])
+    met, hit = board.intersect(camera.centre, points - camera.centre[:, None])
     assert hit.all()
     assert np.abs(met - uv).max() < 1e-9
     heights = (board.rotation.T @ (points - board.middle[:, None]))[2]

@@ -80,7 +80,7 @@ def test_the_rig_moves_and_the_room_does_not() -> None:
         for block, first in zip(place.scene.blocks, places[0].scene.blocks, strict=True):
             np.testing.assert_array_equal(block.edges, first.edges)
         view = look(place.scene, place.camera, place.projector)
-        assert view.is_sensible(0.15)
+        assert view.is_suitable(0.15)
         assert all(np.linalg.norm(place.camera.centre - other.camera.centre) > 0.35 for other in places[:i])
 
 

@@ -14,9 +14,7 @@ _CORNERS = (0, 2)  # stations that look into one
 
 
 @pytest.mark.parametrize("changed", _CORNERS)
-def test_of_two_contradicting_corners_the_better_supported_one_is_used(
-    example: SolvedExample, changed: int
-) -> None:
+def test_of_two_contradicting_corners_the_better_supported_one_is_used(example: SolvedExample, changed: int) -> None:
     captures = read_stations(example.files, example.config, Terminal(quiet=True))
     station = example.true[changed]
     rig = station.calibration
