@@ -68,7 +68,7 @@ def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
     for (columns, block, device), pixels in zip(devices, rays_seen(found.state, sizes), strict=True):
         own, turn = _in_place_of_aspect(device, pixels)
         to_columns[columns, block] = own
-        # X_projector = R X_camera + t stays true of the turned device's own frame.
+        # In the rotated device's own frame, X_projector = R X_camera + t is unchanged.
         if block == CAMERA:
             to_columns[ROTATION_COLUMNS, block] -= motion.rotation @ turn
         else:

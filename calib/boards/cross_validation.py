@@ -24,8 +24,8 @@ from calib.boards.parameters import (
 from calib.numerics import Floats
 
 _FEWEST_OF_A_HALF = 2
-_EXCUSED = 9.0  # variances so many times as large as usual ones
-_USEFUL_HALF = 0.15  # sigma of a focal's logarithm, beyond which a half by itself says nothing
+_EXCUSED = 9.0  # variances this many times the usual are down-weighted
+_USEFUL_HALF = 0.15  # sigma of a log focal length beyond which a half by itself is not compared
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,13 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     residual = predicted - view.cells.projector_px
     pose = slice(SHARED, SHARED + PER_POSE)
     of_pose = np.asarray(np.linalg.inv(posed.information[pose, pose]), np.float64)
-    # The pose follows what all views share: its corners stay where they were seen.
+    # The pose follows the common parameters, so that its corners stay at their observed pixels.
     by_shared = jacobian[:, :, :SHARED] - jacobian[:, :, pose] @ (of_pose @ posed.information[pose, :SHARED])
     variance = _variance(by_shared, rest.covariance) + _variance(jacobian[:, :, pose], of_pose)
     if found.prior.flex:
         variance += _variance(jacobian[:, :, -PER_FLEX:], found.prior.flex**2 * np.eye(PER_FLEX))
     variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, _usual_px(found)) ** 2
-    # Huber's loss lets go of strays among the cells; so does this.
+    # Outliers among the cells are down-weighted, as by Huber's loss.
     square = np.minimum(np.sum(residual**2, axis=1), 9 * np.maximum(variance, np.median(np.sum(residual**2, axis=1))))
     return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
 

@@ -31,7 +31,7 @@ _TAILED = np.array(
     [[device.start + term] for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
 )
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
-# One sigma of what devices and boards are like, before any is seen: enough to hold what a set of views leaves open.
+# Prior sigmas of devices and boards: they determine what a set of views leaves open.
 _ASPECT_SIGMA = 0.002
 _LOG_FOCAL_SIGMA = 1.0
 _BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)

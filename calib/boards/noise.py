@@ -12,7 +12,7 @@ from calib.numerics import MEDIAN_LENGTH, Floats
 from calib.refinement import CUBIC, Cells, Noise, joined, long_waves, noise_of
 
 _LEAST_CORNER_PX = 1e-3
-_PRIOR_FREEDOM = 20.0  # of a view's own noise, around that of all views
+_PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views
 
 
 def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Floats, tuple[Noise, ...]]:

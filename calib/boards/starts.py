@@ -31,8 +31,8 @@ from calib.numerics import Bools, Floats, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
 _FINALISTS = 3
-_ROUGH_PX = 1.0  # before anything is known of the noise
-_SAMPLE = 60  # cells of each view
+_ROUGH_PX = 1.0  # assumed noise before it is estimated
+_SAMPLE = 60  # cells per view
 _ROUGH, _STEPS = 0.1, 20  # tolerance in cost
 _DIFFERENT = 0.02  # of log f
 

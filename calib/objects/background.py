@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats
 
-FEWEST = 4  # stations, below which chance agrees as well, but not over planes
-_SHARE = 0.3  # of the stations that see anything at a pixel
-_QUANTILE = 0.85  # of their depths: within the farthest third
-_WITHIN, _SIGMAS = 3e-4, 5.0  # of the depth, and of the noise, that depths are apart for being one
-_OPENED = 5  # pixels
-# Planes: how many are looked for, by how many points of each station, the least share of what is left, and trials for
-# each; how many times as far as above depths are apart, for calibrations bend planes a little.
+FEWEST = 4  # stations; fewer agree by chance, except on planes
+_SHARE = 0.3  # share of the stations that see anything at a pixel
+_QUANTILE = 0.85  # quantile of their depths: within the farthest third
+_WITHIN, _SIGMAS = 3e-4, 5.0  # largest difference of equal depths, relative, and in sigmas of the noise
+_OPENED = 5  # size of the morphological opening, in pixels
+# Planes: number to find, sampled points per station, least share of the remaining points, trials per plane; and a
+# factor on the depth tolerance, because calibration errors bend planes.
 _PLANES, _POINTS, _OF_PLANE, _TRIALS, _LOOSELY = 3, 400, 0.25, 300, 3.0
 
 

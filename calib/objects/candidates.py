@@ -16,7 +16,7 @@ from calib.objects.view import View
 
 _SEARCHED = 8
 _SOME = 250  # patches
-_COMPATIBLE, _FAR = 1.5, 5.0  # grains: how much distances may differ, and how far apart points are at least
+_COMPATIBLE, _FAR = 1.5, 5.0  # grains: largest difference of distances, and least distance of points
 _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 

@@ -13,7 +13,7 @@ from calib.objects.meeting import LOOKED_THROUGH, meet_points
 from calib.objects.view import View, without_crumbs
 from calib.rooms.alignment import composed, inverse
 
-_FEWEST = 4  # views, from which on a point has to be seen by another one, too
+_FEWEST = 4  # number of views from which a point must be seen by another view as well
 
 
 @dataclass(frozen=True, eq=False)

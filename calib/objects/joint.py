@@ -21,8 +21,8 @@ from calib.rooms.alignment import composed, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
-_STEPS = 4  # in each round
-_FEWEST = 60  # patches of a pair
+_STEPS = 4  # steps per round
+_FEWEST = 60  # patches per pair
 _DAMPING = 1e-9
 _MARK_GRAINS, _FEWEST_MARKS = 0.5, 6
 _CONVERGED = 1e-7
@@ -115,7 +115,7 @@ def residuals_of(
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
         pixel = meet(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
-        # Half a pixel is a long way along a slanted surface; normals at the rim err, all of them one way.
+        # Half a pixel is a long way along an oblique surface; normals at the rim have a common bias.
         met = met[(seen_by.facing(pixel[met]) > STEEPEST) & seen_by.inner[pixel[met]]]
         own, other = patches_of.patches[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))

@@ -13,8 +13,8 @@ from calib.rooms.projection import pixel_under, rotated
 
 UNSEEN, HIDDEN, LOOKED_THROUGH, BESIDE = -1, -2, -3, -4
 _LIKE = float(np.cos(np.radians(40.0)))
-_SIGMAS, _BENT = 4.0, 0.12  # the latter in grains
-_FREE = 1.5  # grains: before a surface by more than that, the other camera would have seen it
+_SIGMAS, _BENT = 4.0, 0.12  # the second in grains
+_FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
 def meet(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
@@ -69,7 +69,7 @@ def _meet(
         if i < 0:
             continue
         n0, n1, n2 = rotated(r, patch_normals[m])
-        if n0 * x + n1 * y + n2 * z >= 0:  # it faces away, and is the thing's back
+        if n0 * x + n1 * y + n2 * z >= 0:  # it faces away from the camera, so it is the back of the thing
             continue
         if points[i, j, 2] > 0:
             k0, k1, k2 = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]

@@ -14,13 +14,13 @@ from calib.rooms.marks import Marks, no_marks
 from calib.rooms.segments import relative_noise
 
 _PATCHES = 3000
-STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+STEEPEST = 0.35  # cosine of the slant beyond which a patch's area is unreliable
 _PARTS_ACROSS = 6
 PARTS = _PARTS_ACROSS**2
-_WINDOW = 7  # pixels: that normals are fitted in, unless noise asks for more
-_AROUND = 5  # pixels: edges of things are uncertain by about so many
+_WINDOW = 7  # window of the normals in pixels; larger with noise
+_AROUND = 5  # uncertainty of the edges of things, in pixels
 _MARKS, _CONTRAST = 500, 0.015
-_OF_SIZE = 1 / 60  # the grain: how far apart points are that features and coarse alignment look at
+_OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and coarse alignment
 
 
 @dataclass(frozen=True, eq=False)

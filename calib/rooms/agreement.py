@@ -22,16 +22,15 @@ from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
-# Of the depth, beyond three sigmas of noise: by what a calibration is off, and a pose before it is refined.
+# Relative depth, beyond three sigmas of noise: error of a calibration, and of a pose before refinement.
 FINE, COARSE = 0.012, 0.03
-_FREE = 0.015  # a patch in front of a surface by so much more than that is one the other camera saw through
+_FREE = 0.015  # a patch farther than this in front of a surface violates free space of the other camera
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
 _NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 1.0
 NATS_OF_POSE = 17.0
-# Marks of one pattern that is repeated come to lie on each other by the dozen: the first few say nothing, and there is
-# a limit to what they can say.
+# Marks of a repeated pattern match by the dozen: the first few have no weight, and the total is limited.
 _NATS_PER_MARK, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
-# One answer has to be 1000 times as likely as the next.
+# The best solution must be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
 _LIKE = float(np.cos(np.radians(35.0)))

@@ -18,7 +18,7 @@ from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
 _LIKE = float(np.cos(np.radians(35.0)))
-# Directions in which nothing holds a station stay as they are: the damping, relative to what the others hold.
+# Undetermined directions of a station do not move: damping relative to the determined ones.
 _DAMPING = 1e-3
 _STEPS = 12
 _CONVERGED = 1e-6

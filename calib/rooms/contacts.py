@@ -19,15 +19,15 @@ from calib.refinement.further_planes import depths
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.room import PER_PLACE, Room
 
-_DENSE, _MOST = 60_000, 4000  # points of a station, and how many of them look for others
+_DENSE, _MOST = 60_000, 4000  # points of a station, and number of them that search for neighbours
 _NEIGHBOURS = 12
-# Where nothing but surfaces holds stations: normals that are mostly noise pull together what is near by chance. So many
-# neighbours blur the edges of furniture, which planes hold better anyhow.
-SMOOTH, _SHARE = 60, 1 / 1000  # the latter of a station's points: fewer neighbours where these are sparse
-_FLAT = 0.2  # least over middle spread of a point's neighbours; rougher places have no normal
-_ALIKE = 0.94  # of two normals' product
+# If only surfaces constrain the stations, noisy normals attract points that are close by chance. This many neighbours
+# blur the edges of furniture, which planes constrain better.
+SMOOTH, _SHARE = 60, 1 / 1000  # the second as a share of a station's points: fewer neighbours where points are sparse
+_FLAT = 0.2  # least over middle spread of a point's neighbours; a rougher place has no normal
+_ALIKE = 0.94  # least scalar product of two normals
 _FEWEST = 30
-_BLOCKS = 5  # along either side of what a camera saw, over which errors are alike
+_BLOCKS = 5  # blocks along either side of a view, within which errors correlate
 _FEWEST_IN_BLOCK = 5
 
 
@@ -110,7 +110,8 @@ def find_contacts(
             continue
         some = evenly(np.isfinite(normals[first][:, 0]), _MOST)
         apart, nearest = trees[second].query(points[first][some], distance_upper_bound=radius)
-        # Each point once, with the nearest that looks for it: what it errs by must not count for many.
+        # Each point counts once, for the nearest point that searched it, so that its error is not counted several
+        # times.
         order = np.argsort(apart)[: np.count_nonzero(np.isfinite(apart))]
         there, once = np.unique(np.asarray(nearest, np.int64)[order], return_index=True)
         near = some[order[once]]

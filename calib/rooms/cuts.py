@@ -77,7 +77,7 @@ def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> It
     for i, j in combinations(range(len(names)), 2):
         a, b = int(names[i]), int(names[j])
         worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b]))])[0]
-    cost = np.triu(1 + worth.max() - worth, 1)  # a zero would be no edge at all
+    cost = np.triu(1 + worth.max() - worth, 1)  # zero would mean no edge
     tree = minimum_spanning_tree(cost).toarray()
     for edge in np.argwhere(tree):
         rest = tree.copy()

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image
 
-_DARKEST = 0.02  # of the brightest: logarithms of less are noise
+_DARKEST = 0.02  # share of the brightest level; logarithms of less are noise
 _BORDER_PX = 5
 
 

@@ -16,8 +16,8 @@ from calib.refinement import CUBIC, monomials
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
 
-_ORDERS = 6  # half-waves along either side of what was seen of a plane
-_LEAST_LEFT = 1e-3  # of the waves, by the fit; less than that in the residuals tells nothing of their heights
+_ORDERS = 6  # half-waves along either side of the visible part of a plane
+_LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals do not determine their heights
 
 
 def covariance_of_waves(
@@ -46,7 +46,7 @@ def covariance_of_waves(
         if left < _LEAST_LEFT * whole:
             continue
         seen = sum(waves.energy() for waves in on_plane)
-        # Variances on the plane were enlarged by what the waves do; without them this is what noise would show.
+        # Variances on the plane were enlarged by the waves; this is the noise without them.
         noise = len(on_plane) * CUBIC / levels.planes[plane]
         variance = max(seen - noise, 0.0) / left
         covariance += variance * moved @ moved.T
@@ -93,5 +93,5 @@ def _modes(points: Sequence[Floats], normal: Floats) -> list[Floats]:
     every = np.concatenate(places)
     low, sides = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-12)
     orders = np.stack(np.meshgrid(*[np.arange(_ORDERS + 1)] * 2), axis=-1).reshape(-1, 2)[1:]
-    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # over the wave's number, its length
+    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # relative to the wave's number: its length
     return [np.cos(np.pi * ((place - low) / sides)[:, None, :] * orders).prod(axis=2) * height for place in places]

@@ -16,8 +16,8 @@ from calib.rooms.planes import PER_PLANE, RoomPlane
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
 DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
-PLANE = slice(-PER_PLANE, None)  # of a part's own columns
-_BEHIND = 100.0  # the cost of a cell of a part behind a device, like one ten sigmas off
+PLANE = slice(-PER_PLANE, None)  # within a part's own columns
+_BEHIND = 100.0  # cost of a cell of a part behind a device, as for a deviation of ten sigmas
 
 
 class Layout(Protocol):

@@ -13,7 +13,7 @@ from calib.rooms.surfaces import Surfaces
 
 _DRAWN = 2000
 _FEWEST = 5
-_WIDEST = 0.1  # of the depth: three marks nearer to each other than that turn with every millimetre
+_WIDEST = 0.1  # relative to the depth: closer marks do not determine a rotation
 _ROUNDS = 3
 _MOST = 3
 

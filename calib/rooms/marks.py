@@ -18,11 +18,11 @@ from calib.rooms.drawings import drawn, logarithmic
 from calib.rooms.planes import RoomPlane
 
 _MOST_ON_A_PLANE = 300
-_LARGEST_PX = 800  # along a side of a plane's drawing
-_LEAST_PIXELS = 400  # of a plane in the picture
+_LARGEST_PX = 800  # pixels along a side of a plane's drawing
+_LEAST_PIXELS = 400  # visible pixels of a plane
 _CONTRAST = 0.015
-_RATIO = 0.8  # of the distances to the two nearest descriptors (Lowe 2004)
-_SAME = 0.01  # between descriptors of single precision
+_RATIO = 0.8  # ratio of the distances to the two nearest descriptors (Lowe 2004)
+_SAME = 0.01  # tolerance between descriptors, in single precision
 _DESCRIPTOR = 128
 
 

@@ -14,10 +14,10 @@ from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.ties import plane_scores
 
 _LEAST_PX = 1e-3
-_OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
+_OUT_OF_LINE = 4.0  # long waves of a patch over the median of its station: beyond this, the plane is uneven
 _BENT = 0.999
-_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # of a station without cells
-_LOUD = 10.0  # sigmas; a cell further off has no more influence on what is smooth
+_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
+_LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth part further
 
 
 @dataclass(frozen=True, eq=False)

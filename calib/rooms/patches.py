@@ -16,10 +16,10 @@ from calib.refinement.parameters import PER_CORNER, PER_POSE, FurtherPlane
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
-OWN = slice(SHARED, SHARED + PER_PLANE)  # of a patch's columns, those of its plane before the camera
+OWN = slice(SHARED, SHARED + PER_PLANE)  # columns of a patch for its plane in the camera's frame
 PER_PATCH = OWN.stop
 
-# A plane in the camera's frame is a further plane of a corner at the camera's centre, whose own columns say nothing.
+# A plane in the camera's frame is a further plane of a corner at the camera's centre, whose own columns have no effect.
 _FURTHER = 3
 _OF_PLANE = np.r_[0:SHARED, SHARED + PER_CORNER + PER_POSE : SHARED + PER_CORNER + PER_POSE + PER_PLANE]
 

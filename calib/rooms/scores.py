@@ -12,7 +12,7 @@ from calib.numerics import Floats, Ints
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 
-_LEAST_SHARE = 1e-3  # of a parameter's own information: what tells less than that of a direction tells nothing of it
+_LEAST_SHARE = 1e-3  # share of a parameter's own information below which a direction is undetermined
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,10 @@ from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.surfaces import Surfaces
 
 _FEWEST = 6
-# How far, of the distance, segments of one plane may be apart where they overlap.
+# Largest relative distance of overlapping segments of one plane.
 _APART = 0.006
 
-Segment = tuple[int, int]  # of a station, its label
+Segment = tuple[int, int]  # number of the station, label
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.segments import NO_PLANE
 from calib.rooms.station import StationView
 
-_LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # of a station's matches on planes
+_LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # share of a station's matches on planes
 _MOST_PIECES = 3
-_LEAST_OFF_PX = 0.1  # projector pixels: what a rough lens leaves
+_LEAST_OFF_PX = 0.1  # projector pixels left by an approximate lens
 _FITTED = 4000
 
 
@@ -38,7 +38,7 @@ def split_planes(view: StationView, matches: Matches, calibration: Calibration) 
     count = 0
     for label in range(len(view.planes)):
         left = np.flatnonzero(plane == label)
-        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment itself may be small
+        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment may be small
         for _ in range(_MOST_PIECES):
             if len(left) < least:
                 break

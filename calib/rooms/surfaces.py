@@ -14,10 +14,10 @@ from calib.rooms.marks import Marks
 from calib.rooms.station import StationView
 
 _COLUMNS = 306
-# Pixels: poses that are not refined yet are off by about so many, and so are the edges of things.
+# Pixels: error of unrefined poses, and uncertainty of the edges of things.
 _AROUND = 7
 _PATCHES = 1500
-_STEEPEST = 0.1  # cosine of the slant beyond which a patch's area means little
+_STEEPEST = 0.1  # cosine of the slant beyond which a patch's area is unreliable
 
 
 @dataclass(frozen=True, eq=False)

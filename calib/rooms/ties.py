@@ -12,7 +12,7 @@ from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
 from calib.rooms.planes import PER_PLANE, RoomPlane
 from calib.rooms.scores import PatchSums, reweighted, score
 
-WRONG_TIE = 30.0  # per degree of freedom, over the usual one
+WRONG_TIE = 30.0  # per degree of freedom, relative to the usual value
 
 
 def tie_scores(

@@ -18,7 +18,7 @@ from scanner.results import CAPTURES_FOLDER
 from scanner.targets.target import Target
 from scanner.ui import Terminal
 
-_WORTH_IT = 1.05  # times as sure
+_WORTH_IT = 1.05  # least factor on the sigmas
 
 
 def check_live(config: Config, number: int, target: Target, terminal: Terminal) -> None:
@@ -71,7 +71,7 @@ def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
 def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
     """Whether the board was moved, and not the operator has had enough."""
     if isinstance(rig, SimulatedRigSettings):
-        # A simulated board moves by itself; one that is never found will not be found by going on.
+        # A simulated board moves by itself: if it is never found, continuing does not help.
         return len(looked) < 2 * number
     question = (
         f"{found} of {number} captures. Move the board, and nothing else; then press Enter, or q and Enter to end: "

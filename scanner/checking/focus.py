@@ -16,22 +16,22 @@ from calib.numerics import Bools, Floats, Ints, robust_sigma
 from scanner.checking.fringes import Fringe, cell_size
 from scanner.patterns import Axis
 
-# Fringes count where their power is so many times the noise of its own mean.
+# Least power of a fringe relative to the noise of its mean.
 _SEEN = 5.0
 _FEWEST_OF_CELL = 0.5
-# A cell across an edge is not the picture of one plane.
+# A cell across an edge shows more than one plane.
 _STRAIGHT_PX = 0.5
 _FEWEST_CELLS = 12
-# A period spans so many camera pixels at least: with fewer, it is sampled too coarsely for an amplitude.
+# Least camera pixels per period: with fewer, the amplitude is sampled too coarsely.
 _CAMERA_PIXELS = 3.0
-# Of a fringe's amplitude: pixels are not quite squares, and lenses no Gaussians.
+# Model error of a fringe's amplitude: pixels are not exactly squares, and lenses not Gaussians.
 _MODEL_ERROR = 0.03
 _BLOCKS = 4
-# Beside the quick sequence's own: those that projectors can draw as sines, and one that hardly any lens blurs. Not
-# whole numbers, as in the presets.
+# Additional to the quick sequence: periods that projectors can draw as sines, and one that hardly any lens blurs. They
+# are not whole numbers, as in the presets.
 _SHORT_PERIODS_PX = (4.3, 6.1, 8.6)
 LONG_PERIOD_PX = 24.6
-# How much more than on average a camera pixel spans on the faces that are seen at a slant.
+# Factor by which a camera pixel spans more than on average on oblique faces.
 _UNEVEN = 1.3
 _AXES: tuple[Axis, Axis] = ("x", "y")
 
@@ -111,7 +111,7 @@ def _blur2(
         short_power, long_power = powers[short], powers[long]
         if short_power is None or long_power is None:
             continue
-        # Pixels of both devices are squares, whose own blur is no lens's.
+        # Pixels are squares; their own blur is not the lens's.
         expected = _squares(short, slope) / _squares(long, slope)
         transfer = np.sqrt(short_power / long_power) / expected
         lever = 2 * np.pi**2 * (1 / short**2 - 1 / long**2)
@@ -160,7 +160,7 @@ def tell_apart(samples: BlurSamples) -> Lenses | None:
     number: Ints = block[:, 1] * _BLOCKS + block[:, 0]
     groups = np.unique(number)
     total_px = float(np.sqrt(max(0.0, total2)))
-    # What is taken for blur that grows with the span is the more doubtful, the less the spans differ.
+    # The attribution of blur that grows with the span is less certain if the spans differ little.
     lever = float(np.std(samples.span**2) / usual)
     doubt2 = float(np.median(samples.doubt2)) / lever if lever > 0 else float("inf")
     if len(groups) < 3:
@@ -181,7 +181,7 @@ def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:
     design = np.stack([np.ones(len(relative)), relative], axis=1)
     target = samples.blur2[chosen]
     weight = np.ones(len(target))
-    for _ in range(10):  # reweighted against cells across edges (Huber)
+    for _ in range(10):  # reweighted to reject cells across edges (Huber)
         solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
         off = np.abs(target - design @ solution)
         scale = robust_sigma(off) + 1e-9

@@ -12,13 +12,13 @@ from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
 from scanner.checking.report import CheckRow, State
 from scanner.decoding import MUCH_FLICKER
 
-# A signal counts from five standard deviations on, as in the decoder.
+# Least signal in standard deviations, as in the decoder.
 _SEEN = 5.0
-# What is lit by the projector itself is at least so bright, relative to its brightest parts; light that reaches other
-# surfaces by way of the first is fainter, unless these are next to each other.
+# Least brightness of directly lit pixels relative to the brightest; interreflection is darker, except close to a
+# crease.
 _DIRECT = 0.1
 _BRIGHT_PERCENTILE = 99.0
-# Of the picture before: a third of it costs 6 % of the intrinsics.
+# Share of the previous picture: a third of this costs 6 % of the intrinsics.
 _MOST_GHOST = 0.01
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
 CLIPPED = 254 / 255

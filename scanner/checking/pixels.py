@@ -18,10 +18,10 @@ from scanner.checking.settled import settled
 from scanner.patterns import Axis
 
 _NAME = "pixels"
-# The two grey levels, by the steps of the ramp.
+# The two grey levels, as steps of the ramp.
 _DARK, _BRIGHT = 4, 11
 _MOST = 255.0
-# A picture that is scaled by any factor keeps some 55 %; a panel whose pixels share a tenth of their light, 79 %.
+# A scaled picture keeps about 55 %; a panel whose pixels share a tenth of their light, 79 %.
 _LEAST_CONTRAST, _MOST_CONTRAST = 0.7, 1.2
 _AXES: tuple[Axis, Axis] = ("x", "y")
 
@@ -32,7 +32,7 @@ def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
         return None
     where = light.well_lit
     black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
-    # Of a ghost that harms nothing else there would be percents of contrast here.
+    # Ghosting that is harmless elsewhere would change the contrast here by percents.
     levels = _level(_DARK), _level(_BRIGHT)
     frames = settled(rig.photograph, [lines_of_light(axis, rig.projector.size, levels) for axis in _AXES])
     mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])

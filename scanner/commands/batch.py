@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scanner.batch.cluster import DaskWorkers
 
 _SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,3})?) ?([MGT])(i?)B?", re.ASCII | re.IGNORECASE)
-# With less, a process is ended over the smallest capture.
+# With less, a process would be ended by the smallest capture.
 _LEAST_BYTES = 400_000_000
 
 

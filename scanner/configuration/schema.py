@@ -25,13 +25,13 @@ from scanner.errors import InputError
 from scanner.io import Section, parse_yaml, read_yaml, validate
 from scanner.patterns import PresetName
 
-# Of an unknown camera only the image's centre is known; real principal points scatter around it by a few per cent.
+# Of an unknown camera only the image's centre is known; real principal points deviate by a few per cent.
 _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _MOST_EARLIER = 64
-# Of a camera that takes a second or more for a frame.
+# For cameras that take a second or more per frame.
 _PRESET_OF_SLOW: PresetName = "quick"
-# Of a recording's `capture.yaml`.
+# In a recording's `capture.yaml`.
 CONFIGURATION_KEY = "configuration"
 
 

@@ -10,7 +10,7 @@ from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
 from scanner.results import FinishedScan
 
-# The camera's axes (x right, y down, z forward) turned to x right, y up, z backward, as glTF's cameras look.
+# From the camera's axes (x right, y down, z forward) to glTF's (x right, y up, z backward).
 Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
 
 

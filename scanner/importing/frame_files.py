@@ -14,9 +14,9 @@ from scanner.io import SUFFIXES
 _FEWEST = 3
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 _NUMBER = re.compile(r"\d+")
-# A moment, down to the second or finer, with whatever is between its parts.
+# A time stamp, to the second or finer, with any separators.
 _MOMENT = re.compile(r"(?<!\d)(?:19|20)\d\d(?:[-_.]?\d\d){2}\D{1,4}\d\d(?:[-_.:h]?\d\d){2}(?:[-_.,]?\d{1,6})?(?!\d)")
-_COPY = re.compile(r" ?\(#\)(?=\.)")  # of a file of the same name
+_COPY = re.compile(r" ?\(#\)(?=\.)")  # number of a copy
 _NAMES = {"white": ("white", "lit", "light", "on"), "black": ("black", "unlit", "dark", "off")}
 
 
@@ -52,7 +52,7 @@ def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
     place, images = _place_of_images(folder, pattern or "*")
     last, every, moments = (_largest(images, partial(_shape, part)) for part in (_LAST_NUMBER, _NUMBER, _MOMENT))
     series = last or every
-    # Names that are moments have a series of last numbers for each minute.
+    # Time-stamped names have a series of last numbers per minute.
     if len(moments) == 1 and series and len(moments[0]) > len(series[0]):
         series = moments
     if not series:

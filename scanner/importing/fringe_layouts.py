@@ -20,7 +20,7 @@ _BEGINNINGS = (0.0, 0.25, 0.5, 0.75)
 _USUAL = ((59, 64, 70), (30, 35, 36), (56, 63, 64), (90, 99, 100))
 _ANY_PERIOD_PX = 32
 
-# Of an axis of a length: the periods of its fringes, and the code behind them; no periods where there is none such.
+# For an axis of given length: the periods of its fringes, and the code behind them; no periods if impossible.
 _Parts = tuple[Sequence[float], Sequence[Gray]]
 _AlongAxis = Callable[[Axis, int], _Parts]
 

@@ -15,7 +15,7 @@ from scanner.importing.frame_files import FrameFiles
 from scanner.importing.samples import Samples
 from scanner.patterns import Black, Pattern, White
 
-# What two frames of the same picture differ by, in swings of the lit pixels: at nearly all of them.
+# Largest difference of two frames of one picture, in swings of the lit pixels, at nearly all of them.
 _SAME, _NEARLY_ALL = 0.1, 0.98
 
 MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(), Black()))

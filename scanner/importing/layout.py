@@ -11,9 +11,10 @@ from scanner.patterns import Black, Gray, Pattern, Phase, White
 
 Size = tuple[int, int]
 _BITS = range(4, 14)
-# A longer series is no capture, and not read: four fringes of both axes in eight steps, white and black, and one twice.
+# A longer series is no capture and not read: four fringes of both axes in eight steps, white and black, and one
+# duplicate.
 MOST_FRAMES = 4 * 2 * 8 + 3
-_MOST_APART = 4  # bits of the longer axis beyond those of the shorter
+_MOST_APART = 4  # largest difference of the bits of the two axes
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Given:
         return Given(self.projector_size or other.projector_size, self.cell or other.cell, self.codes or other.codes)
 
 
-# The patterns for a projector of a size, with cells of so many pixels, shown in so many frames.
+# The patterns for a projector size, cells of this many pixels, and a number of frames.
 SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
 
 

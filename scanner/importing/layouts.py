@@ -56,7 +56,7 @@ def _read_config(path: Path) -> Given:
     ]
     width, height, step = (int(number[1]) if number else 0 for number in found)
     if min(width, height) < 1 or step < 2:
-        return Given()  # somebody else's config.xml
+        return Given()  # a config.xml of another program
     return Given((width, height), step // 2)
 
 

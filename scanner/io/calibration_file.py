@@ -14,7 +14,7 @@ from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
 from scanner.io.validation import Entry, Number, Whole, validate
 from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, read_yaml
 
-# Far beyond any device and any unit of length, and near enough for the squares and products of them to be numbers.
+# Beyond any device and unit of length, but small enough that products are finite.
 _LARGEST, _SMALLEST = 1e9, 1e-9
 _Focal = Annotated[Number, Field(ge=0.1, le=1e7)]
 _Pixel = Annotated[Number, Field(ge=-1e7, le=1e7)]

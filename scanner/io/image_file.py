@@ -37,7 +37,7 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
     _refuse_large(path, data, min(most, MOST_IMAGE_BYTES))
     if found := damage(data):
         raise InputError(f"{path}: the image is damaged: {found}; copy the file again")
-    # imdecode, because imread fills what is missing of a JPEG with grey and returns it.
+    # imdecode, because imread fills missing parts of a JPEG with grey.
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

@@ -18,12 +18,12 @@ from PIL import Image, TiffImagePlugin
 from calib.geometry import Size
 from scanner.io.jpeg_markers import FRAMES, PROGRESSIVE, SCAN, segments
 
-# Of what Pillow cannot read at all.
+# For formats that Pillow cannot read.
 UNREADABLE = (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError)
 PNG_START = b"\x89PNG\r\n\x1a\n"
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _CODESTREAM = b"\xff\x4f\xff\x51"
-_COLOUR = 3  # also of palettes, which OpenCV resolves
+_COLOUR = 3  # also for palettes, which OpenCV expands
 _WITH_ALPHA = 4
 # By the colour type in a PNG's header (ISO/IEC 15948, table 11.1).
 _PNG_CHANNELS = {0: 1, 2: _COLOUR, 3: _COLOUR, 4: _WITH_ALPHA, 6: _WITH_ALPHA}
@@ -36,9 +36,9 @@ _HELD_BESIDE = {
     "AVIF": 4,
     "GIF": 2,
     "WEBP": 1,
-}  # bytes of a channel that a decoder takes beyond the picture itself
+}  # bytes per channel that a decoder needs beyond the picture
 
-# Pillow's own limit is lower than today's photos have pixels; ours is held against what is told here.
+# Pillow's limit is below the size of today's photos; ours is checked against the size returned here.
 Image.MAX_IMAGE_PIXELS = None
 
 
@@ -96,7 +96,7 @@ def _coefficient_bytes(factors: bytes) -> int:
 
 def _of_bmp(data: bytes) -> tuple[int, int, int]:
     (header_bytes,) = struct.unpack_from("<I", data, 14)
-    old = header_bytes == 12  # of OS/2: shorter numbers
+    old = header_bytes == 12  # OS/2 headers have shorter numbers
     width, height, _, bits = struct.unpack_from("<HHHH" if old else "<iiHH", data, 18)
     return abs(width), abs(height), _WITH_ALPHA if bits > 24 else _COLOUR
 

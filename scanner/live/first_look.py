@@ -15,7 +15,7 @@ from scanner.patterns import ProjectorResponse
 
 _WHITES, _BLACKS = 4, 3
 _ROUNDING = 1 / 12
-# Squares of larger differences are left out: 3.5 standard deviations, which takes 0.2 % off a normal distribution.
+# Larger squared differences are left out: 3.5 standard deviations, which removes 0.2 % of a normal distribution.
 _MOST_SIGMAS = 3.5
 _LEAST_LIT = 500
 

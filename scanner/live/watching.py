@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-_RECENT = 20  # clouds that rate and delay are of
+_RECENT = 20  # clouds used for rate and delay
 _LEAVING_S = 60.0
 
 
@@ -120,7 +120,7 @@ def watch(
 
     def decode() -> None:
         earlier: list[LiveCloud] = []
-        first = True  # of which there is nothing to compare it with
+        first = True  # there is nothing to compare it with
         try:
             while (following := slot.take()) is not None:
                 cloud = proven(decoder, following, earlier)

@@ -19,7 +19,7 @@ from scanner.results import FinishedScan
 
 # Placements that VDI/VDE 2634 part 2 asks for: spheres for probing errors, lines for spacing, planes for flatness.
 PROBING_PLACEMENTS, SPACING_PLACEMENTS, FLATNESS_PLACEMENTS = 10, 7, 6
-# Points that may be left out as outliers; beyond that the standard's form error is larger than what is told here.
+# Share of outliers allowed; beyond it, the standard's form error is larger than the stated one.
 ALLOWED_STRAYS = 0.003
 _DISPERSION = 0.95
 

@@ -8,7 +8,7 @@ from calib.diagnostics import Budget, Spread, SystematicErrors
 from calib.numerics import Floats, Ints
 from scanner.measuring.scene_errors import ONLY_SCATTER, KnownLengths
 
-# Share of the points that a form error speaks of; the rest may be strays.
+# Share of the points in a form error; the rest may be outliers.
 FORM_SHARE = 0.997
 _DIAMETER = np.array([[0.0, 0.0, 0.0, 2.0]])  # from centre and radius
 

@@ -25,10 +25,10 @@ from scanner.measuring.scene_errors import known_lengths, rig_errors
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import cells_over, one_in_cells
 
-# Neighbouring points of a face err alike; squares of this share of the camera's image width count as independent.
+# Errors of neighbouring points of a face correlate; squares of this share of the image's width count as independent.
 _ALIKE_OF_WIDTH = 1 / 64
 _FEWEST_POINTS = 100
-# Planes through so many points are as good as through all, and known at once.
+# A plane fit to this many points is as accurate as to all, and faster.
 _MOST_POINTS = 100_000
 
 

@@ -7,7 +7,7 @@ from math import isclose
 
 from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, Xor
 
-_LEAST_STEPS = 3  # of fewer, the sum depends on how light follows the picture's grey levels
+_LEAST_STEPS = 3  # with fewer, the sum depends on the projector's response
 
 
 def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:

@@ -100,7 +100,7 @@ Pattern = White | Black | Gray | Xor | Phase
 def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The 8-bit image (height, width) of a pattern for a projector of `size` = (width, height)."""
     width, height = size
-    # A row and a column, not all pixels: a live capture waits for its pictures, and most of them vary along one axis.
+    # Only a row and a column are drawn, because a live capture waits for its pictures, and most vary along one axis.
     x, y = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
     levels = np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
     return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))

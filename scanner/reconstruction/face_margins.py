@@ -13,7 +13,7 @@ from calib.geometry import FACES, NO_FACE, Matches
 
 # Footprints are Gaussian: beyond two standard deviations lie 2 % of the light.
 _SIGMAS = 2.0
-# The pixels next to an edge are masked anyway, or are as good as the others if the lens is sharp.
+# Pixels next to an edge are masked anyway, or are good if the lens is sharp.
 _LEAST_PX = 2.0
 
 
@@ -30,7 +30,7 @@ def without_margins(matches: Matches, camera_size: tuple[int, int], footprint_px
     for number in FACES:
         on_face = np.zeros((height, width), np.uint8)
         on_face[row[matches.face == number], column[matches.face == number]] = 1
-        # A pixel that has no match by itself is no border.
+        # A pixel without a match is not a border by itself.
         whole = cv2.morphologyEx(on_face, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         inner = cv2.erode(whole, footprint) > 0
         face[(matches.face == number) & inner[row, column]] = number

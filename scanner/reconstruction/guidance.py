@@ -16,7 +16,7 @@ from scanner.reconstruction.merge_clouds import overlap
 from scanner.results import MEASUREMENT_GRADE, Decoded, SelfCalibrated
 
 _LITTLE_OVERLAP = 0.1
-_NOT_A_STEP = 0.05  # of the longest part of it
+_NOT_A_STEP = 0.05  # share of the longest component of the step
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from scanner.results import CALIBRATION_FILE
 
 log = logging.getLogger(__name__)
 
-_SUREST = 1e-6  # nothing is known better of a term
+_SUREST = 1e-6  # smallest sigma of a term
 
 
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:

@@ -10,7 +10,7 @@ from calib.numerics import Bools, Floats, Image
 from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
 from scanner.results import SelfCalibrated
 
-# Corners whose angles differ by more than this were found to be different ones: shared angles are equal.
+# Corners whose angles differ by more than this are different ones.
 _SAME_ANGLE_DEG = 1e-6
 _CONSISTENCY_SAMPLE = 20_000
 

@@ -10,10 +10,10 @@ from scanner.recordings.programme import Programme
 from scanner.recordings.samples import Light, VideoSamples
 
 _AROUND = 0.6  # slots before and after a change
-_FRAMES_PER_CHANGE = 10  # more of them, of a fast camera, tell no more
-_MIDDLE = 0.15  # slots: frames so near a slot's middle show its picture
-ROBUST = 0.05  # of a share: what is beyond it is no noise
-_LEAST_ENERGY = 1e-3  # of the usual: less tells nothing
+_FRAMES_PER_CHANGE = 10  # more frames, of a fast camera, add no information
+_MIDDLE = 0.15  # slots; frames this close to a slot's middle show its picture
+ROBUST = 0.05  # limit of a share; larger deviations are no noise
+_LEAST_ENERGY = 1e-3  # relative to the usual; less gives no information
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from scanner.rendering.splatting import RGBA, Floats32, facing, filled, halved, 
 RGB = tuple[int, int, int]
 
 _SUPERSAMPLING = 2
-# Of the picture as it is shown. More would hide each other.
+# Points per pixel of the shown picture; more would hide each other.
 _POINTS_PER_PIXEL = 1.0
 _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3
-# So many points tell how far the cloud reaches and how bright it is.
+# This many points determine the extent and brightness of the cloud.
 _SAMPLE, _COUNTED_ROWS = 50_000, 8
 
 
@@ -110,7 +110,7 @@ def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats
     """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
     is_image = cloud.points.ndim == 3
     points, normals = (each if is_image else each[None] for each in (cloud.points, cloud.normals))
-    # Every so many rows say well enough how many points there are.
+    # A subset of the rows suffices to count the points.
     total = _COUNTED_ROWS * np.count_nonzero(np.isfinite(points[::_COUNTED_ROWS, :, 2])) if is_image else len(points[0])
     step = ceil(max(1.0, total / most) ** (1 / cloud.points[..., 0].ndim))
     row_step = step if is_image else 1

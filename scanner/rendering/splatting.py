@@ -109,7 +109,7 @@ def filled(picture: RGBA) -> RGBA:
             if picture[row, column, 3]:
                 continue
             beside = picture[row, column - 1, 3] | picture[row, column + 1, 3]
-            # Without any of these four, at most four of the eight are opaque.
+            # Without these four, at most four of the eight are opaque.
             if not (beside | picture[row - 1, column, 3] | picture[row + 1, column, 3]):
                 continue
             count, red, green, blue = 0, 0, 0, 0

@@ -14,7 +14,7 @@ from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
 from scanner.results.names import CALIBRATION_FILE, CLOUD_FILE
 from scanner.results.older_results import find_matches, same_points
 
-# Of a cloud, so many points tell whether it comes from these matches.
+# This many points of a cloud suffice to check that it comes from these matches.
 _SAMPLE = 1000
 
 

@@ -10,7 +10,7 @@ CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
-# Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict that.
+# Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict it.
 REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"

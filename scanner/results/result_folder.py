@@ -31,7 +31,7 @@ from scanner.ui import LogFile
 
 log = logging.getLogger(__name__)
 
-# Two that begin at the same moment may be in each other's way for as long.
+# Two scans that begin at the same moment may block each other for this long.
 _ATTEMPTS, _PAUSE_S = 20, 0.005
 
 
@@ -106,9 +106,9 @@ class OutputFolder:
             try:
                 claim = Claim(self.folder / STATE, make=True)
             except FileNotFoundError:
-                continue  # taken for an empty folder that a killed program has left
+                continue  # another scan took it for an empty folder left by a killed program
             except HeldError as error:
-                held = error  # for a moment only, if it is another that looks whether this one was left behind
+                held = error  # held only for a moment, if another scan is checking for leftovers
                 time.sleep(_PAUSE_S)
                 continue
             if claim.is_current and claim.state is None:
@@ -167,7 +167,7 @@ class OutputFolder:
             if replacing:
                 try:
                     refuse_to_lose(place, overwrite=self._overwrite)
-                except InputError as error:  # somebody was faster
+                except InputError as error:  # another scan was faster
                     place, trouble, replacing = unused(place), error, False
             self._claim.say(State.REPLACING if replacing else State.WHOLE)
             publish(self.folder, place)
@@ -184,5 +184,5 @@ class OutputFolder:
         return kept_words(self._shown.with_name(kept.name), refuted=refuted)
 
     def _discard(self) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)  # what is left of it is settled by the next
+        shutil.rmtree(self.folder, ignore_errors=True)  # the next scan settles what remains
         remove_empty(self._new_parents)

@@ -22,11 +22,11 @@ COLUMNS = (
     *(f"rotation_{axis}_rad" for axis in "xyz"),
     *(f"translation_{axis}" for axis in "xyz"),
 )
-# Files of before there were more lens terms have all but these, which their calibrations took for zero.
+# Files written before further lens terms existed lack these, which their calibrations fixed to zero.
 _FURTHER = tuple(f"{device}_{term}" for device in ("camera", "projector") for term in ("p1", "p2", "k3"))
 
 _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
-_MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 in a focal length; in pixels more than any image has
+_MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 of a focal length; more pixels than any image has
 _ROUNDED, _NOTHING = 1e-6, 1e-9
 
 
@@ -183,7 +183,7 @@ def _is_covariance(values: Floats) -> bool:
     sigma = np.sqrt(np.clip(np.diag(values), 0.0, None))
     if np.any(np.diag(values) < 0) or sigma.max() > _MOST_SIGMA or sigma[_LOG_FOCALS].max() > _MOST_LOG_SIGMA:
         return False
-    scale = np.where(sigma > _NOTHING * sigma.max(), sigma, 1.0)  # of what is held fixed, rounding is all there is
+    scale = np.where(sigma > _NOTHING * sigma.max(), sigma, 1.0)  # rounding errors of fixed parameters
     correlation = values / np.outer(scale, scale)
     if not np.allclose(correlation, correlation.T, atol=_ROUNDED):
         return False

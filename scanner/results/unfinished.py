@@ -76,7 +76,7 @@ class Claim:
         except OSError as error:
             holder = self._words()[1:]
             if make and not holder and not isinstance(error, BlockingIOError):
-                return  # a file system without locks, where nobody is at work
+                return  # a file system without locks: assume that nobody is at work
             os.close(self._file)
             by = f" (process {holder[0]})" if holder else ""
             raise HeldError(

@@ -30,8 +30,8 @@ from scanner.ui import Terminal
 _BINS = 36
 _LEAST_OPEN_DEG = 30.0
 _LEAST_OVERLAP = 0.1
-_COMMON = 1 / 3  # of a view, that the next station should still see
-_PATIENCE_S = 30.0  # that a person with the rig in hand waits to be told
+_COMMON = 1 / 3  # share of a view that the next station should still see
+_PATIENCE_S = 30.0  # longest wait for advice between stations
 
 
 def check_stations(config: Config, number: int, terminal: Terminal) -> None:

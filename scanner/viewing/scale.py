@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import Calibration
 from scanner.measuring import DistanceMeasurement
 
-_LARGEST_SHARE = 0.2  # of a length, that its sigma may have in a configuration
+_LARGEST_SHARE = 0.2  # largest share of a length that its sigma may have in a configuration
 
 
 @dataclass(frozen=True)

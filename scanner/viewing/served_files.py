@@ -44,7 +44,7 @@ class ServedFiles:
             return None
         found = self._file([unquote(part) for part in rest.split("/")])
         if found is not None:
-            with suppress(InputError):  # one that unpacks to nothing much, or may not be read
+            with suppress(InputError):  # one that is a decompression bomb, or unreadable
                 return _response(http.HTTPStatus.OK, read_whole(found), _headers(found))
         return _response(http.HTTPStatus.NOT_FOUND, b"There is no such file.\n", {"Content-Type": "text/plain"})
 
@@ -55,9 +55,9 @@ class ServedFiles:
         if folder is None or not names or any(not name or "\0" in name for name in names):
             return None
         try:
-            found = folder.joinpath(*names).resolve()  # also where a link leads
+            found = folder.joinpath(*names).resolve()  # also follows links
             return found if found.is_relative_to(folder) and found.is_file() else None
-        except (OSError, RuntimeError):  # a name that is too long, links in a circle
+        except (OSError, RuntimeError):  # a name that is too long, or circular links
             return None
 
 

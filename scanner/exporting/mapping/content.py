@@ -13,10 +13,10 @@ from scanner.exporting.mapping.eye import Seen
 from scanner.exporting.triangles import Mesh
 
 _TRIES, _SAMPLE = 300, 20_000
-_NEAR = 0.005  # of the surface's extent, from a plane
-_ALIKE = np.cos(np.radians(20.0))  # normals of a plane's points
-_UPRIGHT = np.cos(np.radians(45.0))  # a wall's normal is further from the vertical
-_GRAZING = np.sin(np.radians(10.0))  # surfaces that are met at less show streaks
+_NEAR = 0.005  # distance from a plane, over the surface's extent
+_ALIKE = np.cos(np.radians(20.0))  # cosine between the normals of a plane's points
+_UPRIGHT = np.cos(np.radians(45.0))  # a wall's normal is farther from the vertical than this
+_GRAZING = np.sin(np.radians(10.0))  # surfaces seen at a smaller angle show streaks
 _UP = np.array([0.0, -1.0, 0.0])
 _LARGEST_PX = 16_384
 

@@ -21,7 +21,7 @@ from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_lean
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
 _MOST_AT_FIRST = 4000
-# What has more harmonics is found better, but only from nearby.
+# More harmonics are more accurate, but converge only from nearby.
 _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
 
@@ -45,7 +45,7 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     """
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None
-    # Few pixels tell that there is something, and all of them what it is.
+    # A few pixels detect a keystone; all of them estimate it.
     few = evenly(np.ones(len(stripes.log_ratio), np.bool_), _MOST_AT_FIRST)
     thin = _beat(stripes.at(few), matches, plane, size)
     found = None if thin is None else _found_at_first(thin)
@@ -70,7 +70,7 @@ def _found_at_first(thin: Beat) -> Fit | None:
             best = max(fits, key=lambda fit: fit.explained)
             fit = sharp.refined(best.values, best.free)
             fit = sharp.believable(sharp.refined(fit.values, EVERYTHING), fit)
-            # A wrong one explains a part of the picture.
+            # A wrong keystone explains only a part of the picture.
             if fit.is_of_a_beat and not Spectrum.of(sharp.without(fit)).beats:
                 return fit
     return None

@@ -16,18 +16,18 @@ from calib.numerics import Floats, in_parallel
 from scanner.decoding import Floats32
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, UPRIGHT, Beat, homography_of
 
-# How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
+# Largest keystone that is searched for; more leaves no fine stripes.
 _MOST_NARROWER = 0.05
-_STEP_PX = 0.5  # at the picture's corners
+_STEP_PX = 0.5  # at the corners of the picture
 _CELLS_ALONG = 213
 _LEAST_CELL_PX = 4.0
 _PADDED = 1.3
 _TRIED, _APART_PX = 8, 0.4
 _BESIDE = 4
-# What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
-# is not undone there is none.
+# Limits on the part of a spectrum that no beat explains, relative to noise; the second also holds with a keystone that
+# is not undone, or there is none.
 _LEAST_POWER, _LEAST_CHIRP = 50.0, 40.0
-# Leans along both axes are tried so many to each side, in as much of the picture's middle as these reach around.
+# Number of keystones tried to each side along both axes, in the middle part of the picture that they span.
 _LEANS = 10
 _TRIED_TWICE = 4
 _GROWTH = 1.4
@@ -138,7 +138,7 @@ class Spectrum:
         sums = sums.reshape(rows, columns)
         x: Floats = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :].astype(np.float64)
         y: Floats = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None].astype(np.float64)
-        # Of the middle of a picture there is less to transform.
+        # The middle of a picture costs less to transform.
         at_x, at_y = (slice(of.min(), of.max() + 1) for of in (column, row))
         return cls(
             sums[at_y, at_x],
@@ -155,7 +155,7 @@ class Spectrum:
         return in_parallel(lambda lean: self._peak(*lean), leans)
 
     def _peak(self, lean_x: float, lean_y: float) -> Start:
-        # Along one axis alone, it and what it does to that axis are a row or a column.
+        # Along a single axis, the transform is a row or a column.
         leans = [by * along for by, along in ((lean_x, self.x), (lean_y, self.y)) if by]
         lean = sum(leans, np.zeros((1, 1)))
         (power_x, xx, xy, x1), (power_y, yx, yy, y1) = (self._strongest(lean * along) for along in (self.x, self.y))
