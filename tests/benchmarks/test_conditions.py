@@ -1,4 +1,4 @@
-"""The page of conditions says what it should of captures whose outcome is known."""
+"""The benchmark of conditions judges captures with known outcomes correctly."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -85,7 +85,7 @@ def test_matches_are_compared_with_the_true_projector_pixels(undisturbed: tuple[
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_the_plain_decoder_reads_every_sequence(undisturbed: tuple[Capture, Truth], sequence: str) -> None:
-    """Of a projector that is looked at straight and pixel by pixel: its own pictures are the frames."""
+    """The camera sees the projector's pixels exactly: its own pictures are the frames."""
     patterns = patterns_of(sequence, PROJECTOR)
     found = plain_matches(patterns, [draw(pattern, PROJECTOR) for pattern in patterns])
     assert len(found) == PROJECTOR[0] * PROJECTOR[1]
@@ -181,7 +181,7 @@ def test_mistakes_with_frames_change_only_frames(undisturbed: tuple[Capture, Tru
 
 @pytest.mark.parametrize("sequence", ["quick", "standard"])
 def test_stray_light_above_the_noise_of_a_12_bit_camera_is_not_decoded(sequence: str) -> None:
-    """It comes by way of other surfaces, with bits of its own, a hundredth as bright, and clear of any noise."""
+    """Stray light comes from other surfaces, with other bits, a hundredth as bright, and above the noise."""
     condition = named("camera of 12 bits", "20 × as many electrons")
     capture, truth = captured(condition, replace(SETUP, sequence=sequence))
     decoder = Decoder(capture.patterns, capture.projector_size)
@@ -193,7 +193,7 @@ def test_stray_light_above_the_noise_of_a_12_bit_camera_is_not_decoded(sequence:
 
 
 def test_exposure_changes_that_look_like_switched_light_decode() -> None:
-    """Plain Gray code, each frame exposed anew: without the light that it looks like, it makes no sense."""
+    """Plain Gray code, each frame exposed differently: removing the apparent light change would break the code."""
     outcome = run(named("each frame exposed differently", "up to × 3"), replace(SETUP, sequence="gray"))
     assert outcome.exit_code == 0, outcome.message
     assert outcome.match_median_px is not None

@@ -1,4 +1,4 @@
-"""The page of the paper's results: what is measured on a tiny capture, kept, and written."""
+"""The page of the paper's results: what a tiny capture measures is stored and written."""
 
 import json
 import re
@@ -42,13 +42,13 @@ def test_the_page_shows_the_kept_results() -> None:
 
 
 def with_plain_pixels(svg: str) -> str:
-    """Other releases of Pillow compress the same pictures otherwise."""
+    """PNG bytes depend on the release of Pillow, so pictures are compared as pixels."""
     return re.sub(r"base64,([^\"]+)", lambda data: Image.open(BytesIO(b64decode(data[1]))).tobytes().hex(), svg)
 
 
 @pytest.fixture(scope="module")
 def measured(tiny: Setup, tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """As without pycolmap."""
+    """Results without pycolmap."""
     results = Results(tmp_path_factory.mktemp("results"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("paper.sphere.HAS_COLMAP", False)
@@ -58,7 +58,7 @@ def measured(tiny: Setup, tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def test_the_papers_objectives_need_ideal_lenses(measured: Results) -> None:
-    """With them its sums find the intrinsics of a decoded room; E_cycle as well as E, as in its table 2."""
+    """With ideal lenses, both of its objectives find the intrinsics of a decoded room, as in its table 2."""
     room = measured.read("table2")["room 0"]
     for sum_of_terms in (7, 8, 9):
         errors = room["lenses corrected"][sum_of_terms]

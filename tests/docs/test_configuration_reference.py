@@ -36,7 +36,7 @@ def test_the_reference_has_every_key() -> None:
 
 
 def misspelt(name: str) -> list[str]:
-    """A letter too few, one too many, two exchanged: what happens to hands."""
+    """Misspell a word: one letter missing, one doubled, or two exchanged."""
     middle = len(name) // 2
     return [
         name[:middle] + name[middle + 1 :],

@@ -1,4 +1,4 @@
-"""A few inputs for every reader; `make fuzz` is the same for hours, with an eye on memory and time."""
+"""A few inputs for every reader; `make fuzz` runs the same for hours and checks memory and time."""
 
 from pathlib import Path
 

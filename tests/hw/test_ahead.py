@@ -1,4 +1,4 @@
-"""An iterator that runs on in a thread of its own."""
+"""An iterator that runs ahead in its own thread."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Photo cameras, at the level of python-gphoto2's interface; no real one was ever tried."""
+"""Photo cameras, at the level of python-gphoto2's interface; no real one was tried."""
 
 import importlib
 import re
@@ -48,7 +48,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
-    """A photo camera that sees the light of the window; its projector is as quick as a simulation."""
+    """A photo camera that sees the light of the window; its projector responds at once."""
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
 

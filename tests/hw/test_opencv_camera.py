@@ -1,4 +1,4 @@
-"""What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
+"""Failures of OpenCV capture are named. The capture here is a fake; the loopback tests use a real one."""
 
 import os
 import sys

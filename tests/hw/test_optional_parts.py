@@ -13,7 +13,7 @@ from tests.support.places import ROOT
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A checkout whose Makefile made the environment, and which is the present folder."""
+    """A checkout whose Makefile created the environment, as the current folder."""
     folder = tmp_path / "check out"
     folder.mkdir()
     (folder / "pyproject.toml").touch()

@@ -1,4 +1,4 @@
-"""Bytes as a camera sends them, packed here bit by bit, against the numbers that went in."""
+"""Bytes of a camera, packed here bit by bit, give the original numbers."""
 
 import cv2
 import numpy as np

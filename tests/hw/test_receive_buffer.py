@@ -1,4 +1,4 @@
-"""A socket is asked to keep whole frames where the system lets it."""
+"""The receive buffer holds whole frames if the system permits."""
 
 from pathlib import Path
 

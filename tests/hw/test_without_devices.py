@@ -1,4 +1,4 @@
-"""Where Aravis, pyglet or a desktop are missing: what needs them says so, everything else works."""
+"""Without Aravis, pyglet or a desktop: whatever needs them reports it, and everything else works."""
 
 import importlib.util
 import re

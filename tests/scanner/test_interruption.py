@@ -1,4 +1,4 @@
-"""Signals, as they are: raised to this process, in the main thread."""
+"""Real signals, sent to this process and handled in the main thread."""
 
 import os
 import signal
@@ -89,7 +89,7 @@ def test_other_threads_leave_the_handlers_alone() -> None:
 
 
 class LockTakenAsTheSignalComes:
-    """Its __enter__ has no Python frame, as a lock's has none: the signal is handled in that of `threading`."""
+    """Its __enter__ has no Python frame, like a lock's: the signal is handled in the frame of `threading`."""
 
     acquire = release = None
     __enter__ = partial(signal.raise_signal, signal.SIGTERM)

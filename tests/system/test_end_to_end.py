@@ -1,4 +1,4 @@
-"""The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
+"""The commands on a small simulated room: their files, and their accuracy."""
 
 import re
 import shutil
@@ -113,7 +113,7 @@ def test_a_replay_with_a_known_calibration_only_triangulates(scanned: Scanned, t
 
 @pytest.fixture(params=["x", "y"])
 def one_axis(scanned: Scanned, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """The capture without the patterns along the other axis, and without white and black."""
+    """The capture without the patterns of the other axis, and without white and black."""
     capture = tmp_path / "one-axis"
     shutil.copytree(scanned.result / "capture", capture)
     listing = read_listing(capture)

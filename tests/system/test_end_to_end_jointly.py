@@ -1,4 +1,4 @@
-"""Two captures of a small simulated room, calibrated together: what files appear, and how true they are."""
+"""Two captures of a small simulated room, calibrated together: their files, and their accuracy."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""An import that is killed, ends when asked, or meets a full disk leaves nothing that looks whole; a second one is."""
+"""An import that is killed, interrupted, or meets a full disk leaves nothing that looks complete; a repetition
+succeeds.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +32,7 @@ def bench() -> Iterator[FaultBench]:
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As a camera with the projector's eyes sees them."""
+    """Frames of a camera at the projector's position."""
     folder: Path = tmp_path_factory.mktemp("foreign")
     for number, pattern in enumerate(SHOWN):
         write_png(folder / f"pattern_cam1_im{number + 1}.png", (draw(pattern, SIZE) // 2 + 20).astype(np.uint8))

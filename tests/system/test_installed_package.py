@@ -1,4 +1,4 @@
-"""The built package in an environment with nothing but its dependencies, and with one extra: every command answers."""
+"""The built package with only its dependencies, and with one extra: every command responds."""
 
 import json
 import subprocess
@@ -84,7 +84,7 @@ class Installed:
     folder: Path
 
     def answers(self, python: Path, *commands: tuple[str, ...]) -> list[tuple[int, str]]:
-        """Exit code, and all that was said, of commands in one process."""
+        """Exit codes and output of commands in one process."""
         command = [str(python), str(self.folder / "driver.py")]
         done = subprocess.run(
             command,
@@ -109,7 +109,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 
 @pytest.fixture(scope="module")
 def bare(package: Installed, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], tuple[int, str]]:
-    """What every command answers without any extra, by its words."""
+    """Words that every command prints without any extra."""
     python = installed(package.wheel, tmp_path_factory.mktemp("bare"))
     asked = [SCAN, *((name, *words) for name in NAMED for words, *_ in ASKED.get(name, [(("--help",), 0, "")]))]
     return dict(zip(asked, package.answers(python, *asked), strict=True))

@@ -1,4 +1,4 @@
-"""Flipped operators: each is one, and nothing else of the file changes."""
+"""Each mutation flips one operator, and changes nothing else."""
 
 import ast
 import runpy

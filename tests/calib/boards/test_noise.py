@@ -1,4 +1,6 @@
-"""Noise measured on boards that the model cannot follow: one answer from any start, the same as by hand."""
+"""Noise of boards that the model does not fit: the estimate does not depend on the start, and matches a direct
+computation.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,7 @@ WAVE_PX = 0.1
 
 
 def wavy(views: list[View]) -> list[View]:
-    """The same with a smooth error of the matches that no parameter explains, as of a print that is not to scale."""
+    """The views with a smooth error of the matches that no parameter explains, as of a distorted print."""
     rng = np.random.default_rng(8)
     bent = []
     for view in views:

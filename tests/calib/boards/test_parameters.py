@@ -1,4 +1,4 @@
-"""What a rig before boards predicts, and its derivatives."""
+"""Predicted pixels of boards in front of a rig, and their derivatives."""
 
 import numpy as np
 import pytest

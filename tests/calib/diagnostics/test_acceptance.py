@@ -1,4 +1,4 @@
-"""What is not determined, not the only solution, or not of a square corner is refused, with its reason; and no more."""
+"""Undetermined, ambiguous or non-square solutions are refused with a reason; others are accepted."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ KNOWLEDGE = Knowledge(
 
 @pytest.fixture(scope="module")
 def good() -> Refinement:
-    """Of a capture that determines everything."""
+    """A solution that is well determined."""
     capture = random_capture(np.random.default_rng(3), count=5000, distance=(1.5, 2.5))
     cells = into_cells(capture.matches)
     focals = np.geomspace(1200.0, 2700.0, 12)
@@ -42,7 +42,7 @@ def refusal_of(refinement: Refinement, knowledge: Knowledge = KNOWLEDGE) -> Refu
 
 
 def with_sigma(refinement: Refinement, device: slice, sigma: float) -> Refinement:
-    """The standard deviation of a device's focal length, relative."""
+    """Set the relative standard deviation of a device's focal length."""
     covariance = refinement.covariance.copy()
     covariance[device.start, device.start] = sigma**2
     return replace(refinement, covariance=covariance)

@@ -1,4 +1,4 @@
-"""Two calibrations of one rig: those of two sets of boards agree, a changed one does not."""
+"""Calibrations of one rig from two sets of boards agree; a changed calibration does not."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ DEPTHS = np.array([0.8, 1.2])
 
 @pytest.fixture(scope="module")
 def boards() -> tuple[SystematicErrors, SystematicErrors]:
-    """What boards say, and the truth, which says nothing of its sigmas."""
+    """The calibration from boards, and the truth, which states no sigmas."""
     case = before(1)
     return errors_of(case.known), SystematicErrors.of(case.truth, None)
 

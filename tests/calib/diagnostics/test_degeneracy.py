@@ -1,4 +1,4 @@
-"""Degenerate views are named with their angles and shares, which are known of each state here."""
+"""Degenerate views are named with their angles and shares, which are known here."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 def state_seen(sines: Floats, distance: float, ahead_deg: float = 90.0) -> State:
-    """A corner straight ahead of the camera, `distance` baselines away, whose faces' slants have these sines (3,), and
-    a projector that is turned in no way, `ahead_deg` from the line to the corner.
+    """A corner straight ahead of the camera, `distance` baselines away. The sines of its faces' slants are given (3,);
+    the projector is not rotated, and is `ahead_deg` from the line to the corner.
     """
     sines = sines / np.linalg.norm(sines)
     frame = Rotation.align_vectors(AHEAD[None], sines[None])[0].as_matrix().T
@@ -72,7 +72,7 @@ def test_a_short_baseline_is_named_with_its_share(distance: float, is_named: boo
 
 
 def cells_of(*faces: tuple[float, float]) -> Cells:
-    """Faces of these widths and heights in pixels, 1000 pixels from one to the next."""
+    """Faces with these widths and heights in pixels, 1000 pixels apart."""
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 1, 12)), axis=-1).reshape(-1, 2)
     pixels = np.concatenate([grid * size + (1000.0 * i, 0.0) for i, size in enumerate(faces)])
     one = np.ones(len(pixels))

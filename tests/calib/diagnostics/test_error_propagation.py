@@ -1,4 +1,4 @@
-"""What is propagated is what happens: errors are put into a calibration, and the measurements are made again."""
+"""Propagated errors match the effect of errors put into a calibration."""
 
 from dataclasses import replace
 
@@ -120,7 +120,7 @@ def test_a_step_of_the_calibration_moves_angles_and_vertex_as_predicted(
 
 
 def test_a_known_distance_has_only_its_own_sigma(matches: Matches, state: State) -> None:
-    """With the distance to the vertex given, the calibration moves everything but that."""
+    """With a known distance to the vertex, errors of the calibration change everything else."""
     errors = SystematicErrors.of(in_metres(state), uncertainty_of(state, 0.1 * STEP), 0.01)
     vertex, spread = spread_of_vertex(planes_of(matches, errors.calibration), spreads_of(matches, errors))
     length = float(np.linalg.norm(vertex))

@@ -1,4 +1,4 @@
-"""What the covariance says of points, of an assumption, and of a capture that has not been taken yet."""
+"""What the covariance predicts for points, for an assumption, and for a further capture."""
 
 from dataclasses import replace
 
@@ -140,7 +140,7 @@ def test_straightness_of_planes_gives_the_lens_distortion(bends: tuple[float, fl
 
 
 def _bend_of_faces(matches: Matches) -> float:
-    """Root mean square deviation in px from the faces' homographies."""
+    """Root mean square deviation from the faces' homographies, in px."""
     squares = []
     for face in range(3):
         on_face = matches.on_face(face)

@@ -1,4 +1,4 @@
-"""The corner's image and the corner for given intrinsics, against corners that are known."""
+"""The image of a corner, and the corner for given intrinsics, compared with known corners."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A coordinate and the epipolar line give the other back; checked against points that both devices see."""
+"""One coordinate and the epipolar line give the other, checked with points that both devices see."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_the_sine_gives_the_error_amplification(axis: int) -> None:
 
 
 def test_stripes_along_the_epipolar_lines_have_zero_sine() -> None:
-    """Beside each other, devices have epipolar lines along the rows: y tells nothing, x everything."""
+    """Side by side, devices have epipolar lines along the rows: y gives no depth, x all of it."""
     rotation, centre = np.eye(3), np.array([0.4, 0.0, 0.0])
     calibration = Calibration(CAMERA, PROJECTOR, rotation, -rotation @ centre)
     camera_px, projector_px = seen(calibration, room(200))
@@ -81,7 +81,7 @@ def test_points_behind_a_device_are_flagged() -> None:
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(-0.6, 0.6), st.sampled_from([0, 1]))
 def test_the_other_coordinate_is_recovered_for_every_pose(x: float, y: float, z: float, roll: float, axis: int) -> None:
-    """Wherever a point is in the projector's image, and the line of its camera pixel not along the stripe."""
+    """For any point in the projector's image whose epipolar line is not parallel to the stripe."""
     centre = np.array([x, y, z])
     assume(np.linalg.norm(centre) > 0.05)
     calibration = rig(centre, roll=roll)

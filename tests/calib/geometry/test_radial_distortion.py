@@ -1,4 +1,4 @@
-"""The lens of a rig's device: there and back, like the camera model, with exact derivatives."""
+"""Lens distortion and its inverse match the camera model, with exact derivatives."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Rotations about a vector, directions beside a direction, and steps between motions."""
+"""Rotation vectors, tangents of directions, and steps between motions."""
 
 import numpy as np
 from hypothesis import given

@@ -55,7 +55,9 @@ def test_exact_matches_give_back_their_points(lens: str, count: int) -> None:
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_residual_is_the_distance_from_the_epipolar_line(lens: str) -> None:
-    """The line is drawn through what the projector sees of the camera's ray; the foot is on it, nearest in space."""
+    """The epipolar line is the projector's image of the camera's ray; the foot of the distance is the nearest point in
+    space.
+    """
     calibration, truth = rig(lens), points(2000)
     camera_px, projector_px = seen(calibration, truth)
     projector_px = projector_px + np.random.default_rng(1).normal(0, NOISE_PX, projector_px.shape)
@@ -113,7 +115,7 @@ def test_parallel_rays_meet_nowhere() -> None:
 
 
 def test_pixels_far_outside_the_image_are_handled() -> None:
-    """The polynomial that inverts a lens holds within the image only."""
+    """The polynomial inverse of a lens holds inside the image only."""
     calibration = rig("radial")
     truth = points(3000)
     truth[::100, 0] *= 1.5

@@ -1,4 +1,4 @@
-"""Machine code in the user's cache folder: kept, never another source's, never in the way."""
+"""Machine code in the cache folder is reused, and never for another source."""
 
 import os
 import shutil
@@ -39,7 +39,7 @@ def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(program: Path) -> tuple[float, bool]:
-    """What it makes of 1 in a process that has just started, and whether that had to be compiled."""
+    """The result for 1 in a new process, and whether the function was compiled."""
     for remembered in (code_cache._digest, code_cache._note_use, code_cache._forget_unused):
         remembered.cache_clear()
     spec = spec_from_file_location("loops", program)

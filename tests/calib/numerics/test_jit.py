@@ -1,4 +1,4 @@
-"""Compiled functions: NumPy's results, side by side in threads; no machine code older than its source."""
+"""Compiled functions give NumPy's results, also in threads, and are recompiled when their source changes."""
 
 import ast
 from importlib import import_module
@@ -23,7 +23,7 @@ LASTING = {"numpy", "math"}
 
 @compiled
 def ratios(numerator: Floats, denominator: Floats, found: Floats) -> None:
-    """Element by element (N,)."""
+    """Elementwise ratios (N,)."""
     for i in range(len(numerator)):
         found[i] = numerator[i] / denominator[i]
 
@@ -48,7 +48,7 @@ def test_threads_share_the_work() -> None:
 
 
 def borrowed(source: str) -> list[str]:
-    """The names that compiled functions of a source file use, and that another changing file defines; not of types."""
+    """Names that compiled functions of a source file import from another file that may change, except types."""
     tree = ast.parse(source)
     imported = {
         alias.asname or alias.name

@@ -1,4 +1,4 @@
-"""Work shared among threads."""
+"""Parallel work in threads."""
 
 import threading
 
@@ -12,7 +12,7 @@ def test_results_are_in_the_order_of_the_items() -> None:
 
 
 def test_parallel_work_may_be_nested() -> None:
-    """More at once than there are threads, each of which would wait for another one."""
+    """More nested calls than threads, each of which would wait for another."""
 
     def row(number: int) -> int:
         return sum(in_parallel(lambda column: number * column, range(50)))

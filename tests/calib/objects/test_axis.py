@@ -1,4 +1,4 @@
-"""A turntable among places: found where the places are turns about one axis, and not where they are not."""
+"""A turntable is found where poses are rotations about one axis, and not elsewhere."""
 
 import numpy as np
 from hypothesis import given, settings

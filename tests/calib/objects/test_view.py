@@ -1,4 +1,4 @@
-"""Where a view's normals are to be trusted: not at the rim, where the windows that they are fitted in are one-sided."""
+"""Reliability of a view's normals: not at the rim, where fitting windows are one-sided."""
 
 import numpy as np
 

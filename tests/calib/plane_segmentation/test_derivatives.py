@@ -1,4 +1,4 @@
-"""The derivatives that planes and epipolar lines are fitted with, against differences; and the sums made of them."""
+"""Derivatives for fits of planes and epipolar lines, compared with differences; and their sums."""
 
 from collections.abc import Callable
 from functools import partial

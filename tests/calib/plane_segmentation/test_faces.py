@@ -1,4 +1,4 @@
-"""Faces in matches of furnished rooms and boxes, against the surfaces that the rays really met."""
+"""Faces in matches of furnished rooms and boxes, compared with the true surfaces."""
 
 from dataclasses import replace
 from typing import Any
@@ -238,7 +238,7 @@ def test_a_box_under_keystone_correction_is_not_taken_for_a_corner(seed: int, ob
 
 
 def keystoned(scene: Scene, narrower: float) -> Matches:
-    """Matches with a picture whose top edge is shown so much narrower than its bottom edge."""
+    """Matches of a picture with keystone: its top edge is narrower by this share than its bottom edge."""
     width, height = size(scene.calibration.projector)
     lean = (1 / (1 - narrower) - 1) / 2
     shape = np.linalg.inv(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -lean, 1 + lean]]))

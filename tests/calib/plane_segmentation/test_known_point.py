@@ -1,4 +1,4 @@
-"""Faces are found about the principal point that is known, which a cropped picture has far from its centre."""
+"""Faces are found with a known principal point, which is far from the centre of a cropped picture."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ CAMERA, PROJECTOR = (480, 270), (854, 480)
 
 @pytest.fixture(scope="module")
 def room() -> SimulatedRoom:
-    """Of a camera that shows the upper two thirds of its sensor; boxes stand before the corner, askew."""
+    """A camera that shows the upper two thirds of its sensor; rotated boxes stand in front of the corner."""
     return SimulatedRoom(SimulatedRigSettings(seed=15), CAMERA, PROJECTOR)
 
 

@@ -1,4 +1,4 @@
-"""Planes that grow from a patch, and the fits of the cells that they are made of."""
+"""Planes grow from a patch, and cells are fitted."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ GATE = 3.5
 
 
 def evidence_of(planes: Floats, label: Ints, x: Floats, rng: np.random.Generator) -> Floats:
-    """Rows (12, M) of surfels at x (M, 2) on the planes that label (M,) names, with errors of standard deviation 1."""
+    """Rows (12, M) of surfels at x (M, 2) on the planes named by label (M,), with errors of standard deviation 1."""
     rows = np.empty((12, len(x)))
     at = np.concatenate([x, np.ones((len(x), 1))], axis=1)
     rows[1:4] = 1000 * at.T

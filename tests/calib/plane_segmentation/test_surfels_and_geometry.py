@@ -1,4 +1,4 @@
-"""The parts that faces are found with: surfels, lenses and parallax, robust least squares."""
+"""Parts of the segmentation: surfels, lenses and parallax, robust least squares."""
 
 import numpy as np
 import pytest

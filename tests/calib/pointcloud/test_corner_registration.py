@@ -1,4 +1,4 @@
-"""Which leg of the corner is which, found from what rendered rooms look like; the truth is the rooms'."""
+"""The order of the corner's legs, found from rendered rooms and compared with their truth."""
 
 from dataclasses import replace
 from functools import cache
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.xdist_group("alignment")
 
 @cache
 def seen(seed: int, pose: int, *, furniture: bool) -> View:
-    """The lit part of a room as its truth has it, the corner's legs being the world's axes in their order."""
+    """The lit part of a room; the corner's legs are the world's axes in order."""
     settings = SimulatedRigSettings(seed=seed, pose=pose, furniture=furniture)
     room = SimulatedRoom(settings, CAMERA, PROJECTOR)
     truth, camera = room.ground_truth(), room.room.camera
@@ -32,13 +32,13 @@ def seen(seed: int, pose: int, *, furniture: bool) -> View:
 
 
 def renumbered(view: View, turn: int) -> View:
-    """Its legs numbered clockwise, as a calibration numbers those of several captures, from another one on."""
+    """The view with its legs numbered clockwise from another leg, as a joint calibration numbers them."""
     legs = np.roll(view.corner.legs[[0, 2, 1]], turn, axis=0)
     return replace(view, corner=Corner(view.corner.vertex, legs))
 
 
 def world_axes(view: View, turn: int, original: View) -> list[int]:
-    """Which of the world's axes those of the corner's frame are."""
+    """The world's axes of the axes of the corner's frame."""
     axes = np.roll(view.axes, turn, axis=0)
     return [int(axis) for axis in np.argmax(np.abs(axes @ original.corner.legs.T), axis=1)]
 

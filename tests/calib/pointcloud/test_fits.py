@@ -1,4 +1,4 @@
-"""Spheres and planes through points that are known: exact, with noise, with outliers, and how honest the sigmas are."""
+"""Spheres and planes through known points: exact, with noise, with outliers, and with true sigmas."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def test_exact_points_give_the_exact_sphere(
 
 
 def errors_in_sigmas(alike: int, trials: int = 150) -> NDArray[np.float64]:
-    """(Fitted − true radius and centre) over sigma, (trials, 4), where `alike` neighbours have the same error."""
+    """(Fitted − true radius and centre) over sigma, (trials, 4); groups of `alike` neighbours share their error."""
     rng = np.random.default_rng(7)
     found = []
     for _ in range(trials):

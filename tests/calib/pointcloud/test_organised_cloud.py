@@ -123,7 +123,7 @@ def test_flying_points_are_dropped_though_their_rays_agree(scene: Scene) -> None
 
 
 def test_one_match_per_projector_pixel_still_gets_normals(scene: Scene) -> None:
-    """Pure Gray captures: sparse on the grid, between pixels."""
+    """Plain Gray codes: sparse on the grid, between pixels."""
     rng = np.random.default_rng(3)
     few = rng.random(len(scene.matches)) < 0.06
     thin = replace(
@@ -225,7 +225,7 @@ def test_a_texture_of_another_size_is_an_error(scene: Scene) -> None:
 
 @pytest.mark.skipif(not SLTK.exists(), reason="the real captures in shared/data are not there")
 def test_a_real_capture_lies_on_its_reference() -> None:
-    """The reference has one point per 0.38 mm; an independent decoder came to 0.012 (see the README of the data)."""
+    """The reference has one point per 0.38 mm; an independent decoder reached 0.012 mm (see the README of the data)."""
     stream = open_capture(SLTK).stream()
     decoder = Decoder(stream.patterns, stream.projector_size)
     for _, frame in stream.frames:

@@ -1,4 +1,4 @@
-"""That every match is accounted for, and which of several at a pixel is kept, is tested with the clouds."""
+"""Tests of the clouds check that every match is counted, and which match of a pixel is kept."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def organised(scene: Scene, order: np.ndarray) -> Organised:
 
 
 def test_the_order_of_matches_does_not_matter(scene: Scene) -> None:
-    """Row by row they are put in place by threads side by side, in another order by one."""
+    """In image order, threads place them in parallel; in another order, one thread does."""
     count = len(scene.matches)
     in_order, shuffled = (
         organised(scene, order) for order in (np.arange(count), np.random.default_rng(0).permutation(count))

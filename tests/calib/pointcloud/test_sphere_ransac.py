@@ -1,4 +1,4 @@
-"""A ball is found where it is, and nowhere else."""
+"""A ball is found at its place, and nowhere else."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -96,7 +96,7 @@ def test_without_points_no_ball_is_found() -> None:
 
 
 def test_a_concave_sphere_is_not_found(tmp_path: Path) -> None:
-    """Points on the far side of a sphere, as in a bowl, bulge away from the camera."""
+    """Points on the far side of a sphere, as in a bowl, curve away from the camera."""
     scene = room()
     cloud = organised(scene)
     from_centre = cloud.points - scene.sphere_centre

@@ -1,4 +1,4 @@
-"""The bend of both lenses from the straightness of planes alone."""
+"""Distortion of both lenses from the straightness of planes alone."""
 
 from dataclasses import replace
 

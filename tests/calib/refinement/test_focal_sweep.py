@@ -1,4 +1,4 @@
-"""The sweep along the focal length: starts from the paper's transfer; minima told apart, hopeless ones left out."""
+"""The sweep along the focal length: starts from the paper's transfer; minima are separated, hopeless ones dropped."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Planes beside the corner constrain it if they are square to it, and are left out if they are not."""
+"""Planes beside the corner constrain it if they are perpendicular to it, and are left out otherwise."""
 
 import numpy as np
 import pytest

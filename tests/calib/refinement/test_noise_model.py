@@ -1,4 +1,4 @@
-"""What residuals say of their noise: drawn from known laws, they give back its parameters."""
+"""Noise parameters are recovered from residuals with known distributions."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def cells(coarseness: float | None = None) -> Cells:
 
 
 def drawn(of: Cells, tau_px: float, seed: int = 1) -> np.ndarray:
-    """Residuals (M, 2) with variances σ² + τ², τ in proportion to the coarseness."""
+    """Residuals (M, 2) with variances σ² + τ², with τ proportional to the coarseness."""
     sigma = np.sqrt(of.sigma_px**2 + (tau_px * of.coarseness) ** 2)
     return np.random.default_rng(seed).normal(size=(len(of), 2)) * sigma[:, None]
 

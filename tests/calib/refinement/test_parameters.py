@@ -1,4 +1,4 @@
-"""The refinement's model: exact derivatives, and agreement with the devices' own projection."""
+"""The refinement's model has exact derivatives, and matches the devices' projection."""
 
 from dataclasses import replace
 

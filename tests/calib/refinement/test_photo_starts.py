@@ -1,4 +1,4 @@
-"""Starts for a pair of photos: at the true focal length, the true places of camera and corner."""
+"""Starts for a pair of photos: the true focal length gives the true pose of camera and corner."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The posterior along the focal length: a Gaussian where it is one, and its true spread where it is not."""
+"""The posterior along the focal length: Gaussian where it should be, and with its true spread otherwise."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_a_well_determined_focal_has_the_covariance_of_the_curvature(case: Case)
 
 @pytest.mark.parametrize(("share", "sigmas"), [(0.0, 1.0), (0.02, 1.19), (0.05, 6.8)])
 def test_a_second_basin_widens_the_sigma_from_one_in_forty_on(case: Case, share: float, sigmas: float) -> None:
-    """Two basins, of which the smaller holds a `share`: the central 68 % are in the larger, but not always 95 %."""
+    """Two basins; the smaller has the given `share`. The central 68 % are in the larger, but not always 95 %."""
     sigma, apart = 0.02, 0.5
     t = np.linspace(-5 * sigma, apart + 5 * sigma, 200)
     density = (1 - share) * np.exp(-((t / sigma) ** 2) / 2) + share * np.exp(-(((t - apart) / sigma) ** 2) / 2)

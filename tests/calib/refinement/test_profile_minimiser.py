@@ -1,4 +1,4 @@
-"""Down to the nearest minimum: along the focal length with everything else relaxed."""
+"""Descent to the nearest minimum along the focal length, with all other parameters relaxed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What shifted matches do to a calibration, predicted without a new fit."""
+"""The effect of shifted matches on a calibration, predicted without a new fit."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ _PX = 0.1
 
 
 def tilt(camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
-    """A projector tilted by so many pixels after x and before y."""
+    """A projector tilted by this many pixels after x and before y."""
     assert camera_px.shape == projector_px.shape == gradient.shape[:2]
     (_, y), focal = projector_px.T - np.array([[427.0], [240.0]]), PAPER_PROJECTOR.focal_px[0]
     return np.stack([np.zeros(len(y)), _PX * (1 + (y / focal) ** 2)], axis=1)
@@ -54,7 +54,7 @@ def test_the_prediction_matches_a_new_fit() -> None:
 
 
 def test_smooth_errors_move_the_solution_as_their_covariance_predicts() -> None:
-    """Drawn again and again on the same matches, with their noise."""
+    """Smooth errors are drawn repeatedly on the same noisy matches."""
     rng, smooth_px = np.random.default_rng(1), 0.003
     matches = random_capture(rng, count=20_000, distance=(1.5, 3.0)).matches
     before, doubted = solve(matches, None), solve(matches, Shifts(smooth_px=smooth_px))
@@ -72,7 +72,7 @@ def test_smooth_errors_move_the_solution_as_their_covariance_predicts() -> None:
 
 
 def smoothly_off(matches: Matches, smooth_px: float, rng: np.random.Generator) -> Floats:
-    """The projector's pixels (N, 2) with random cubic polynomials over each face on top."""
+    """The projector's pixels (N, 2) plus random cubic polynomials over each face."""
     off = matches.projector_px.copy()
     for face in range(3):
         members = np.flatnonzero(matches.labels == face)

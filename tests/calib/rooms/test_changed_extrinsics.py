@@ -1,4 +1,4 @@
-"""Stations whose rig was changed by so little that only all planes together tell."""
+"""Stations whose rig changed so little that only all planes together reveal it."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from tests.support.rooms import cells_of
 
 
 def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Case:
-    """The same, but for one station's projector, which was turned about its own axes."""
+    """The room with one station's projector rotated about its own axes."""
     projector, stations = case.made.calibration.projector, list(case.made.stations)
     matches = stations[station].matches
     rays = projector.unproject(matches.projector_px) @ Rotation.from_rotvec(turn_deg, degrees=True).as_matrix().T

@@ -12,7 +12,7 @@ NOISE_PX = 0.05
 
 @pytest.fixture(scope="module")
 def balls() -> Case:
-    """A room in whose middle balls hang, which stations see from different sides."""
+    """A room with balls in its middle, which the stations see from different sides."""
     return case_of(4, balls=8, count=15_000)
 
 

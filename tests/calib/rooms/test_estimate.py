@@ -18,13 +18,13 @@ ROOMS = 3
 
 
 def deviations(case: Case) -> Floats:
-    """The truth's distance from what was found, in sigmas, (size,); NaN where something is held or unseen."""
+    """(Estimate − truth) in sigmas, (size,); NaN for fixed or unobserved parameters."""
     variance = np.diag(case.found.covariance)
     return case.found.room.step_to(case.truth) / np.sqrt(np.where(variance > 0, variance, np.nan))
 
 
 def millimetres(case: Case, room: Room) -> float:
-    """Root mean square error of the places."""
+    """Root mean square error of the positions."""
     apart = [a.translation - b.translation for a, b in zip(room.places[1:], case.truth.places[1:], strict=True)]
     return 1000 * case.made.calibration.baseline * float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1))))
 
@@ -88,7 +88,7 @@ def test_fixing_the_true_rig_reduces_pose_sigmas(case: Case) -> None:
 
 
 def test_a_station_that_sees_two_directions_is_underdetermined_and_named(case: Case) -> None:
-    """Of station 1 only the floor and what is parallel to it, and one wall."""
+    """Station 1 sees only the floor with planes parallel to it, and one wall."""
     normals = np.stack([plane.normal for plane in case.truth.planes])
     shared = [plane for plane in case.plane_of[1] if 0 in case.found.stations_of[plane]]
     first, second = min(
@@ -139,7 +139,7 @@ def test_stations_and_planes_without_cells_are_reported_as_unknown(case: Case) -
 
 
 def test_an_observation_of_another_plane_gets_its_own_plane(case: Case) -> None:
-    """A box 4 cm before the wall that it is taken for by the one station that sees it."""
+    """One station takes a box 4 cm in front of the wall for the wall."""
     found, truth = case.found, case.truth
     free = np.nan_to_num(np.diag(found.covariance)) > 0
     _, freedom = tie_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
@@ -172,7 +172,7 @@ def test_uneven_walls_widen_sigmas() -> None:
 
 
 def test_an_unmodelled_smooth_error_is_common_to_all_stations(case: Case) -> None:
-    """A wave over the image, across the epipolar lines, which are nearly level."""
+    """A wave over the image, across the nearly horizontal epipolar lines."""
 
     def shifted(cells: Cells) -> Cells:
         wave = 0.3 * np.sin(cells.camera_px[:, 0] / 120.0) * np.cos(cells.camera_px[:, 1] / 150.0)
@@ -195,7 +195,7 @@ def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
 
 
 def test_smooth_errors_that_residuals_would_show_are_not_assumed(case: Case) -> None:
-    """These cells have none, however bad a decoder they are said to be of."""
+    """These cells have no smooth errors, whatever is stated about the decoder."""
     places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
     before = np.sqrt(np.diag(case.found.covariance)[places])
     found = [case.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS) for smooth_px in (1e-4, 0.01, 0.1)]
@@ -205,7 +205,7 @@ def test_smooth_errors_that_residuals_would_show_are_not_assumed(case: Case) -> 
 
 
 def test_smooth_errors_widen_sigmas(case: Case) -> None:
-    """As of `Shifts.smooth_px`: polynomials over each plane, orthonormal in the mean."""
+    """As of `Shifts.smooth_px`: polynomials over each plane, orthonormal on average."""
     rng, smooth_px = np.random.default_rng(0), 0.01
 
     def bent(cells: Cells) -> Cells:

@@ -14,7 +14,7 @@ from tests.support.numeric import gradient_of
 
 
 def at(found: RoomEstimate, room: Room) -> RoomEstimate:
-    """As if that were the most likely room."""
+    """The estimate with this room as its solution."""
     return replace(found, fit=replace(found.fit, layout=room))
 
 

@@ -1,4 +1,4 @@
-"""Pictures hold what surfaces leave open: a bare room, whose corners are all alike."""
+"""Pictures resolve what surfaces leave open: a bare room with equal corners."""
 
 from dataclasses import replace
 

@@ -38,7 +38,7 @@ def test_columns_do_not_overlap(case: Case) -> None:
 
 
 def test_the_numerical_gradient_of_a_known_function(case: Case) -> None:
-    """The numerical gradient that other tests rely on, where it is known."""
+    """The numerical gradient that other tests use."""
 
     def offset(room: Room) -> Floats:
         return np.array(room.planes[0].offset)

@@ -1,4 +1,4 @@
-"""Matches that are well-formed and of no corner: refused with a reason, whatever equation has no solution."""
+"""Well-formed matches of no corner are refused with a reason, whichever equation fails."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Several captures by one rig: one corner or several, faces in any order, nothing known beforehand."""
+"""Several captures of one rig: one corner or several, faces in any order, no prior knowledge."""
 
 from dataclasses import replace
 from typing import Any
@@ -35,7 +35,7 @@ def _calibrate(
 
 
 def _errors(found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """Relative errors of f_c, f_p, x_p, y_p, and in sigmas."""
+    """Relative errors of f_c, f_p, x_p, y_p, and the errors in sigmas."""
     calibration = found.calibration
     values = [calibration.camera.focal_px[0], calibration.projector.focal_px[0]]
     values += calibration.projector.principal_point_px
@@ -140,7 +140,7 @@ def test_a_capture_with_too_few_matches_is_named() -> None:
 
 
 def test_a_repeated_view_adds_no_information() -> None:
-    """The same view twice, with other noise: it is named, and is worth about as much as once."""
+    """The same view twice with other noise is named, and counts about once."""
     rng = np.random.default_rng(21)
     (capture,) = random_captures(rng, 1, walls_off_deg=0.3, count=20_000, **RIG)
     noise = rng.normal(0, 0.1, capture.matches.projector_px.shape)

@@ -1,4 +1,4 @@
-"""Boards and a corner before one rig: one estimate over both, and a rig that changed in between."""
+"""Boards and a corner of one rig: a joint estimate, and a rig that changed in between."""
 
 from dataclasses import replace
 

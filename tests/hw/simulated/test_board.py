@@ -1,4 +1,4 @@
-"""A chessboard before the simulated rig."""
+"""A board in front of the simulated rig."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""What goes wrong with real projectors, cameras and rooms, each in bands."""
+"""Imperfections of real projectors, cameras and rooms, each within bands."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Devices that move during a capture: the frames show what devices in those places see."""
+"""Devices that move during a capture: frames show the views from the moved poses."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ WHITE = np.full((120, 214), 255, np.uint8)
 
 
 def ramps(renderer: Renderer) -> Floats:
-    """The projector's coordinates that light each camera pixel directly, (H, W, 2), NaN in shadow."""
+    """The projector's coordinates that directly light each camera pixel, (H, W, 2), NaN in shadow."""
     x, y = np.meshgrid(np.arange(214, dtype=np.float32), np.arange(120, dtype=np.float32))
     white = renderer.direct(np.ones_like(x))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -68,7 +68,7 @@ def test_a_drift_grows_from_frame_to_frame(room: SimulatedRoom) -> None:
 
 
 def test_indirect_light_moves_with_the_projector(room: SimulatedRoom) -> None:
-    """A turned projector lights the room like a resting one that shows its picture turned."""
+    """A rotated projector lights the room like one at rest that shows its picture rotated."""
     stripes = np.zeros((120, 214), np.float32)
     stripes[:, 80:110] = 1.0
     moved = room.under(bump={"px": 30.0}).at(0)

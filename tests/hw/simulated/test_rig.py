@@ -1,4 +1,4 @@
-"""The rig as a whole, on one small room: what the camera sees against what is true."""
+"""The whole rig in one small room: frames compared with ground truth."""
 
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def uniform(room: SimulatedRoom, level: int) -> np.ndarray:
 
 
 def ramp(room: SimulatedRoom, axis: int) -> np.ndarray:
-    """Light that equals the projector's coordinate."""
+    """Light equal to the projector's coordinate."""
     optics = room.room.projector.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     return (x, y)[axis].astype(np.float32)
 
 
 def shrunk(mask: Bools) -> Bools:
-    """Pixels whose eight neighbours are in the mask as well."""
+    """The mask eroded by one pixel."""
     inner = mask.copy()
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):

@@ -1,4 +1,4 @@
-"""What is drawn from the seed: walls, furniture, rig and places. No light."""
+"""Walls, furniture, rig and poses drawn from the seed, without light."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def drawn(seed: int, **settings: object) -> Room:
 
 
 def angles_deg(walls: Block) -> list[float]:
-    """The three angles inside the corner, between each pair of its faces."""
+    """The three angles between the faces of the corner."""
     x, y, floor = -walls.outward_normals[:3]
     return [180 - np.degrees(np.arccos(a @ b)) for a, b in ((floor, x), (floor, y), (x, y))]
 

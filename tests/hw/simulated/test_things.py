@@ -1,4 +1,4 @@
-"""A simulated thing: its shape, its poses, and what the rig sees of it."""
+"""A simulated thing: its shape, its poses, and its ground truth."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A whole room: walls that are not parallel, and a rig that goes round it unchanged."""
+"""A whole room with non-parallel walls, and one unchanged rig at all its stations."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Batches of small captures, on workers of this machine and of a scheduler: what becomes of each, and of all."""
+"""Batches of small captures, on local workers and on a scheduler: outcomes and tables."""
 
 import csv
 import shutil

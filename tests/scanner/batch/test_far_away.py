@@ -1,4 +1,4 @@
-"""Batches whose captures and results are elsewhere: in memory, and in a bucket of an S3 server on loopback."""
+"""Batches with remote captures and results: in memory, and in a bucket of a local S3 server."""
 
 import os
 from collections.abc import Iterator

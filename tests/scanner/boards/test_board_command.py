@@ -1,4 +1,4 @@
-"""`scan board`: from captures, live, printed, and what it says of wrong input."""
+"""`scan board`: from captures, live, printing, and messages on wrong input."""
 
 import re
 from base64 import b64decode
@@ -59,7 +59,7 @@ def test_the_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_pat
 
 @pytest.mark.parametrize("largest_file", [500, 20_000])
 def test_a_full_disk_leaves_no_incomplete_result(from_boards: FromBoards, tmp_path: Path, largest_file: int) -> None:
-    """The calibration is the first that does not fit, or the page."""
+    """The calibration, or the page, is the first file that does not fit."""
     out = tmp_path / "board"
     with (
         pytest.raises(StorageError) as caught,

@@ -1,4 +1,4 @@
-"""`scan check` as an operator runs it: exit codes, output, the files that it leaves."""
+"""`scan check` for an operator: exit codes, output, and files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,7 +44,7 @@ def run(*arguments: object) -> int:
 
 @pytest.fixture
 def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
-    """The command finds this report, without a check."""
+    """The report that the command gets instead of running a check."""
     monkeypatch.setattr(command, "check", lambda *_: usual)
     return usual
 

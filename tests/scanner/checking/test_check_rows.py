@@ -1,4 +1,4 @@
-"""The rows of a check of a simulated rig, against the truth."""
+"""The rows of a check of a simulated rig, compared with the truth."""
 
 import re
 import time
@@ -288,12 +288,12 @@ def test_undecoded_lit_pixels_give_no_directions() -> None:
 
 
 def decoding_with(reasons: NDArray[np.uint8]) -> Decoding:
-    """As much of one as the row reads."""
+    """The parts of a decoding that the row reads."""
     return cast(Decoding, SimpleNamespace(reasons=reasons))
 
 
 class Blind:
-    """A camera that sees the same whatever is shown, until it fails."""
+    """A camera that always sees the same, until it fails."""
 
     size = (64, 48)
     highest_level = 255

@@ -31,7 +31,7 @@ def test_the_defocused_lens_is_named(room: SimulatedRoom, blur: dict[str, float]
 
 
 def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bool = False) -> BlurSamples:
-    """Blurs in the pixels of either device, seen on three slanted faces or (`even`) on one that faces both."""
+    """Blurs in the pixels of either device, on three oblique faces or (`even`) on one that faces both."""
     rng = np.random.default_rng(5)
     where = rng.uniform(0, 1, (200, 2))
     span = np.full(200, 1.3) if even else 1.0 + 0.3 * (where[:, 0] > 0.5) + 0.3 * (rng.random(200) > 0.5)

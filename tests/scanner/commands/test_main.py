@@ -1,4 +1,4 @@
-"""The command line: arguments in, exit code and messages out. What it calls is replaced where it would take long."""
+"""The command line: arguments in, exit code and messages out. Slow functions are replaced."""
 
 import subprocess
 import sys
@@ -288,7 +288,7 @@ def test_the_module_is_the_command() -> None:
     "arguments", [["--help"], ["replay", "--help"], ["--confg", "room.yaml"], ["replay", "--bogus"]]
 )
 def test_help_and_typing_errors_load_nothing_heavy(arguments: list[str]) -> None:
-    """They answer at once (benchmarks/bench_startup.py measures it)."""
+    """They respond at once (benchmarks/bench_startup.py measures it)."""
     program = (
         "import sys; from scanner.commands.main import main\n"
         f"try: main({arguments!r})\nexcept SystemExit: pass\n"

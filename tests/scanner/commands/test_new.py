@@ -1,4 +1,4 @@
-"""`scan new`: configurations that explain themselves, for every rig, with what was found filled in."""
+"""`scan new`: commented configurations for every rig, with the found devices filled in."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +32,7 @@ def no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_cameras(monkeypatch: pytest.MonkeyPatch, list_cameras: Callable[[], object]) -> None:
-    """Every backend finds these."""
+    """Every backend finds these cameras."""
     driver = SimpleNamespace(list_cameras=list_cameras)
     monkeypatch.setattr(new, "BACKENDS", [replace(each, load=lambda: driver) for each in BACKENDS])
 

@@ -1,4 +1,4 @@
-"""Single keys of a configuration are changed; whatever else a person has written there stays."""
+"""Single keys of a configuration are changed; everything else in the file stays."""
 
 import os
 from dataclasses import dataclass

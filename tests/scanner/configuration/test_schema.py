@@ -100,7 +100,7 @@ def test_every_key_is_described() -> None:
 
 @dataclass(frozen=True)
 class Wrong:
-    """A configuration, and words that the message about it must have."""
+    """A configuration, and words of the expected message."""
 
     text: str
     words: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""`scan export` to OpenCV and COLMAP, loaded again with the libraries of either."""
+"""`scan export` to OpenCV and COLMAP, read with their own libraries."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 
 class OpenCV:
-    """What a program that knows nothing of ours reads from the file."""
+    """What an independent program reads from the file."""
 
     def __init__(self, path: Path) -> None:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -89,7 +89,7 @@ def test_opencv_rectifies_to_equal_rows(written: Written, opencv: OpenCV) -> Non
 
 
 def test_opencv_undistorts_an_image(written: Written, opencv: OpenCV) -> None:
-    """Of an image whose values are its own columns, a pinhole sees the column that the lens has moved there."""
+    """The values of the image are its columns, so the undistorted image shows the column that the lens moved there."""
     camera = written.scan.calibration.camera
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
     straight = cv2.undistort(columns, opencv.camera, opencv.camera_lens)

@@ -1,4 +1,4 @@
-"""`scan export`: what it answers to wrong arguments, and to folders that are no result or a damaged one."""
+"""`scan export`: messages on wrong arguments, and on folders without a valid result."""
 
 import shutil
 import sys
@@ -21,7 +21,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 @pytest.fixture
 def result(intact: Written, tmp_path: Path) -> Path:
-    """A copy that a test may break."""
+    """A copy that a test may damage."""
     return Path(shutil.copytree(intact.folder, tmp_path / "room"))
 
 

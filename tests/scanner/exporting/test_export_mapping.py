@@ -1,4 +1,4 @@
-"""`scan export --to mapping`: shown by the simulator's projectors in its own room, squares are square and even."""
+"""`scan export --to mapping`, shown by the simulator's projectors in its room: squares are square and uniform."""
 
 import json
 import shutil
@@ -42,7 +42,7 @@ def listing(mapping: Path) -> dict[str, Any]:
 
 
 def image(path: Path) -> Any:
-    """Channels as red, green and blue."""
+    """RGB channels."""
     read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert read is not None
     return read[..., ::-1] if read.ndim == 3 else read
@@ -70,7 +70,7 @@ def played(mapping: Path, content: Any, *, warp: str = "stmap.tiff") -> dict[str
 
 def wall_through(content: dict[str, Any]) -> tuple[Floats, Floats]:
     """Points of the room's wall (H, W, 3) behind a fine grid of the content, from its upper left, and their distances
-    from where the content's rectangle is.
+    from the content's rectangle.
     """
     width, height = content["width"] * FINE, content["height"] * FINE
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height)
@@ -123,7 +123,7 @@ def test_white_is_uniform_where_projectors_overlap(mapping: Path) -> None:
 
 
 def test_weights_add_up_to_one(mapping: Path) -> None:
-    """Of pixels of one projector, and of the other's where these fall."""
+    """At pixels of one projector, plus those of the other at the same points."""
     seen = {name: image(mapping / f"{name}-position.tiff") for name in PROJECTORS}
     weights = {name: (image(mapping / f"{name}-blend.png") / 65535) ** GAMMA for name in PROJECTORS}
     points = seen["left"].reshape(-1, 3) * Y_UP @ CAMERA.rotation + CAMERA.centre
@@ -197,7 +197,7 @@ def test_a_projector_is_exported_as_a_camera_of_the_scene(mapping: Path) -> None
 
 
 def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any]:
-    """Points, normals and triangles of a grid of 20 × 20 points, a millimetre rough."""
+    """Points, normals and triangles of a grid of 20 × 20 points with a millimetre of noise."""
     shares = np.stack(np.meshgrid(*[np.linspace(0, 1, 20)] * 2), axis=-1).reshape(-1, 2)
     normal = np.cross(across, along) / np.linalg.norm(np.cross(across, along))
     rough = 1e-3 * np.random.default_rng(0).standard_normal((400, 1)) * normal
@@ -226,7 +226,7 @@ def test_the_largest_upright_plane_is_the_wall() -> None:
 
 @pytest.mark.parametrize("focal_px", [(900.0, 900.0), (900.0, 870.0)])
 def test_shifts_project_as_the_projector_does(focal_px: tuple[float, float]) -> None:
-    """Each program's own formula, from its source or manual, against the pinhole."""
+    """Each program's formula, from its source or manual, compared with the pinhole."""
     device = Intrinsics(854, 480, focal_px, (391.2, 611.7))
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(2, 5, 500)])
@@ -297,7 +297,7 @@ def scatter(folder: Path) -> None:
 
 
 def in_one_place(folder: Path) -> None:
-    """All points are the first one."""
+    """All points equal the first one."""
     header, end, body = (folder / "network.ply").read_bytes().partition(b"end_header\n")
     (folder / "network.ply").write_bytes(header + end + body[:27] * (len(body) // 27))
 

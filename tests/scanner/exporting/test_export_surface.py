@@ -1,4 +1,4 @@
-"""`scan export` of points and triangles: PLY, E57, OBJ and GLB, loaded again with the libraries of each."""
+"""`scan export` of points and triangles: PLY, E57, OBJ and GLB, read with the libraries of each."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -105,7 +105,7 @@ def test_glb_is_in_metres(tmp_path: Path) -> None:
 
 
 def test_no_triangle_bridges_a_depth_step(written: Written, mesh: Mesh) -> None:
-    """The ball hangs before the walls: a triangle has all of its corners on it, or none."""
+    """The ball hangs in front of the walls: a triangle has all of its corners on it, or none."""
     from_centre = np.linalg.norm(mesh.points - written.scene.sphere_centre, axis=1)
     on_ball = np.abs(from_centre - SPHERE_RADIUS_M) < 0.01
     corners = on_ball[mesh.triangles].sum(axis=1)
@@ -115,7 +115,7 @@ def test_no_triangle_bridges_a_depth_step(written: Written, mesh: Mesh) -> None:
 
 
 def test_the_surface_is_complete(written: Written, mesh: Mesh) -> None:
-    """Two triangles for nearly every pixel, on the scene's surfaces, of nearly the area that these have."""
+    """Two triangles per pixel for nearly all pixels, on the true surfaces, with nearly their area."""
     assert 1.9 < len(mesh.triangles) / len(written.scan) < 2.0
     assert 0.99 < len(mesh.points) / len(written.scan) <= 1.0
     middles = mesh.points[mesh.triangles].mean(axis=1)
@@ -128,7 +128,7 @@ def test_the_surface_is_complete(written: Written, mesh: Mesh) -> None:
 
 
 def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[SeenPoints, NDArray[np.int64]]:
-    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of each pixel's point."""
+    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of the point of each pixel."""
     column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     pixel = np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)
     rays = np.column_stack([(pixel - (25, 20)) / 100, np.ones(len(pixel))])
@@ -162,7 +162,7 @@ def test_processing_in_strips_leaves_no_seam() -> None:
 
 
 def test_scattered_points_give_a_surface(tmp_path: Path) -> None:
-    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    """One point for about nine pixels, as if the projector's pixels are larger than the camera's."""
     rng = np.random.default_rng(0)
     written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
     mesh = build_mesh(written.scan)

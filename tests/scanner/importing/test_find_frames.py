@@ -1,4 +1,4 @@
-"""Which files of a folder are the frames, and in what order."""
+"""Which files of a folder are the frames, and in which order."""
 
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def test_names_that_differ_in_several_numbers_are_one_series(tmp_path: Path) -> 
     ],
 )
 def test_time_stamped_names_are_one_series(tmp_path: Path, form: str) -> None:
-    """Each minute has its own last numbers, of which some have more than others."""
+    """The last numbers differ in range from minute to minute."""
     files = [form.format(second // 60, second % 60) for second in range(7, 300, 13)]
     assert names(touch(tmp_path, *files, "notes 2024.txt")) == files
 

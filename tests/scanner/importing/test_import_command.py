@@ -1,4 +1,4 @@
-"""Folders as other programs leave them become capture folders, whose sequence is the one that was shown."""
+"""Folders of other programs become captures with the sequence that was shown."""
 
 import re
 from collections.abc import Callable
@@ -138,7 +138,7 @@ def decoded(capture: Path) -> Matches:
 def test_imported_captures_decode_to_the_truth(
     camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Counted from the middle, in cells of two pixels and of one: the offsets are right, too."""
+    """Codes counted from the middle, in cells of one or two pixels: offsets are right, too."""
     assert imported(folder("moreno-taubin"), "--out", tmp_path / "capture", "--quiet") == 0
     matches = decoded(tmp_path / "capture")
     column, row = np.rint(matches.camera_px).astype(int).T
@@ -175,7 +175,7 @@ def test_the_origin_of_two_close_periods_must_be_given(
 def test_fringes_of_close_periods_decode_to_the_truth(
     camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Begun a quarter of a cycle elsewhere, each coordinate would be off by 2 px."""
+    """An origin a quarter of a cycle off would shift each coordinate by 2 px."""
     source, chosen = folder("heterodyne"), FOREIGN["heterodyne"].arguments
     assert imported(source, *chosen, "--out", tmp_path / "capture", "--quiet") == 0
     matches = decoded(tmp_path / "capture")
@@ -243,7 +243,7 @@ def test_real_captures_are_imported_with_their_known_sequence(tmp_path: Path, nu
 
 
 def test_gray_bits_match_the_original_programs() -> None:
-    """The orders above, against the sources' own loops: bit k of n xor n / 2, the most significant first."""
+    """The orders above match the sources' loops: bit k of n xor n / 2, most significant first."""
     assert [(p.bit, p.inverted) for p in PAIRS[:3] if isinstance(p, Gray)] == [(0, False), (0, True), (1, False)]
     n = np.arange(640.0)
     for pattern in PAIRS[:20:2]:

@@ -1,4 +1,4 @@
-"""Folders that are no capture, or that cannot tell what they are, and arguments that are wrong."""
+"""Folders that are no capture or are ambiguous, and wrong arguments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("importing")
 
 
 def refused(capsys: pytest.CaptureFixture[str], source: Path, *arguments: object) -> str:
-    """The one message, after which there is nothing at --out."""
+    """The error message, after which --out does not exist."""
     out = source.parent / "nothing"
     assert imported(source, *arguments, "--out", out) == 2
     assert not out.exists()
@@ -75,7 +75,7 @@ def middle(image: Image) -> Image:
 def test_an_unseen_projector_size_is_asked_for(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Where the camera sees the middle of the picture only, several projectors may have shown it."""
+    """If the camera sees only the middle of the picture, several projectors are possible."""
     source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("graycode_{:02d}.png"), middle)
     error = refused(capsys, source)
     assert "the projector's size is not clear, 640 × 360, or 640 × 480" in error
@@ -87,7 +87,7 @@ def test_an_unseen_projector_size_is_asked_for(
 def test_a_named_order_is_accepted_although_it_does_not_decode(
     folder: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`scan replay` will say what is wrong with them; but whose they are is clear."""
+    """`scan replay` then reports the error; the order itself is clear."""
 
     class Decoder:
         def __init__(self, *_: object, **__: object) -> None:

@@ -1,4 +1,4 @@
-"""What is left of folders that were made for files of which nothing came."""
+"""Folders that were created for files that could not be written."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What is no file at all, or leads elsewhere: devices, sockets, holes, links in a circle."""
+"""Paths that are no regular file or lead elsewhere: devices, sockets, sparse files, circular links."""
 
 import os
 import socket

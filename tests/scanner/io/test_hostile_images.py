@@ -1,4 +1,4 @@
-"""Images that are small, and were made to fill the memory, or that are damaged."""
+"""Small images that would fill the memory, and damaged ones."""
 
 import io
 import struct
@@ -26,7 +26,7 @@ def chunk(name: bytes, content: bytes) -> bytes:
 
 
 def palette_png(width: int, height: int) -> bytes:
-    """A PNG of one colour, which is next to nothing on the disk."""
+    """A PNG of one colour, tiny on disk."""
     compressor = zlib.compressobj(9)
     row = bytes(1 + (width + 7) // 8)
     pixels = b"".join(compressor.compress(row * 64) for _ in range(height // 64)) + compressor.flush()
@@ -36,21 +36,21 @@ def palette_png(width: int, height: int) -> bytes:
 
 
 def long_chunk() -> bytes:
-    """A PNG one of whose chunks promises 2 GB."""
+    """A PNG with a chunk that claims 2 GB."""
     whole = palette_png(64, 64)
     at = whole.index(b"IDAT") - 4
     return whole[:at] + b"\x7f\xff\xff\xf0" + whole[at + 4 :]
 
 
 def unmeasured_png() -> bytes:
-    """A huge PNG whose comment is broken: readers that look at it say no size, and OpenCV reads the pixels."""
+    """A huge PNG with a broken comment: other readers report no size, and OpenCV reads the pixels."""
     whole = palette_png(32704, 32704)
     at = whole.index(b"PLTE") - 4
     return whole[:at] + chunk(b"pHYs", b"1") + whole[at:]
 
 
 def tiff(size: int, strips: int, bits: int, compression: int, strip: bytes) -> bytes:
-    """A grey TIFF all of whose strips are at the same place."""
+    """A grey TIFF whose strips are all at the same place."""
     after = 8 + len(strip)
     lists = after + 2 + 12 * 9 + 4
     tags = [(256, size), (257, size), (258, bits), (259, compression), (262, 1), (277, 1), (278, -(-size // strips))]
@@ -63,7 +63,7 @@ def tiff(size: int, strips: int, bits: int, compression: int, strip: bytes) -> b
 
 
 def resized(kind: str, marker: bytes, form: str, side: int = 14_999, **options: Any) -> bytes:
-    """A small image whose header, at a marker, says that it is huge."""
+    """A small image whose header claims a huge size, at a marker."""
     stream = io.BytesIO()
     Image.new("RGB", (64, 64)).save(stream, kind, **options)
     data = stream.getvalue()

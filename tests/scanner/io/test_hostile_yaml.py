@@ -1,4 +1,4 @@
-"""YAML that is small, and was made to hang the program, to fill its memory, or to be obeyed by a terminal."""
+"""Small YAML that would hang the program, fill its memory, or control a terminal."""
 
 from itertools import pairwise
 from pathlib import Path

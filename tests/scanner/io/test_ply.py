@@ -20,7 +20,7 @@ def cloud() -> Cloud:
 
 
 def parse_ply(path: Path) -> tuple[list[str], NDArray[np.void]]:
-    """Header lines and vertices, by the format's definition alone."""
+    """Header lines and vertices, by the definition of the format."""
     header, _, body = path.read_bytes().partition(b"end_header\n")
     lines = header.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]

@@ -1,4 +1,4 @@
-"""PNG files by strips: others read what was written."""
+"""PNG files written in strips are read by other libraries."""
 
 import io
 
@@ -34,7 +34,7 @@ def test_a_strided_view_is_written() -> None:
 
 
 def test_the_size_of_a_noisy_frame_is_near_its_entropy() -> None:
-    """Of a standard deviation of two levels, whose entropy is log2(2 √(2 π e)) = 3.0 bits, and √2 in differences."""
+    """Noise of two levels has an entropy of log2(2 √(2 π e)) = 3.0 bits, and √2 times the deviation in differences."""
     levels = np.random.default_rng(2).normal(100, 2, (1024, 1224)).clip(0, 255)
     image = np.rint(levels).astype(np.uint8)
     bits = 8 * len(png_of(image)) / image.size

@@ -1,4 +1,4 @@
-"""Clouds of a few frames against what is known: true to their sigmas when all is still, and honest when it moves."""
+"""Clouds of six frames compared with the truth: true sigmas at rest, and correct masks in motion."""
 
 from itertools import islice
 
@@ -28,7 +28,7 @@ def begun(bench: LiveBench, depths: tuple[float, float] | None = DEPTHS) -> tupl
 
 
 def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None = DEPTHS) -> list[LiveCloud | None]:
-    """What becomes of so many rounds; None of those that are dropped."""
+    """The clouds of a number of rounds; None for dropped ones."""
     seen, sequence, decoder = begun(bench, depths)
     earlier: list[LiveCloud] = []
     taken = islice(rounds(bench.rig, sequence, seen.response), number)
@@ -36,7 +36,7 @@ def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None 
 
 
 def errors(cloud: LiveCloud, bench: LiveBench, axis: int = 0) -> tuple[Floats, Floats, Bools]:
-    """In pixels and in sigmas, of the pixels that are kept, which are (H, W)."""
+    """Errors in pixels and in sigmas, of the kept pixels, (H, W)."""
     middle = _BEFORE + FRAMES * cloud.taken.number + (FRAMES - 1) / 2
     off = cloud.coordinate - bench.truth(middle)[0][..., axis]
     kept = np.isfinite(cloud.coordinate)
@@ -92,7 +92,7 @@ def test_narrower_limits_make_finer_fringes() -> None:
 def test_a_ball_moving_at_10_mm_per_second_has_the_expected_errors(
     speed_m: tuple[float, float, float], least_moving: float
 ) -> None:
-    """33 ms a frame, to the right or towards the camera."""
+    """33 ms per frame, to the right or towards the camera."""
     bench = LiveBench(speed_m=speed_m)
     cloud = clouds_of(bench, 3)[2]
     assert cloud is not None

@@ -1,4 +1,4 @@
-"""`scan measure` on a synthetic scene: results against the truth, and answers to wrong arguments."""
+"""`scan measure` on a synthetic scene: results compared with the truth, and messages on wrong arguments."""
 
 import json
 from pathlib import Path
@@ -128,7 +128,7 @@ def test_other_units(tmp_path: Path, unit: str, text: str) -> None:
 
 
 def test_a_sparse_cloud(tmp_path: Path) -> None:
-    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    """One point for about nine pixels, as if the projector's pixels are larger than the camera's."""
     rng = np.random.default_rng(0)
     written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
     assert run("measure", written.folder, "--sphere", "300mm", "--quiet") == 0

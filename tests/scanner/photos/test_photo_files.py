@@ -1,4 +1,4 @@
-"""Reading photos: EXIF orientation and focal length, and what cannot be used."""
+"""Reading photos: EXIF orientation and focal length, and unusable files."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def write(path: Path, pixels: np.ndarray, orientation: int = 1, focal_mm: int | 
 
 @pytest.fixture
 def pixels() -> np.ndarray:
-    """Rising brightness, different along both axes, so that a JPEG keeps every orientation apart."""
+    """Increasing brightness, different along both axes, which identifies every orientation in a JPEG."""
     rows, columns = np.mgrid[:48, :64]
     return np.stack([4 * rows, 3 * columns, 2 * rows + columns], axis=-1).astype(np.uint8)
 

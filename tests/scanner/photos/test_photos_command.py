@@ -1,4 +1,4 @@
-"""`scan photos` from files to files, on photos of a painted corner, and everything that it turns away."""
+"""`scan photos` end to end on photos of a painted corner, and its refusals."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def photos(walls: Walls, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 @pytest.fixture(scope="module")
 def result(photos: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of two photos, with a dense cloud."""
+    """The result of two photos, with a dense cloud."""
     out = tmp_path_factory.mktemp("results") / "two"
     assert run(*photos[:2], "--out", out, "--dense", *EXACT) == 0
     return out
@@ -179,7 +179,7 @@ def test_the_exif_focal_length_is_shown_and_used_only_if_asked_for(
 
 
 def refused(capsys: pytest.CaptureFixture[str], paths: list[Path], out: Path, *words: str) -> None:
-    """Exit code 4, and what was found is kept."""
+    """Exit code 4, and the matches are kept."""
     assert run(*paths, "--out", out) == 4
     message = capsys.readouterr().err
     for word in words:

@@ -1,4 +1,4 @@
-"""Numbers for reading."""
+"""Formatted numbers."""
 
 import math
 

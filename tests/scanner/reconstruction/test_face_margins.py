@@ -1,4 +1,4 @@
-"""Faces lose the margin in which a blurred lens mixes them."""
+"""Faces lose the margin where a blurred lens mixes them."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ SIZE = (80, 60)
 
 
 def halves() -> Matches:
-    """Two faces side by side that meet at column 40, with a pixel without a match in one of them."""
+    """Two faces side by side that meet at column 40; one of them has a pixel without a match."""
     row, column = np.divmod(np.arange(SIZE[0] * SIZE[1]), SIZE[0])
     there = ~((row == 30) & (column == 20))
     pixels = np.stack([column, row], axis=1)[there].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Between captures: where to go next, what is gained, and when it is enough."""
+"""Advice between captures: the next view, its gain, and when captures suffice."""
 
 from collections.abc import Sequence
 

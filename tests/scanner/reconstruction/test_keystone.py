@@ -1,4 +1,4 @@
-"""Keystone correction, read off the contrast of stripes that a projector resamples: drawn here by OpenCV."""
+"""Keystone correction, measured from the contrast of resampled stripes, which OpenCV draws here."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def test_pixels_get_the_plane_of_the_matches_around_them(seed: int) -> None:
 
 
 def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:
-    """Takes the picture's pixels to the panel's: one edge so much narrower, all of it by an inset smaller."""
+    """Homography from the picture's to the panel's pixels: one edge narrower by a share, and an inset on all sides."""
     width, height = SIZE
     corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
     x, y = narrower / 2 * width, narrower / 2 * height
@@ -55,7 +55,7 @@ def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:
 
 
 def stripes(homography: np.ndarray, period: float, noise: float, seed: int) -> FinestStripes:
-    """What remains of fringes on a panel that shows the picture with linear interpolation, at random places of it."""
+    """Remaining contrast of fringes on a panel that interpolates linearly, at random pixels."""
     width, height = SIZE
     rng = np.random.default_rng(seed)
     picture_px = rng.uniform((2, 2), (width - 3, height - 3), (6000, 2))
@@ -86,7 +86,7 @@ def measured(homography: np.ndarray, period: float = 6.7, noise: float = 0.05, s
 
 
 def worst_px(found: np.ndarray, true: np.ndarray) -> float:
-    """Over the picture, but for where the panel begins."""
+    """Largest error over the picture, apart from the origin of the panel."""
     grid = np.stack(np.meshgrid(np.linspace(0, SIZE[0] - 1, 9), np.linspace(0, SIZE[1] - 1, 9)), axis=-1).reshape(-1, 2)
     off = mapped(found, grid) - mapped(true, grid)
     return float(np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1).max())
@@ -119,7 +119,7 @@ def test_a_trapezoid_is_found_to_sub_pixel_accuracy(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_any_quadrangle_is_found(seed: int) -> None:
-    """As corners are moved one by one, or a projector looks askew."""
+    """As if corners are moved one by one, or the projector is oblique."""
     rng = np.random.default_rng(seed)
     width, height = SIZE
     corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
@@ -166,7 +166,7 @@ def worst_from(found: np.ndarray, true: np.ndarray) -> float:
 
 
 def test_keystone_correction_is_undone_before_calibration(tmp_path: Path) -> None:
-    """Off by 45 % where nobody looks, with a sigma of 1.5 %."""
+    """If ignored, the error would be 45 %, with a sigma of 1.5 %."""
     settings = {
         "rig": {"backend": "simulated", "seed": 0, "panel": {"keystone": 0.02}},
         "camera": {"width": 612, "height": 512, "principal_point": {"known": [313.82, 263.32]}},

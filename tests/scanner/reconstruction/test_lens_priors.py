@@ -1,4 +1,4 @@
-"""What a configuration says of both lenses."""
+"""Lens priors from a configuration."""
 
 from dataclasses import replace
 from pathlib import Path

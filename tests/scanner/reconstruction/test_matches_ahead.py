@@ -1,4 +1,4 @@
-"""The matches file is written while its capture is calibrated, and is what the result is made of."""
+"""The matches file is written during the calibration, and becomes part of the result."""
 
 from dataclasses import replace
 from pathlib import Path

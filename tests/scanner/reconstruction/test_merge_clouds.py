@@ -56,7 +56,7 @@ def test_a_voxel_holds_at_most_one_point(cloud: Cloud, view: View) -> None:
 
 
 def test_a_voxel_keeps_the_point_nearest_to_its_camera(cloud: Cloud, view: View) -> None:
-    """The second capture is the same from farther away, and all its points are black."""
+    """The second capture is the same from farther away, with black points."""
     away = replace(cloud, points=2 * cloud.points, colours=np.zeros_like(cloud.colours))
     far = replace(view, points=away.points, corner=Corner(2 * view.corner.vertex, view.corner.legs))
     found = merged([cloud, away], [view, far], (0, 0))

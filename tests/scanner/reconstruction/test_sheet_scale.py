@@ -1,4 +1,4 @@
-"""A ChArUco sheet on a simulated room's floor gives the metres, with a sigma that is true."""
+"""A ChArUco board on the floor of a simulated room determines the scale, with a true sigma."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture(scope="module")
 def rig(room: SimulatedRoom) -> Calibration:
-    """In baselines."""
+    """A rig in units of the baseline."""
     return replace(
         room.calibration, translation=room.calibration.translation / room.calibration.baseline, unit="baseline"
     )

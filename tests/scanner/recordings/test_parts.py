@@ -1,4 +1,4 @@
-"""The video, the tone curve, and the weights of frames, each against what it is to be."""
+"""The video, the tone curve, and the weights of frames, each compared with its definition."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Films of a simulated room become captures that decode as well as frames that were taken one by one."""
+"""Films of a simulated room become captures that decode as well as single frames."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.xdist_group("recordings")
 
 
 def imported(filmed: FilmedRoom, recording: Path, out: Path) -> dict[str, float]:
-    """What was found out about a recording."""
+    """The parameters estimated from a recording."""
     assert run("import", recording, "--sequence", filmed.sequence, "--out", out, "--quiet") == 0
     found: dict[str, float] = yaml.safe_load((out / "capture.yaml").read_text(encoding="utf-8"))["recording"]
     return found

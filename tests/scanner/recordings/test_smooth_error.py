@@ -1,4 +1,4 @@
-"""What an encoder and a slow panel do to fringes is measured, or cancels, by showing all pictures there and back."""
+"""Effects of an encoder and a slow panel on fringes are measured, or cancel, in a forward and a backward pass."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ MODES = 10
 
 
 def of_two_passes(half: Floats, noise: float = 0.0, back: bool = True) -> tuple[list[PictureWeights], Averaged]:
-    """Pictures of a wall whose fringes are `half` (H, W) a phase apart, in radians, either way, in the two passes."""
+    """Pictures of a wall whose fringes have phases of ± `half` (H, W) radians in the two passes."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     passes = np.zeros((2, len(PROGRAMME.patterns), HEIGHT, WIDTH), np.float32)
@@ -67,7 +67,7 @@ def test_ghosting_shifts_no_fringe(ghost: float) -> None:
     ]
 
     def shift_of(axis: str, passes: slice) -> float:
-        """The mean phase of the shortest fringe beside the true one."""
+        """Mean phase error of the shortest fringe."""
         total = np.zeros(20_000, np.complex128)
         for number, pattern in enumerate(PROGRAMME.patterns):
             if isinstance(pattern, Phase) and (pattern.axis, pattern.period) == (axis, SHORTEST):

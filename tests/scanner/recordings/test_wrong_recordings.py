@@ -1,4 +1,4 @@
-"""What is no recording of the video is refused in one sentence, with exit code 2."""
+"""Files that are no recording of the video are refused in one sentence, with exit code 2."""
 
 import sys
 from collections.abc import Callable

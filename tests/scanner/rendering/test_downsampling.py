@@ -1,4 +1,4 @@
-"""Maps and matches reduced to what a page shows."""
+"""Maps and matches reduced for a page."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_labels_and_matches_of_cells() -> None:
 
 
 def test_samples_are_spread_over_their_cells() -> None:
-    """Of a match for every pixel, as a decoder gives them: no grid remains, and neighbours are drawn alike."""
+    """With a match at every pixel, samples form no grid, and pixels are equally likely."""
     pixels = np.stack(np.meshgrid(np.arange(350.0), np.arange(280.0)), -1).reshape(-1, 2)
     drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)

@@ -1,4 +1,4 @@
-"""The report's table of the faces: numbers that fit beside the map, in a unit that stands above them."""
+"""The report's table of the faces: values fit beside the map, in the unit of its heading."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The report as a person sees it: in Chromium, in light, in dark, on paper, with and without JavaScript."""
+"""The report in Chromium: light, dark, printed, with and without JavaScript."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,7 +83,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def pages(browser: "Browser") -> Iterator[Any]:
-    """Opens a file, and fails if the page says anything to the console, or asks for anything beyond itself."""
+    """Opens a file, and fails if the page logs to the console or requests anything external."""
     contexts, complaints = [], []
 
     def opened(path: Path, **options: Any) -> "Page":

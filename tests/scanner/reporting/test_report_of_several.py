@@ -1,4 +1,4 @@
-"""What a report says about several captures, about the uncertainty of points, and about an assumption."""
+"""Reports of several captures, of the uncertainty of points, and of an assumption."""
 
 import re
 from dataclasses import replace
@@ -48,7 +48,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def report(scene: Scene) -> ReportInput:
-    """Of a calibration that is sure but for the camera's focal length, with a sigma of one per cent."""
+    """A calibration that is certain except for the camera's focal length, whose sigma is one per cent."""
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = SIGMA_F**2
     by_principal_point = np.zeros((SHARED, 2))
@@ -117,7 +117,7 @@ def test_a_single_capture_has_no_list(report: ReportInput, tmp_path: Path) -> No
 
 
 def test_point_sigmas_match_trials(report: ReportInput, scene: Scene) -> None:
-    """The camera's focal length is moved; per sigma of it the points move by theirs, but for what "nearest" means."""
+    """The camera's focal length is varied; per sigma, points move by theirs."""
     found = point_sigmas(report)
     assert found is not None
     assert found.map.scale.low.endswith(" %")
@@ -129,7 +129,7 @@ def test_point_sigmas_match_trials(report: ReportInput, scene: Scene) -> None:
 
 
 def _triangulated(state: State, matches: Matches) -> np.ndarray:
-    """Where the camera's rays come nearest to the projector's."""
+    """The point of the camera's ray closest to the projector's."""
     rays, q = unproject(state.camera, matches.camera_px)[0], unproject(state.projector, matches.projector_px)[0]
     turned = rays @ state.rotation.T
     a, b, c = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (turned, q), (q, q)))

@@ -1,4 +1,4 @@
-"""A result that was read back knows which match each point is from; older results have to be searched for it."""
+"""A result that was read back knows the match of each point; in older results it is searched for."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from tests.support.result_folder import Written, write_result
 
 
 def sparse_at_the_left(camera_px: np.ndarray) -> np.ndarray:
-    """Points without neighbours are dropped, so that what is left has other numbers than its matches."""
+    """Points without neighbours are dropped, so that points and matches have different numbers."""
     x, y = camera_px.T
     return np.asarray((x > 150) | ((x % 9 == 0) & (y % 9 == 0)))
 
@@ -54,7 +54,7 @@ def test_wrong_match_numbers_are_refused(tmp_path: Path, numbers: str) -> None:
 
 
 class _AsCloud:
-    """The points of a finished scan as what a file is written from."""
+    """The points of a finished scan, as written to a file."""
 
     def __init__(self, written: Written) -> None:
         self.points, self.normals, self.colours = written.scan.points, written.scan.normals, written.scan.colours

@@ -21,7 +21,7 @@ def make_result(out: Path, content: str = "new", *, overwrite: bool = False) -> 
 
 
 def fail(out: Path, error: BaseException, *, frames: int = 2, keep_capture: bool = False) -> None:
-    """Begin a result, capture something, and end with an error."""
+    """Begin a result, capture something, and raise an error."""
     with new_result(out, CONFIG, overwrite=False, keep_capture=keep_capture) as folder:
         capture_something(folder, frames)
         (folder / "report.html").write_text("why")
@@ -183,7 +183,7 @@ def _make(place: tuple[str, int]) -> tuple[str, list[str]]:
 
 
 def test_concurrent_results_do_not_interfere(tmp_path: Path) -> None:
-    """Each looks for what killed programs have left, and meets what others have just begun."""
+    """Each looks for leftovers of killed programs, and meets what others have just begun."""
     with get_context("fork").Pool(4) as pool:
         made = pool.map(_make, [(str(tmp_path / "scans"), number) for number in range(500)], chunksize=1)
     assert made == [("whole", [])] * 500

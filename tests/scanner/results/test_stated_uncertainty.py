@@ -1,4 +1,4 @@
-"""The verdict and the covariance, written into a calibration file and read from it."""
+"""The verdict and the covariance, written to a calibration file and read back."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -57,7 +57,7 @@ def test_verdict_and_covariance_read_back_the_same(scene: Scene, tmp_path: Path)
 
 
 def test_covariance_columns_match_the_format(scene: Scene, tmp_path: Path) -> None:
-    """A step of one column of the file, made as docs/formats.md describes it, is the model's."""
+    """A step of one column of the file, made as docs/formats.md describes, equals the model's."""
     calibration = scene.calibration
     direction = calibration.translation / calibration.baseline
     for column, name in ((CAMERA.start, "camera_log_focal"), (ROTATION.start + 2, "rotation_z_rad")):
@@ -98,7 +98,7 @@ def test_files_of_two_radial_terms_are_read(scene: Scene, tmp_path: Path) -> Non
 
 
 def test_point_sigmas_match_calibrations_drawn_from_the_covariance(scene: Scene, tmp_path: Path) -> None:
-    """Only from what the format says: draw focal lengths, rotations and directions, and triangulate with each."""
+    """By the format alone: draw focal lengths, rotations and directions, and triangulate with each."""
     calibration, sample = scene.calibration, scene.matches[::211]
     covariance = np.diag([1e-6, *[0] * 7, 4e-6, *[0] * 7, 1e-8, 4e-8, 1e-8, 1e-7, 2e-7])
     path = tmp_path / "calibration.yaml"

@@ -1,4 +1,4 @@
-"""What corners say together of the rig, and what they say where one of them was taken by another."""
+"""The rig from several corners, including a corner by another rig."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Noise goes, relief stays."""
+"""Noise is reduced, relief is kept."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Whether a capture is on the epipolar lines of a rig."""
+"""Whether a capture fits the epipolar lines of a rig."""
 
 from dataclasses import replace
 

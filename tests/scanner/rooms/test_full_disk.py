@@ -1,4 +1,4 @@
-"""A disk that is full when a room is written: the path is named, and nothing is left that looks like a result."""
+"""A full disk while a room is written: the path is named, and nothing incomplete remains."""
 
 from pathlib import Path
 

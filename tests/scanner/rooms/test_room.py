@@ -1,4 +1,4 @@
-"""`scan room` on a simulated room: where the stations stood, the rig, the walls, and every file of the result."""
+"""`scan room` on a simulated room: poses of the stations, the rig, the walls, and every file of the result."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -58,7 +58,7 @@ def test_z_is_up_from_the_floor(example: SolvedExample) -> None:
 
 
 def distances_to_surfaces(example: SolvedExample, points: Floats) -> Floats:
-    """Of points (N, 3) in the room's frame from what the stations really saw."""
+    """Distances of points (N, 3) in the room's frame from the true surfaces."""
     world = to_world(example)
     seen = np.concatenate([true.points @ true.place.rotation.T + true.place.translation for true in example.true])
     distance, _ = cKDTree(seen).query(points @ world.rotation.T + world.translation)

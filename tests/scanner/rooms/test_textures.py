@@ -1,4 +1,4 @@
-"""The mesh under the stations' pictures: paint whose place in the room is known, lit from a side at each station."""
+"""The mesh with the stations' pictures: the paint is known, and is lit from one side at each station."""
 
 import json
 from dataclasses import replace
@@ -19,12 +19,12 @@ from tests.scanner.rooms.conftest import SolvedExample
 
 
 def painted(points: Floats) -> Floats:
-    """Waves over the room (N, 3) in metres, half a metre long: (N,) from 20 to 180 of 255."""
+    """Waves in the room (N, 3) in metres, half a metre long: (N,) from 20 to 180 of 255."""
     return np.asarray(100 + 80 * np.prod(np.sin(2 * np.pi * points / 0.5 + [0.3, 0.7, 1.1]), axis=1))
 
 
 def lit(station: Station, side: int) -> Station:
-    """With a picture that is brighter towards one side."""
+    """The station with a picture that is brighter towards one side."""
     height, width = station.cloud.there.shape
     points = np.nan_to_num(station.to_room(station.cloud.points.astype(np.float64)))
     light = np.linspace(0.7, 1.3, width)[:: 1 if side else -1]
@@ -46,7 +46,7 @@ def pieces(room: SolvedRoom) -> list[Piece]:
 
 
 def shades(piece: Piece) -> Floats:
-    """What the picture shows at each vertex, (N,)."""
+    """The colour of the picture at each vertex, (N,)."""
     picture = cv2.imdecode(np.frombuffer(piece.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
     height, width = picture.shape
     at = (piece.places * [width, height] - 0.5).astype(np.float32)
@@ -69,7 +69,7 @@ def test_textures_match_the_painted_walls(room: SolvedRoom, pieces: list[Piece])
 
 
 def test_textures_agree_at_seams(pieces: list[Piece]) -> None:
-    """Vertices at seams are in two pieces."""
+    """Vertices at seams are duplicated."""
     at: dict[tuple[float, ...], list[float]] = {}
     for piece in pieces:
         if piece.jpeg:

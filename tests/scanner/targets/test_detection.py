@@ -1,4 +1,4 @@
-"""Boards of each kind, drawn and photographed: found where they are, counted, and refused where they are not."""
+"""Boards of each kind, drawn and photographed: detected at their places, counted, and refused otherwise."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Terminals are narrow: lines end between words, and tables lose no digit."""
+"""Narrow terminals: lines break between words, and tables keep every digit."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""A part of a cloud: what is in it, and the file of it."""
+"""A part of a cloud: its points, and its file."""
 
 from pathlib import Path
 

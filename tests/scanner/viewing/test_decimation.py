@@ -1,4 +1,4 @@
-"""Fewer points than there are."""
+"""Clouds shown with fewer points."""
 
 import numpy as np
 import pytest

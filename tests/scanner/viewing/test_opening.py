@@ -1,4 +1,4 @@
-"""Where the page is served, and the verdict that it shows."""
+"""The address of the page, and its verdict."""
 
 import re
 import socket

@@ -1,4 +1,4 @@
-"""Who may talk to the page: over real sockets, with what a browser would send from elsewhere."""
+"""Access control of the page, over real sockets, with requests as a foreign site would make a browser send them."""
 
 import http.client
 import os
@@ -54,7 +54,7 @@ def ask(where: str, path: str = "/", **headers: str) -> Answer:
 
 
 def cookie(where: str) -> str:
-    """What the printed address gives to a browser."""
+    """The cookie that a browser gets from the printed address."""
     parts = urlsplit(where)
     response = ask(where, f"{parts.path}?{parts.query}")
     assert response.status == 200
@@ -136,7 +136,7 @@ def test_a_websocket_has_to_come_from_the_page_itself(where: str, own: bool) -> 
 
 @pytest.fixture(scope="module")
 def report(served: Serving, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of a report in a folder beside others."""
+    """The address of a report in a folder with other files."""
     folder = tmp_path_factory.mktemp("results") / "a room & more"
     (folder / "captures/1").mkdir(parents=True)
     (folder / "report.html").write_text("<script>alert(1)</script>")

@@ -1,4 +1,4 @@
-"""What is clicked on, and what it measures, against the scene that the cloud was made from."""
+"""Picking points and measuring, compared with the scene of the cloud."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def _true_points(written: Written, cloud: CaptureCloud) -> np.ndarray:
 
 
 def _some(cloud: CaptureCloud, count: int) -> np.ndarray:
-    """Points of faces, by number, spread widely."""
+    """Widely spread points of faces, by number."""
     on_faces = np.flatnonzero(np.asarray(cloud.matches.face) >= 0)
     return np.random.default_rng(1).choice(on_faces, (100, count))
 
@@ -65,7 +65,7 @@ def test_two_points_give_a_distance_with_its_sigma(written: Written, cloud: Capt
 
 
 def test_a_known_distance_gives_the_baseline_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
-    """Whatever the scale that the result has now: it is the baseline in the scene's metres that comes out."""
+    """For any current scale of the result: the baseline is in the scene's metres."""
     true, baseline_m = _true_points(written, cloud), written.scene.calibration.baseline
     sigmas = []
     for first, second in _some(cloud, 2):

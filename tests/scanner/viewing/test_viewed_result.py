@@ -1,4 +1,4 @@
-"""A result folder as something to look at, against the scene that it was made from."""
+"""A result folder for display, compared with its scene."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -125,7 +125,7 @@ def test_depth_sigmas_match_the_errors(written: Written, cloud: CaptureCloud) ->
 
 
 def test_depth_sigmas_include_the_calibration(tmp_path: Path) -> None:
-    """Of a result that knows its covariance, here an uncertain focal length of the camera alone."""
+    """For a result with a covariance, here of the camera's focal length alone."""
     written = write_result(tmp_path / "room", noise_px=0.005)
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
@@ -179,7 +179,7 @@ def edit_matches() -> Callable[..., None]:
 
 @pytest.mark.parametrize(("turn", "known"), [(0, True), (1, True), (2, False)])
 def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known: bool) -> None:
-    """By their poses, which older results did not hold."""
+    """By their poses, which older results lack."""
     written = write_result(tmp_path / "room")
     scene = room()
     calibration = replace(scene.calibration, unit="m")
