@@ -21,7 +21,7 @@ def series() -> list[np.ndarray]:
 
 
 class Scene:
-    """Reflects unevenly, and returns a tenth of all light from everywhere."""
+    """Uneven albedo, and a tenth of all light as uniform interreflection."""
 
     def __init__(self, noise: float) -> None:
         self._rng = np.random.default_rng(0)
@@ -38,7 +38,7 @@ class Scene:
 
 
 def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
-    """The foreign share found in a group of `series` where the projector shows other pictures, and the tolerance."""
+    """The foreign share found in a group of `series` if the projector shows other pictures, and the tolerance."""
     scene = Scene(noise)
     sums = scene.sums()
     seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}
@@ -70,7 +70,7 @@ def test_a_share_of_a_neighbouring_picture_is_detected(number: int, towards: int
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
 def test_a_delayed_display_is_located(behind: int) -> None:
-    """The previous picture stays too long, and all that follow are late by as many frames."""
+    """One picture stays too long, and all that follow are late by as many frames."""
     for start in range(1, 8):
         right = series()
         shown = right[:start] + [right[start - 1]] * behind + right[start:]
@@ -79,7 +79,7 @@ def test_a_delayed_display_is_located(behind: int) -> None:
 
 
 def steps(count: int, period: float = 10.0, response: float = 1.0) -> list[np.ndarray]:
-    """Of a fringe, by a projector that makes light of grey levels to that power."""
+    """Steps of a fringe on a projector with this gamma."""
     turns = np.arange(SIZE[1]) / period
     waves = [0.5 + 0.5 * np.cos(2 * np.pi * (turns + step / count)) for step in range(count)]
     return [np.broadcast_to(255 * wave**response, SIZE) for wave in waves]
@@ -105,7 +105,7 @@ def test_sums_of_correct_fringe_steps_are_level(count: int, response: float) -> 
 @pytest.mark.parametrize("share", [0.3, 0.45, 0.8])
 @pytest.mark.parametrize("count", [4, 6])
 def test_equally_late_opposite_steps_are_detected(count: int, share: float, response: float) -> None:
-    """Their sum is as level as that of right ones."""
+    """Their sum is as level as that of correct ones."""
     shown = right = steps(count, response=response)
     for late in (1, 1 + count // 2):
         shown = [*shown[:late], (1 - share) * right[late] + share * right[late - 1], *shown[late + 1 :]]
@@ -114,7 +114,7 @@ def test_equally_late_opposite_steps_are_detected(count: int, share: float, resp
 
 
 def test_a_change_between_two_takes_of_white_and_black_is_measured() -> None:
-    """White and black differ in nothing but their level."""
+    """White and black differ only in level."""
     scene = Scene(1.5)
     sums = scene.sums()
     white, black = series()[:2]

@@ -1,4 +1,4 @@
-"""Several exposures of each picture: the exposure changes between frames, never within one."""
+"""Several exposures per picture: the exposure changes between frames, never within one."""
 
 from typing import Any, cast
 
@@ -17,7 +17,7 @@ from tests.support.rig_bench import SIZE, Bench
 
 
 class AdjustableBench(Bench):
-    """Its exposure can be changed, and its pixels grow with it."""
+    """Its exposure can be set, and scales its pixels."""
 
     capabilities = Capabilities(exposure="settable", clock=True)
     exposure_limits_us = (1000.0, 200_000.0)

@@ -1,4 +1,4 @@
-"""When exposures began, from a camera's time stamps and from when frames came."""
+"""Start times of exposures from a camera's time stamps and arrival times."""
 
 import numpy as np
 import pytest

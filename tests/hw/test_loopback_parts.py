@@ -20,7 +20,7 @@ SIZE = (6, 4)
 
 
 class FakeScreen:
-    """A screen on which a test draws; `looked_s`: when it was looked at last."""
+    """A screen that a test draws on; `looked_s`: time of the last look at it."""
 
     def __init__(self) -> None:
         self.level = 0
@@ -97,7 +97,7 @@ def test_changes_are_recorded_in_the_background() -> None:
 
 
 class WhiteWall:
-    """Stands in for a room: the camera sees the screen's light, a hundred electrons for each level."""
+    """Replaces a room: the camera sees the screen's light, a hundred electrons per level."""
 
     settings = SimulatedRigSettings()
     sensor = Sensor(0.0, 1e4, 8, full_well_electrons=25_500.0, read_noise_electrons=1.0)
@@ -140,7 +140,7 @@ def test_pixel_format_and_region_take_effect() -> None:
 
 
 def test_light_arrives_after_the_display_latency() -> None:
-    """A picture that goes up amid an exposure is not in it if its light takes longer than the rest."""
+    """A picture that is shown during an exposure is not in it if its light takes longer than the rest."""
     request = Request(200_000, -20, MONO_8, (0, 0, *SIZE))
     half = exposed(0.0, request, change_after_s=0.1).mean()
     assert 30 < half < 70
@@ -149,7 +149,7 @@ def test_light_arrives_after_the_display_latency() -> None:
 
 @pytest.mark.parametrize(("latency_ms", "most_ms"), [(0, 100), (80, 30), (200, 30)])
 def test_a_frame_is_computed_before_its_exposure_ends(latency_ms: float, most_ms: float) -> None:
-    """As soon as no other light can come: its making does not delay it."""
+    """It is computed once no other light can arrive, so that it is ready in time."""
     screen = FakeScreen()
     history = ScreenHistory(screen, lambda image: 100 * as_light(image))
     history.wall.conditions = Conditions(latency_ms=latency_ms)

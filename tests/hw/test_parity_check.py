@@ -12,7 +12,7 @@ BITS = [draw(bit, SIZE) for bit in gray_sequence("x", SIZE[0], 8, inverses=False
 
 
 class Scene:
-    """Reflects unevenly, and adds light that bounces from everywhere, most of it near its right side."""
+    """Uneven albedo, and interreflection that is strongest at its right side."""
 
     def __init__(self, noise: float) -> None:
         self._rng = np.random.default_rng(0)
@@ -52,7 +52,7 @@ def test_a_group_lights_every_pixel_an_even_number_of_times() -> None:
 @pytest.mark.parametrize("late", range(len(BITS)))
 @pytest.mark.parametrize("for_good", [False, True])
 def test_frames_of_wrong_pictures_fail_the_parity_check(late: int, for_good: bool) -> None:
-    """One that is shown too long, and whether all that follow are late, too."""
+    """One picture is shown too long, and all that follow may be late, too."""
     right = list(with_parity(iter(BITS), [], [tuple(range(len(BITS)))]).images)
     scene = Scene(3.0)
     assert odd_share(range(len(right)), scene.seen(right)) < 0.002

@@ -1,4 +1,4 @@
-"""Scans with a network camera, through OpenCV's own capture: what goes wrong is named, and nothing is lost."""
+"""Scans with a network camera through OpenCV's capture: failures are named, and frames kept."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture
 def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phone]:
-    """A phone that sees the light of the window; what nobody would wait for in a test is waited for shortly."""
+    """A phone that sees the light of the window, with short timeouts."""
     with Phone(room) as phone:
 
         @contextmanager
@@ -140,7 +140,7 @@ def assert_named(capsys: pytest.CaptureFixture[str], phone: Phone, words: str) -
 
 
 def captured(capture: Path, room: SimulatedRoom) -> int:
-    """How many frames there are, each of its own pattern."""
+    """The number of frames, each of its own pattern."""
     recording = open_capture(capture)
     for pattern, frame in recording.stream().frames:
         own = room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)

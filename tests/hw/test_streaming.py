@@ -1,4 +1,4 @@
-"""Frames of a streaming camera, on a bench whose clock stands still while nothing happens."""
+"""Frames of a streaming camera, on a simulated clock."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, cast
@@ -24,7 +24,7 @@ BITS: tuple[Pattern, ...] = (White(), Black(), *(Gray(axis, bit, 6) for axis in 
 
 
 def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Image, np.ndarray]]:
-    """Frames, and what they should show."""
+    """Frames, and the expected ones."""
     pictures = [draw(pattern, SIZE) for pattern in patterns]
     frames = rig.photograph(pictures, (), level_groups(patterns), unpaired_bits(patterns))
     for picture, frame in zip(pictures, frames, strict=True):
@@ -32,7 +32,7 @@ def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tu
 
 
 def worst_deviation(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> float:
-    """Rms from what a frame should show, in grey levels, of the worst frame."""
+    """Rms deviation of the worst frame from its expectation, in grey levels."""
     return max(float(np.sqrt(np.mean((image - own) ** 2))) for image, own in photographed(rig, patterns))
 
 
@@ -122,7 +122,7 @@ def test_a_setting_that_the_camera_changes_is_named(
 
 @pytest.mark.parametrize("most_gain", [1.1, 2.0])
 def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch, most_gain: float) -> None:
-    """By how much of what is projected it makes up for."""
+    """By the share of a brightness change that it compensates."""
     bench = StreamBench().install(monkeypatch)
     gain = [1.0]
 

@@ -1,4 +1,4 @@
-"""Sequential acquisition, on a bench whose clock stands still while nothing happens."""
+"""Sequential acquisition, on a simulated clock."""
 
 from typing import cast
 
@@ -16,7 +16,7 @@ def pictures(count: int) -> list[np.ndarray]:
 
 
 def expected(picture: np.ndarray) -> np.ndarray:
-    """What the bench's camera sees of a picture that rests."""
+    """What the bench's camera sees of a settled picture."""
     return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
 
 

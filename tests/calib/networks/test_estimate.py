@@ -21,7 +21,9 @@ def sizes_of(network: SyntheticNetwork) -> dict[str, Size]:
 
 
 def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[Floats, Floats, Floats]:
-    """Of focals (devices,), relative; of places (devices,) in metres; and both over their sigmas, (4 devices − 4,)."""
+    """Relative errors of focal lengths (devices,), errors of positions (devices,) in metres, and both over their
+    sigmas, (4 devices − 4,).
+    """
     first, second = (network.poses[name] for name in estimate.seed)
     unit = np.linalg.norm(second.translation - first.translation)
     focals, places, relative = [], [], []
@@ -38,7 +40,7 @@ def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[Floats
 
 
 def without_faces_but(network: SyntheticNetwork, pair: tuple[str, str]) -> SyntheticNetwork:
-    """Only one pair has labels, so the others have to find theirs."""
+    """Only one pair has labels; the others must find theirs."""
     captures = {
         each: matches if each == pair else matches.with_faces(np.full(len(matches), -1, np.int32))
         for each, matches in network.captures.items()
@@ -62,7 +64,7 @@ def test_one_corner_determines_all_devices(cameras: int, projectors: int, focal:
 
 @pytest.mark.parametrize(("walls", "sights"), [(0, 0), (1, 1)])
 def test_a_camera_that_sees_fewer_than_two_faces_is_placed_by_shared_points(walls: int, sights: int) -> None:
-    """Boxes, of which no labels are known, and one wall or none."""
+    """It sees boxes without labels, and at most one wall."""
     made = random_network(np.random.default_rng(4), 2, 1, replace(OPTIONS, boxes=5))
     captures = {
         pair: each.with_faces(np.where(each.labels < 3, each.labels, -1)) for pair, each in made.captures.items()
@@ -82,7 +84,7 @@ def test_a_camera_that_sees_fewer_than_two_faces_is_placed_by_shared_points(wall
 
 
 def test_an_observation_of_another_plane_gets_its_own_plane() -> None:
-    """The floor is 5 cm higher for one pair."""
+    """One pair sees the floor 5 cm higher."""
     made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
     pair = ("camera2", "projector2")
     seen = made.captures[pair]
@@ -158,7 +160,7 @@ def test_a_device_that_shares_no_light_is_named() -> None:
 
 
 def test_a_missing_overlap_is_named() -> None:
-    """Two cameras see one half of the projector's picture each."""
+    """Two cameras see one half each of the projector's picture."""
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     one, other = made.captures.values()
     right = (each.projector_px[:, 0] > made.devices["projector1"].width / 2 for each in (one, other))

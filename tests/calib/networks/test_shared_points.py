@@ -10,7 +10,7 @@ LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
 
 
 def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoints]:
-    """Points that the second of three devices shares with the others; a few of them with one only."""
+    """Points that the second of three devices shares with the others; some of them with only one."""
     poses = [
         Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)
     ]

@@ -29,7 +29,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cut(recorded: Path, folder: Path, text: bytes) -> Path:
-    """The recording as it was when its listing had come as far as `text`."""
+    """The recording with its listing cut to `text`."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(recorded, folder)
     (folder / "capture.yaml").write_bytes(text)
@@ -60,7 +60,7 @@ def test_a_truncated_listing_is_read_to_its_last_complete_line(
 
 
 def test_the_listing_may_be_cut_at_any_byte(recorded: Path, tmp_path: Path) -> None:
-    """The brackets of a line are what tells that it is whole."""
+    """The brackets of a line show whether it is complete."""
     whole = (recorded / "capture.yaml").read_bytes()
     begin = whole.rindex(b"  - {file")
     folder = cut(recorded, tmp_path / "cut", whole)

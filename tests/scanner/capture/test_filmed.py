@@ -1,4 +1,4 @@
-"""Smooth errors of a film are those that its import measured, beside those of any frames."""
+"""Smooth errors of a film are those measured at import, plus those of any frames."""
 
 import pytest
 

@@ -80,11 +80,11 @@ def test_a_device_that_fails_leaves_a_capture_of_the_frames_so_far(tmp_path: Pat
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, and how many frames were listed by then."""
+    """Ctrl-C, and the number of frames listed by then."""
 
 
 def interrupt_at_line(number: int, folder: Path) -> Callable[[FrameType, str, Any], Any]:
-    """A trace function that presses Ctrl-C at the so-many-th line run of the modules that write a capture."""
+    """A trace function that raises Ctrl-C at the n-th executed line of the modules that write a capture."""
     lines = count()
 
     def trace(frame: FrameType, event: str, _: object) -> Any:
@@ -179,7 +179,7 @@ def test_transparency_is_dropped(tmp_path: Path) -> None:
 
 @dataclass(frozen=True)
 class Broken:
-    """A way to break a capture, and words that the message must have."""
+    """A way to damage a capture, and words of the expected message."""
 
     name: str
     break_it: Callable[[Path], object]

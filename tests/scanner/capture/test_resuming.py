@@ -1,4 +1,4 @@
-"""A capture that was broken off, and a rig that takes it up, or must not."""
+"""An interrupted capture, and rigs that may or may not resume it."""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -28,7 +28,7 @@ TAKEN = next(n for n, pattern in enumerate(PATTERNS) if isinstance(pattern, Phas
 
 @dataclass
 class Wall:
-    """A projector, and a camera that sees what it shows, so bright, and so many pixels to the left."""
+    """A projector and a camera that sees its picture, with a given brightness and shift."""
 
     size: tuple[int, int] = SIZE
     highest_level: int = 255

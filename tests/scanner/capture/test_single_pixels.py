@@ -1,4 +1,4 @@
-"""Whether the projector shows pixels as they are, before a capture; and what is said of it, then and in replays."""
+"""Whether the projector shows single pixels unchanged: measured before a capture, and reported then and in replays."""
 
 import pytest
 
@@ -41,7 +41,7 @@ def test_single_pixel_lines_survive_unless_the_picture_is_resampled(
 
 @pytest.mark.parametrize(("camera", "projector"), [(CAMERA, PROJECTOR), ((612, 512), (854, 480))])
 def test_relevant_keystone_correction_blurs_single_pixels(camera: tuple[int, int], projector: tuple[int, int]) -> None:
-    """Where it moves the picture's corners by half a pixel."""
+    """Keystone that moves the picture's corners by half a pixel."""
     rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
     with open_rig(rig, camera, projector) as opened:
         (kept,) = measure_lines(opened.rig).values()

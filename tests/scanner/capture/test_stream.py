@@ -9,7 +9,7 @@ from tests.support.small_capture import PATTERNS, SIZE
 
 
 class Mirror:
-    """A projector and a camera in one: it sees what it shows, and notes what was asked of it."""
+    """A projector and a camera in one that sees what it shows, and records its calls."""
 
     def __init__(self, delivered: tuple[int, int] = SIZE) -> None:
         self.size = SIZE

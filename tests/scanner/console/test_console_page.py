@@ -1,4 +1,4 @@
-"""`scan console` in a real browser, with a simulated rig that is small enough for a test."""
+"""`scan console` in a real browser, with a small simulated rig."""
 
 import re
 import time
@@ -24,7 +24,7 @@ LONG = CONFIG.replace("quick", f"standard, shifts: 64, exposures_us: {list(range
 
 @dataclass
 class Console:
-    """A console, its page, and the folder where it runs."""
+    """A console, its page, and its working folder."""
 
     folder: Path
     served: Served

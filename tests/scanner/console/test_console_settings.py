@@ -1,4 +1,4 @@
-"""What is set on the page, over what the file says."""
+"""Settings of the page override the configuration file."""
 
 import os
 from pathlib import Path

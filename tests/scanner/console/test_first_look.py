@@ -1,4 +1,4 @@
-"""The cloud that the page shows before the result is saved."""
+"""The preview of the cloud before the result is saved."""
 
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def test_the_preview_is_a_part_of_the_saved_cloud(config: Path, monkeypatch: pyt
 
 def test_the_page_gets_the_preview_once_and_before_the_result(config: Path) -> None:
     class Broken(Notebook):
-        """A page that can show results, and no clouds before."""
+        """A page that shows results, but fails on previews."""
 
         def on_cloud(self, scan: Scan) -> None:
             assert not self.results

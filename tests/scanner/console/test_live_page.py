@@ -1,4 +1,4 @@
-"""Live clouds in a real browser: on a page of their own, and as a part of the console."""
+"""Live clouds in a real browser: on their own page, and in the console."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A frame for the eye: what is clipped, how bright it is, and that the picture shows it."""
+"""Frames for display: clipping, brightness, and the reduced picture."""
 
 import numpy as np
 import pytest

@@ -29,7 +29,7 @@ CONFIG = "rig: {backend: simulated}\ncamera: {width: 32, height: 24}\nprojector:
 
 
 class Wall:
-    """A projector and a camera that sees a share of what is shown, until `fails_after` frames were taken."""
+    """A projector, and a camera that sees a share of its light, until `fails_after` frames were taken."""
 
     size = SIZE
     highest_level = 255

@@ -1,4 +1,4 @@
-"""`scan network` on captures of a made-up network, end to end."""
+"""`scan network` on captures of a synthetic network, end to end."""
 
 import shutil
 from pathlib import Path

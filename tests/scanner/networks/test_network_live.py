@@ -1,4 +1,4 @@
-"""A network captured by its own devices: two cameras and two projectors in one simulated room."""
+"""A network that captures itself: two cameras and two projectors in one simulated room."""
 
 from collections.abc import Callable
 from pathlib import Path

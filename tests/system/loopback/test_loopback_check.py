@@ -1,4 +1,4 @@
-"""`scan check` through the real path: the camera's exposure is tried, and what was found is written."""
+"""`scan check` through the real path: the camera's exposure is optimised and written."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the console's page does, through the real path: live image, exposure and gain, a scan, cancel."""
+"""The console's page through the real path: live image, exposure and gain, a scan, cancel."""
 
 from collections.abc import Iterator
 from functools import partial

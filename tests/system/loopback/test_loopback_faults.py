@@ -1,7 +1,7 @@
-"""What can go wrong with real devices, done to the loopback rig while it scans.
+"""Faults of real devices, injected into the loopback rig during scans.
 
-A scan completes, every frame of its own pattern, or stops with exit code 3, a message that names the device and says
-what to do, and every frame captured so far on disk.
+A scan completes with every frame of its own pattern. Or it stops with exit code 3, a message that names the device and
+the remedy, and every captured frame on disk.
 """
 
 import os
@@ -42,7 +42,7 @@ FRAMES = 28  # of the sequence in CONFIG
 
 
 def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Path:
-    """Scan, and expect exit code 3 with these words and advice; the folder of what was captured."""
+    """Expect a scan to stop with exit code 3 and these words; returns the folder of the capture."""
     code, folder = scan(config)
     message = capsys.readouterr().err
     assert code == 3, message
@@ -180,7 +180,7 @@ def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopb
 
 
 def resources() -> tuple[float, int, int]:
-    """Megabytes of memory, open files, threads of this process."""
+    """Memory in MB, open files and threads of this process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return (
         pages * os.sysconf("SC_PAGE_SIZE") / 1e6,

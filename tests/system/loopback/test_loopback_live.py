@@ -1,4 +1,4 @@
-"""Live clouds through the real path: pictures in the pipeline, triggers, packets."""
+"""Live clouds through the real path: pipelined pictures, triggers, packets."""
 
 from pathlib import Path
 

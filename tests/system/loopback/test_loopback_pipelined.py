@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capt
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Processors that have other things to do."""
+    """Keep this many processors busy."""
     command = [sys.executable, "-c", "while True: sum(range(100000))"]
     processes = [subprocess.Popen(command) for _ in range(3)]
     yield

@@ -1,4 +1,4 @@
-"""Whole scans through the real path."""
+"""Complete scans through the real path."""
 
 from pathlib import Path
 
