@@ -12,7 +12,7 @@ from paper.plots import Axis, curves
 Parts = dict[str, Figures]
 Pictures = dict[str, str]
 _NOT_MEASURED = "not measured"
-# What the page calls a method, its key in the results, and its key among the paper's own figures.
+# A method's name on the page, its key in the results, and its key among the published values.
 OWN_METHODS = (
     ("the paper's method, true faces", "paper, true faces", "paper"),
     ("the paper's method, automatic faces", "paper, automatic faces", "paper"),
@@ -35,7 +35,7 @@ TWO_VIEW_METHODS = (
 
 
 def table_1(own: Parts, two_views: Parts, many_views: Parts) -> str:
-    """Mean absolute errors of each method in each room. The signed errors are in `results/table1*.json`."""
+    """Mean absolute errors of each method in each room. Signed errors are in `results/table1*.json`."""
     rooms = sorted(own)
     rows = [_method_row(own, rooms, *method) for method in OWN_METHODS]
     rows += [_method_row(two_views, rooms, *method) for method in TWO_VIEW_METHODS] if two_views else []
@@ -63,7 +63,7 @@ def _method_row(parts: Parts, rooms: Sequence[str], shown: str, key: str, in_pap
 
 
 def _draws_row(parts: Parts, rooms: Sequence[str], key: str) -> list[str]:
-    """The median of a room's draws: their mean would be that of the one that ran farthest."""
+    """Median over a room's draws, because diverged ones would dominate the mean."""
     draws = {room: [mean_size(draw[key]) for draw in figures["R, further draws"]] for room, figures in parts.items()}
     medians = {room: _median(errors) for room, errors in draws.items()}
     cells = [number(medians[room]) if room in parts else _NOT_MEASURED for room in rooms]
@@ -138,7 +138,7 @@ def table_3(parts: Parts) -> tuple[str, Pictures]:
 
 
 def mean_error(method: str) -> Callable[[Figures], float | None]:
-    """Takes the figures of a part to the mean absolute error of a method in it."""
+    """Function from the values of a part to the mean absolute error of a method."""
     return lambda figures: mean_size(figures[method])
 
 
