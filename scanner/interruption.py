@@ -32,10 +32,10 @@ def end_at_once(_number: int, _frame: FrameType | None) -> None:
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """A handler that raises KeyboardInterrupt, whichever signal it was.
+    """A handler that raises KeyboardInterrupt for any signal.
 
-    Not while `threading` takes a lock for the `with` of a condition, a semaphore, an event or a thread pool: that lock
-    would never be given back, and whoever wants it next waits for good. Then it comes a moment later.
+    It is delayed while `threading` acquires a lock for the `with` of a condition, a semaphore, an event or a thread
+    pool: otherwise the lock would never be released, and its next user would wait forever.
     """
     if _among_locks(frame):
         _thread.start_new_thread(_come_again, (number,))  # takes no lock of `threading`

@@ -34,5 +34,5 @@ def shown(value: object) -> str:
 
 
 def unbroken(text: str) -> str:
-    """The text with spaces that no line is broken at within numbers and between them and their units."""
+    """The text with no-break spaces within numbers and between them and their units."""
     return _WITHIN_NUMBERS.sub(NO_BREAK, text)

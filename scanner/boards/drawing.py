@@ -24,7 +24,7 @@ class Drawn:
 
 
 def draw_target(target: Target, side_px: int) -> Drawn:
-    """A board whose squares (tags, distances) have so many pixels, with a white rim of about a square."""
+    """A board whose squares (tags, distances) have this many pixels, with a white rim of about a square."""
     match target.kind:
         case "chessboard":
             inside = _checks(target.columns + 1, target.rows + 1, side_px)

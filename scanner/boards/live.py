@@ -22,7 +22,7 @@ _WORTH_IT = 1.05  # least factor on the sigmas
 
 
 def check_live(config: Config, number: int, target: Target, terminal: Terminal) -> None:
-    """Raise InputError if that cannot become a calibration, whatever is captured."""
+    """Raise InputError if no capture could lead to a calibration."""
     if number < FEWEST_VIEWS:
         raise InputError(f"--captures {number}: expected {FEWEST_VIEWS} or more of a board, six to ten are good")
     lenses_of(config, config.camera_size, config.projector_size)
@@ -41,7 +41,7 @@ def check_live(config: Config, number: int, target: Target, terminal: Terminal) 
 
 
 def capture_boards(config: Config, number: int, target: Target, folder: Path, terminal: Terminal) -> FromBoards:
-    """So many captures with the board in them, each recorded in `folder`, and the calibration from all.
+    """Capture this many views with the board, each recorded in `folder`, and calibrate from all.
 
     Raises DeviceError, RefusalError, and InputError if the operator ends too early.
     """

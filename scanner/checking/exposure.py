@@ -129,7 +129,7 @@ def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, 
 
 
 def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: bool) -> CheckRow:
-    """Grade the configured exposure and propose a better one; `bracketed`: the sequence has exposures of its own."""
+    """Grade the configured exposure and propose a better one; `bracketed`: the sequence has its own exposures."""
     first = proposal.first
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:

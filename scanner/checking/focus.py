@@ -1,9 +1,9 @@
-"""Blur of the two lenses, from how much fainter short fringes are than long ones.
+"""Blur of the two lenses, from the contrast of short fringes relative to long ones.
 
 A Gaussian blur of standard deviation σ leaves exp(−2π²σ²/λ²) of a fringe of period λ (its modulation transfer). The
-projector's blur is the same number of projector pixels everywhere; the camera's, seen from the projector, grows with
-how many projector pixels a camera pixel spans across the stripes. That differs between the axes and from face to face
-of a corner, and so tells the two lenses apart: blur² = projector² + camera² · span².
+projector's blur is constant in projector pixels. The camera's, in projector pixels, grows with the span of a camera
+pixel across the stripes. The span differs between the axes and between the faces of a corner, which separates the two
+lenses: blur² = projector² + camera² · span².
 """
 
 from collections.abc import Mapping
@@ -82,7 +82,7 @@ def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, pro
 
 
 def _slope(projector_px: Floats, good: Bools) -> Floats | None:
-    """Projector pixels per camera pixel, (2, 2): the row of each projector axis; None where no plane is seen."""
+    """Projector pixels per camera pixel, (2, 2), one row per projector axis; None without a plane."""
     row, column = np.nonzero(good)
     design = np.stack([np.ones(len(row)), column - column.mean(), row - row.mean()], axis=1)
     target = projector_px[good]
@@ -93,14 +93,14 @@ def _slope(projector_px: Floats, good: Bools) -> Floats | None:
 
 
 def period_for(span: float) -> float:
-    """The shortest useful period in projector pixels where a camera pixel spans so many, on average over an image."""
+    """The shortest useful period in projector pixels, for this mean number of projector pixels per camera pixel."""
     return next((period for period in _SHORT_PERIODS_PX if period >= _CAMERA_PIXELS * _UNEVEN * span), LONG_PERIOD_PX)
 
 
 def _blur2(
     fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
 ) -> tuple[float, float] | None:
-    """Squared blur and the doubt about it, from the shortest two neighbouring periods that are resolved in a cell.
+    """Squared blur and its uncertainty, from the two shortest neighbouring periods that are resolved in a cell.
 
     None if no two are.
     """
@@ -134,11 +134,11 @@ def _squares(period: float, slope: Floats) -> float:
 
 @dataclass(frozen=True)
 class Lenses:
-    """Blur of both lenses: `total_px`, the median of both together, in projector pixels, and the share of each.
+    """Blur of both lenses: `total_px`, the median of both together in projector pixels, and the share of each.
 
-    `projector2`, `camera2`: what each adds to the square of the total, with the standard deviations `projector2_sigma`,
-    `camera2_sigma`; NaN where the view does not tell them apart at all. `doubt2`: what lenses that are no Gaussians
-    may have moved from one to the other. `span`: projector pixels per camera pixel, median.
+    `projector2`, `camera2`: contributions to the square of the total, with the standard deviations `projector2_sigma`,
+    `camera2_sigma`; NaN if the view does not separate them. `doubt2`: error of the separation if the lenses are not
+    Gaussian. `span`: projector pixels per camera pixel, median.
     """
 
     total_px: float

@@ -81,7 +81,7 @@ class Light:
 
 
 def photograph_light(rig: Rig, whites: int, blacks: int) -> Light:
-    """Take so many frames of white, then of black. Raises DeviceError."""
+    """Take this many frames of white, then of black. Raises DeviceError."""
     width, height = rig.projector.size
     pictures = [np.full((height, width), level, np.uint8) for level in (255, 0)]
     frames = list(rig.photograph([pictures[0]] * whites + [pictures[1]] * blacks))
@@ -129,9 +129,9 @@ class Flicker:
 
 
 def flicker_of(light: Light) -> Flicker:
-    """How much frames that should be alike differ as a whole; their pixels' noise averages out.
+    """Relative difference of frames of the same picture; pixel noise averages out.
 
-    Where there are enough, the first of each does not count.
+    The first frame of each picture is excluded if there are enough.
     """
     level = float(light.mean_white[light.well_lit].mean())
     spreads = [
@@ -165,7 +165,7 @@ def ghost_of(light: Light) -> float:
 
 
 def leaves_ghost(light: Light) -> bool:
-    """Whether so much of a picture is left in the next frame that what is measured in single frames is wrong."""
+    """Whether ghosting is so strong that measurements from single frames are wrong."""
     return ghost_of(light) > _MOST_GHOST
 
 

@@ -1,9 +1,10 @@
-"""Does each pixel of a picture become one of the projector? Lines of one pixel tell, which no scaled picture can show.
+"""Whether the projector shows each pixel of a picture unchanged, tested with lines of one pixel, which no scaled
+picture shows.
 
-Lines of two grey levels a and b, one pixel wide each, send (L(a) + L(b)) / 2 on average if they arrive as they are, L
-being the projector's response. It bends, so that the average falls where they lose contrast (interpolation by scaling
-or keystone correction, neighbours that share light), and rises where sharpening adds to it. The camera only has to see
-how bright it is, not the lines.
+Lines of two grey levels a and b, one pixel wide each, send (L(a) + L(b)) / 2 on average if shown unchanged, with L the
+projector's response. L is not linear. So the average falls where the lines lose contrast (interpolation by scaling or
+keystone correction, crosstalk), and rises where sharpening increases it. The camera only measures the brightness, and
+need not resolve the lines.
 """
 
 import numpy as np
@@ -27,7 +28,7 @@ _AXES: tuple[Axis, Axis] = ("x", "y")
 
 
 def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
-    """What is left of the contrast of lines; None where the response does not tell. Raises DeviceError."""
+    """The remaining contrast of lines; None if the response is too linear. Raises DeviceError."""
     if ramp.response is None:
         return None
     where = light.well_lit

@@ -1,4 +1,4 @@
-"""Changing single keys of a configuration file: everything else in it stays as it is, byte for byte."""
+"""Editing single keys of a configuration file, with everything else unchanged, byte for byte."""
 
 import os
 import shutil
@@ -40,9 +40,9 @@ def check_text(text: str, path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Replace a configuration file by a text as it is, with its comments; returns where the first one is kept.
+    """Replace a configuration file by a text, with its comments; returns the path of the original.
 
-    Raises InputError, with nothing changed, if it is no configuration, or cannot be written.
+    Raises InputError, with nothing changed, if the text is no configuration, or cannot be written.
     """
     check_text(text, path)
     return _replace(path, text)

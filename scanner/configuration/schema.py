@@ -60,7 +60,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _few_frames_of_slow_cameras(self) -> "Config":
-        """A sequence that nobody chose is worth its frames."""
+        """The default sequence of slow cameras is short."""
         if (
             not isinstance(self.rig, CameraRigSettings)
             or not self.rig.slow
@@ -89,9 +89,9 @@ class Config(Section):
 
     @property
     def pairs(self) -> dict[tuple[str, str], "Config"]:
-        """The configuration of each pair of a network's devices, by camera and projector: projector by projector.
+        """The configuration of each pair of a network's devices, by camera and projector, projector by projector.
 
-        Raises InputError if no network is configured, or what differs for a device is impossible.
+        Raises InputError if no network is configured, or settings of a device are invalid.
         """
         if self.rigs is None:
             raise InputError(

@@ -29,7 +29,9 @@ class Mesh:
 
 
 def build_mesh(scan: FinishedScan) -> Mesh:
-    """Join neighbouring pixels; points in no triangle are left out. Raises InputError if there is no triangle."""
+    """Triangles between neighbouring pixels; points without a triangle are dropped. Raises InputError if there is no
+    triangle.
+    """
     focal_px = float(np.mean(scan.calibration.camera.focal_px))
     seen = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
     triangles = image_triangles(seen, scan.index_grid)

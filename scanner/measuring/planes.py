@@ -60,8 +60,8 @@ def _sample(matches: Matches, calibration: Calibration) -> Ints:
 
 @dataclass(frozen=True)
 class _Face:
-    """A face with its matches, whose errors are alike in each `cluster` (N,); the `spread` of its plane's parameters,
-    and that of its form.
+    """A face with its matches, whose errors are equal within each `cluster` (N,); the `spread` of its plane's
+    parameters, and that of its form.
     """
 
     label: int

@@ -1,4 +1,4 @@
-"""The test with a ball: find it, fit it, and tell how far its points are from a sphere."""
+"""The test with a ball: detection, fit, and the deviations of its points from a sphere."""
 
 from itertools import combinations
 

@@ -1,4 +1,4 @@
-"""The sequences that have names: what each shows, whatever the size of the projector. See docs/decoding.md."""
+"""The named sequences, for any size of the projector. See docs/decoding.md."""
 
 from dataclasses import dataclass
 from typing import Literal

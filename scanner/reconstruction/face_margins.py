@@ -1,7 +1,7 @@
-"""Faces without the margin in which the lens mixes them with what is beside them.
+"""Faces without the margin in which the lens mixes them with their surroundings.
 
-A camera pixel sees the mean over its footprint. Across a crease or an edge that is the coordinate of neither surface:
-too little to stand out from the noise, but always to the same side, so that a calibration would follow it.
+A camera pixel sees the mean over its footprint. Across a crease or an edge, this is the coordinate of neither surface.
+The error is below the noise, but always has the same sign, so that a calibration would follow it.
 """
 
 from math import ceil, sqrt
@@ -18,7 +18,7 @@ _LEAST_PX = 2.0
 
 
 def without_margins(matches: Matches, camera_size: tuple[int, int], footprint_px2: float) -> Matches:
-    """The matches without faces where they are too close to the face's border for a footprint of this variance."""
+    """The matches, of which those too close to the face's border for a footprint of this variance lose their face."""
     reach_px = _SIGMAS * sqrt(footprint_px2)
     if reach_px < _LEAST_PX or matches.face is None:
         return matches

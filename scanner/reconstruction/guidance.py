@@ -79,7 +79,7 @@ def _what_next(newest: SelfCalibrated, sigma: float | None, *, enough: bool) -> 
 
 
 def where_to(view: NextView, calibration: Calibration) -> str:
-    """The way there for whoever carries the rig: a step, as the camera sees it, and a turn."""
+    """Directions to the next view for the operator: a step, as the camera sees it, and a rotation."""
     right, down, forward = calibration.baseline * view.step
     least = _NOT_A_STEP * float(np.abs(view.step).max()) * calibration.baseline
     steps = [

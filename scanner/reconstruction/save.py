@@ -112,7 +112,7 @@ def refusal_saved(
 
 
 def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
-    """The refusal, or where a capture is nearly black a refusal for that: whatever else is wrong may follow from it."""
+    """The refusal; if a capture is nearly black, a refusal for that, because it may cause any other."""
     for capture in captures:
         if capture.decoding is not None and capture.decoding.darkness is not None:
             what, _, to_do = capture.decoding.darkness.partition(". ")

@@ -1,5 +1,6 @@
-"""Exposure, line time, tone curve, and the beginning and slots of each loop, by robust least squares of the shares that
-the frames around all changes tell.
+"""Exposure, line time, tone curve, and start and slot length of each loop.
+
+They are estimated by robust least squares from the shares of the frames around all changes.
 """
 
 from dataclasses import replace
@@ -96,7 +97,7 @@ def _fit_times(samples: VideoSamples, shares: Shares, start: Clocks) -> tuple[fl
 
 
 def _fit_tone(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Clocks:
-    """Under which curve what brightens and what darkens tell the same shares: Gauss and Newton's steps."""
+    """The curve for which brightening and darkening pixels give the same shares, by Gauss–Newton steps."""
 
     def residuals(values: Floats) -> Floats:
         tone = ToneCurve(*values)

@@ -1,4 +1,4 @@
-"""PyAV, which reads and writes video, imported where it is used: it is an extra."""
+"""PyAV, an extra that reads and writes video; it is imported on demand."""
 
 from types import ModuleType
 

@@ -18,8 +18,10 @@ _LEAST_ENERGY = 1e-3  # relative to the usual; less gives no information
 
 @dataclass(frozen=True)
 class Shares:
-    """Of M frames near changes: numbers (M,) of `frame` and `change` (through all loops); `share` (M, R, 2), told by
-    what brightens and by what darkens, with `weight` of the same shape; `seen` (changes,): the sum of the weights.
+    """Shares of M frames near changes: numbers (M,) of `frame` and `change` (through all loops).
+
+    `share` (M, R, 2), from pixels that brighten and from those that darken, with `weight` of the same shape; `seen`
+    (changes,): sum of the weights.
     """
 
     frame: Ints
@@ -100,7 +102,7 @@ def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) 
 
 
 def _shares(seen: Light, before: Light, after: Light, samples: VideoSamples) -> tuple[Floats, Floats]:
-    """Shares (M, R, 2) by least squares over the columns, and what they rest on: the squared differences' sums."""
+    """Shares (M, R, 2) by least squares over the columns, and the sums of squared differences that determine them."""
     usable = samples.lit & (np.maximum(before, after) < 1)
     differences = np.where(usable, after - before, 0)
     shares, energies = [], []

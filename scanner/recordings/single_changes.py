@@ -68,7 +68,7 @@ def _measured_shifts(
 
 
 def _cost_of_changes(samples: VideoSamples, shares: Shares, clocks: Clocks, number: int, by_slots: float) -> Floats:
-    """(number,): of each change if it came later by so many slots."""
+    """Cost of each change if it came later by this many slots, (number,)."""
     moved = tuple(each + by_slots * loop.slot_s for each, loop in zip(clocks.shifts_s, clocks.loops, strict=True))
     losses = loss(misfit(samples, shares, replace(clocks, shifts_s=moved)))
     return summed(shares.change, losses.reshape(len(shares.change), -1).sum(axis=1), number)

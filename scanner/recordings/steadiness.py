@@ -38,7 +38,7 @@ def moved_px(whites: Mapping[int, Image]) -> float:
 
 
 def _shift_px(first: Light, other: Light) -> float:
-    """The median over tiles with a clear answer; 0 where there are none."""
+    """Median shift over tiles with a clear result; 0 without any."""
     height, width = (side // _TILES for side in first.shape)
     tall, wide = min(height, _TILE_PX), min(width, _TILE_PX)
     shifts = []

@@ -86,9 +86,9 @@ def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, proj
 
 
 def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
-    """A picture (height, width, 4) of at most `size` = (width, height), transparent where nothing is.
+    """A picture (height, width, 4) of at most `size` = (width, height), transparent where empty.
 
-    Surfaces seen from behind are left out, so that one looks into a room through its walls.
+    Surfaces seen from behind are not drawn, so that walls do not hide the inside of a room.
     """
     seen, index = _facing(cloud, view, _POINTS_PER_PIXEL * size[0] * size[1])
     drawn = [wireframe.segments @ view.axes.T for wireframe in wireframes]
@@ -118,7 +118,7 @@ def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats
 
 
 def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
-    """Corners of the picture in the view's plane, (2,) each: all but stray points, all lines, and a margin."""
+    """Corners of the picture in the view's plane, (2,) each: without outliers, with all lines and a margin."""
     ends = [np.array([[0.0, 0.0], [1.0, 1.0]])]
     if len(seen):
         some = seen[:: max(1, len(seen) // _SAMPLE), :2]

@@ -21,7 +21,7 @@ _OPAQUE = 255
 def facing(
     points: Floats32, normals: Floats32, axes: Floats32, row_step: int, column_step: int
 ) -> tuple[Floats32, Ints]:
-    """Select from `points` (H, W, 3), NaN for none, on every so many rows and columns those whose `normals` face the
+    """Select from `points` (H, W, 3), NaN for none, subsampled by rows and columns, those whose `normals` face the
     viewer.
 
     Returns them (N, 3) in the viewer's frame, whose `axes` (3, 3) are unit rows: right, down, forward; and their

@@ -100,7 +100,7 @@ def face_overlay(labels: Pixels, camera_size: Size, corner: Corner | None, camer
 
 
 def _median_place(counts: Ints) -> float:
-    """The median of numbers from 0, of which there are so many each."""
+    """The median of the numbers 0, 1, …, which occur this often."""
     cumulated = np.cumsum(counts)
     return float(np.searchsorted(cumulated, cumulated[-1] / 2))
 

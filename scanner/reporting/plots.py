@@ -60,7 +60,7 @@ def objective_plot(focal_px: Floats, objective: Floats, chosen_focal_px: float |
 
 
 def local_minima(values: Floats) -> list[int]:
-    """Indices of a sampled curve's minima, without its ends; infinite where it is not defined."""
+    """Indices of the minima of a sampled curve, without its ends; infinite values are undefined."""
     padded = np.where(np.isfinite(values), values, np.inf)
     inner = np.arange(1, len(values) - 1)
     low = (padded[inner] < padded[inner - 1]) & (padded[inner] <= padded[inner + 1])
@@ -70,7 +70,7 @@ def local_minima(values: Floats) -> list[int]:
 def residual_histogram(
     residuals_px: Sequence[NDArray[np.floating]], noise_px: float | None, limit_px: float, label: str
 ) -> Markup:
-    """Plot histograms of residuals (n,), each sample filled in a tone of its own; `noise_px` draws a normal curve."""
+    """Plot histograms of residuals (n,), each sample in its own shade; `noise_px` draws a normal curve."""
     edges = np.linspace(-limit_px, limit_px, _HISTOGRAM_BINS + 1)
     shares = [_shares(residual, edges) for residual in residuals_px]
     curve_px = np.linspace(-limit_px, limit_px, 4 * _HISTOGRAM_BINS)

@@ -157,7 +157,7 @@ def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]
 
 
 def _outline(points: Floats) -> Floats:
-    """Corners (n, 3) of the convex hull of points (N, 3) in their plane, strays left aside."""
+    """Corners (n, 3) of the convex hull of points (N, 3) in their plane, without outliers."""
     for _ in range(2):
         centre = np.median(points, axis=0)
         axes = np.linalg.svd(points - centre, full_matrices=False)[2]

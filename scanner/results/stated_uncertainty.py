@@ -1,4 +1,4 @@
-"""The part of calibration.yaml beside the calibration: the verdict on the result, and its covariance."""
+"""The additional parts of calibration.yaml: the verdict on the result, and its covariance."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -98,7 +98,7 @@ def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
 def read_verdict(path: Path) -> Verdict | None:
     """Read the verdict from a result's calibration file, or from that of a refusal.
 
-    Returns None if there is none, as in older files. Raises InputError.
+    Returns None without one, as in older files. Raises InputError.
     """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     if entry is None:
@@ -141,7 +141,7 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
 
 
 def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
-    """Of a file without their columns, with zeros there; what is not as long as the columns stays as it is."""
+    """Fill missing columns of older files with zeros; entries of wrong length are unchanged."""
 
     def filled(numbers: list[float]) -> list[float]:
         if len(numbers) != len(entry.columns):

@@ -29,7 +29,7 @@ def spacing_px(there: Bools) -> float:
 
 
 def index_of(there: Bools) -> Ints:
-    """The number of each pixel (H, W) that has a point, NONE where there is none."""
+    """The index of each pixel (H, W) with a point, NONE for others."""
     return np.where(there, np.arange(there.size).reshape(there.shape), NONE)
 
 

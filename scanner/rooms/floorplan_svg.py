@@ -1,4 +1,4 @@
-"""A floor plan as SVG: for the page, and as a file of its own."""
+"""A floor plan as SVG, inside the page and as a file."""
 
 from collections.abc import Iterator
 

@@ -38,7 +38,7 @@ def fused(room: SolvedRoom) -> Mesh | None:
 def fused_of(
     stations: Sequence[Station], calibration: Calibration, depths: Sequence[NDArray[np.float32]]
 ) -> Mesh | None:
-    """The mesh of the stations' depths (H, W), NaN where there is none; or None if nothing hangs together.
+    """The mesh of the stations' depths (H, W), NaN for none; None if there is no connected surface.
 
     It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
     """

@@ -34,9 +34,11 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """A rectangle on a wall: its lower left corner `origin`, `right` and `up` of unit length (3,), width and height
-    `extent`, and the picture's `size`, whose pixels are squares. `eye` (3,): from where it is undistorted; None: seen
-    straight on, by parallel rays along the wall's normal.
+    """A rectangle on a wall: its lower left corner `origin`, unit vectors `right` and `up` (3,), width and height
+    `extent`.
+
+    `size`: of the picture, in square pixels. `eye` (3,): viewpoint without distortion; None: parallel projection along
+    the wall's normal.
     """
 
     wall: Wall

@@ -23,8 +23,9 @@ _FEWEST = 50
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """`projectors` with their places and `mesh`, in the mesh's unit and the frame of the result: y is down.
-    `baseline`: between which devices that unit is, where no length is known.
+    """`projectors` with their poses, and `mesh`, in the mesh's unit and the result's frame, y down.
+
+    `baseline`: the devices whose distance is the unit, if no length is known.
     """
 
     projectors: tuple[StoredDevice, ...]

@@ -74,7 +74,7 @@ class Beat:
 
     @classmethod
     def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int], wave: Wave) -> "Beat | None":
-        """Without what changes smoothly over each plane, and without outliers; None of too few pixels."""
+        """Contrasts without smooth variation over each plane, and without outliers; None for too few pixels."""
         half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
         points = (stripes.projector_px - middle) / half
         found, chosen = None, plane >= 0
@@ -100,11 +100,11 @@ class Beat:
 
     @property
     def alike(self) -> float:
-        """How many pixels tell as much as one would whose residual is independent."""
+        """Number of pixels per independent residual."""
         return max(_ALIKE, len(self.data) / _MOST_INDEPENDENT)
 
     def within(self, share: float) -> "Beat":
-        """What is in the middle of the picture, up to so much of its width and height."""
+        """The pixels in the middle of the picture, up to this share of its width and height."""
         inside = np.all(np.abs(self.points) < (share, share * self.tall), axis=1)
         if inside.all():
             return self

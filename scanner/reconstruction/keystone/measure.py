@@ -27,10 +27,10 @@ _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
 @dataclass(frozen=True)
 class Keystone:
-    """`homography` (3, 3) takes the picture's pixels to the panel's, whole pixels of whose origin nobody can tell.
+    """`homography` (3, 3): from the picture's pixels to the panel's, whose origin is known up to whole pixels.
 
-    `narrower`: how much smaller the far edge is shown than the near one, as a share. `shifts`: by what panel pixels may
-    err, by fields of one standard deviation.
+    `narrower`: share by which the far edge is smaller than the near one. `shifts`: errors of panel pixels, as fields of
+    one standard deviation.
     """
 
     homography: Floats
@@ -39,9 +39,9 @@ class Keystone:
 
 
 def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int, int]) -> Keystone | None:
-    """What the projector of (width, height) pixels does to its picture, if it shows.
+    """Measure how the projector of (width, height) pixels reshapes its picture, if it does.
 
-    `plane` (N,): which one each match is on, negative where it is on none. Over each plane contrast changes smoothly.
+    `plane` (N,): the plane of each match, negative for none. Contrast varies smoothly over each plane.
     """
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None

@@ -1,6 +1,7 @@
-"""Homographies from which a fit to beating contrasts may start: leans are tried, the rest is the peak of a spectrum.
+"""Starts for a fit of beating contrasts: keystones are tried, the rest comes from the peak of a spectrum.
 
-A lean makes chirps of waves. Where it is undone, each axis has one frequency left, which a Fourier transform finds.
+Keystone turns the beat into a chirp. With the right keystone undone, each axis has a single frequency, which a Fourier
+transform finds.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -66,7 +67,9 @@ def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
 
 
 def _apart(found: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
-    """The strongest that differ at the picture's corners; of two opposite ones, which beat alike, the smaller one."""
+    """The strongest starts that differ at the picture's corners; of two opposite ones, with equal beats, the smaller
+    one.
+    """
     corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.tall)
     taken: list[Floats] = []
     for start in sorted(found, key=lambda start: -start.power):
@@ -116,7 +119,7 @@ class Spectrum:
         return _STEP_PX / self.half, _STEP_PX / (self.half * self.tall)
 
     def half_steps(self) -> list[Start]:
-        """Half a step beside the strongest that lean along one axis: fits from whole steps may end on either side."""
+        """Starts half a step beside the strongest along one axis: a fit from whole steps may miss the minimum."""
         strongest = sorted(self.leaning_once, key=lambda start: -start.power)[:_BESIDE]
         leans = {
             (x + by * self._steps[0] / 2, 0.0) if x else (0.0, y + by * self._steps[1] / 2)
