@@ -70,7 +70,7 @@ def _measure(folder: Path, recording: Path, count: int) -> None:
     with _apart() as client:
         _warm(client, jobs[0], folder / "warm", 2)
         rate = _rate(jobs, folder / "apart", DaskWorkers(client))
-        print(f"scheduler and two workers apart: {rate:.2f} a second, {rate / rates[2]:.2f} of two processes here")
+        print(f"scheduler and two separate workers: {rate:.2f} a second, {rate / rates[2]:.2f} of two processes here")
     command = [
         sys.executable,
         "-m",

@@ -88,7 +88,7 @@ def main() -> None:
         )
     if ratios:
         turns, shifts = _over_sigma(np.concatenate(ratios))
-        print(f"error/sigma, rms: turns {turns:.2f}, shifts {shifts:.2f}")
+        print(f"error/sigma, rms: rotations {turns:.2f}, shifts {shifts:.2f}")
 
 
 def _ball(seed: int, steps: int, camera: tuple[int, int], noise: float) -> None:

@@ -97,7 +97,7 @@ def captures(out: Path, rounds: int) -> Table:
         "of limit",
         "waited, s",
     )
-    table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded beside the capture")
+    table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded during the capture")
     images_of = {size: render(PATTERNS, PROJECTOR, size) for size, _, _ in CAMERAS}
     capture(out, images_of[CAMERAS[0][0]], CAMERAS[0][0], 0.1)  # loads compiled code
     for size, exposure_s, transfer_s in CAMERAS:

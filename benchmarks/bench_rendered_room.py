@@ -261,11 +261,11 @@ def main() -> None:
             print(f"  refused: {refusal.reason}")
             continue
         ended = time.process_time()
-        for stranger in room.outlier_stations:
-            print(f"  {stranger.name}: {stranger.reason}")
+        for outlier in room.outlier_stations:
+            print(f"  {outlier.name}: {outlier.reason}")
         report(room, order, truth)
         print(f"  seconds of one processor: corners {started - began:.1f}, rest {ended - started:.1f}", flush=True)
-    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+    print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
 
 
 def _given(truth: Truth) -> RigStart:

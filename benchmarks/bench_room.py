@@ -145,7 +145,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         in_sigmas,
         list(lengths_in_sigmas(room, truth, best, shift)),
         100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
-        [f"{stranger.name}: {stranger.cause}" for stranger in room.outlier_stations],
+        [f"{outlier.name}: {outlier.cause}" for outlier in room.outlier_stations],
         start_s,
         solve_s,
     )
@@ -236,7 +236,7 @@ def main() -> None:
     print(
         f"error/sigma of angles between walls, rms: {rms(angles):.2f} ({len(angles)}, of which a room's hang together)"
     )
-    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+    print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
 
 
 if __name__ == "__main__":

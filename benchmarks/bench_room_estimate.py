@@ -192,7 +192,7 @@ def accuracy(count: int, matches: int, wavy: float, balls: int, tangential: floa
     least_mm = _rms(np.array(bound_mm))
     if not balls:  # the bound does not include matches on balls
         print(f"  {'bound':26}{least_mm:9.3f}   error over bound {_rms(error_mm) / least_mm:.3f}")
-    print(f"  views of planes taken for others than they are: {untied}")
+    print(f"  misassigned observations of planes: {untied}")
     print(f"  focals, mean error: {100 * np.mean(focals):.4f} %")
     print("  error / sigma, rms")
     for name, values in sigmas.items():

@@ -12,124 +12,128 @@ class _Part(BaseModel):
 
 
 class BumpSettings(_Part):
-    """Someone knocks once against a simulated device, which then points elsewhere."""
+    """A simulated device is bumped once, and then points elsewhere."""
 
-    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    device: Literal["camera", "projector"] = Field(default="projector", description="The device that moves.")
     frame: int = Field(
-        default=0, ge=0, description="The first frame after it; they are counted from 0 since the rig is open."
+        default=0, ge=0, description="The first frame after the change; frames count from 0 when the rig is opened."
     )
     px: float = Field(
-        default=0.0, ge=0.0, le=100.0, description="How far it moves the device's picture, in its own pixels."
+        default=0.0, ge=0.0, le=100.0, description="Displacement of the device's picture, in its own pixels."
     )
-    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+    direction_deg: float = Field(default=0.0, description="Direction: 0 to the picture's right, 90 down.")
 
 
 class DriftSettings(_Part):
-    """A simulated device turns slowly: a projector that warms up, a tripod that sinks."""
+    """A simulated device rotates slowly, like a projector that warms up or a tripod that sinks."""
 
-    device: Literal["camera", "projector"] = Field(default="projector", description="Which device it is.")
+    device: Literal["camera", "projector"] = Field(default="projector", description="The device that moves.")
     px_per_frame: float = Field(
         default=0.0,
         ge=0.0,
         le=10.0,
-        description="How far the device's picture moves from frame to frame, in its own pixels.",
+        description="Displacement of the device's picture per frame, in its own pixels.",
     )
-    direction_deg: float = Field(default=0.0, description="Where to: 0 to the picture's right, 90 down.")
+    direction_deg: float = Field(default=0.0, description="Direction: 0 to the picture's right, 90 down.")
 
 
 class LightSettings(_Part):
-    """Someone switches the light in the simulated room."""
+    """The ambient light of the simulated room is switched."""
 
     frame: int = Field(
-        default=0, ge=0, description="The first frame after it; they are counted from 0 since the rig is open."
+        default=0, ge=0, description="The first frame after the change; frames count from 0 when the rig is opened."
     )
     ambient: float | None = Field(
-        default=None, ge=0.0, le=10.0, description="What rig.ambient is from then on; left out, nobody does."
+        default=None,
+        ge=0.0,
+        le=10.0,
+        description="The value of rig.ambient from then on; left out, it does not change.",
     )
 
 
 class PasserSettings(_Part):
-    """Somebody, or something, goes past between the devices and the corner of the simulated room."""
+    """A person walks between the devices and the corner of the simulated room."""
 
     width_m: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="Width of an upright box of 1.8 m; 0.4 is a person, 0 is nobody."
+        default=0.0, ge=0.0, le=1.0, description="Width of the person, an upright box of 1.8 m; 0 for nobody."
     )
-    first_frame: int = Field(default=0, ge=0, description="The frame in which it comes in on the camera's left.")
-    last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
+    first_frame: int = Field(default=0, ge=0, description="The frame in which the person enters on the camera's left.")
+    last_frame: int = Field(default=0, ge=0, description="The frame in which the person leaves on the right.")
 
 
 class PushedSettings(_Part):
-    """A box stands before the corner of the simulated room, and is pushed to the camera's right during the capture."""
+    """A box in front of the corner of the simulated room is pushed to the camera's right during the capture."""
 
     width_m: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="How wide and deep it is, at a height of 1.2 m; 0 is none."
+        default=0.0, ge=0.0, le=1.0, description="Width and depth of the box, 1.2 m high; 0 for no box."
     )
-    frame: int = Field(default=0, ge=0, description="The first frame in which it stands elsewhere.")
-    by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="How far it is pushed.")
+    frame: int = Field(default=0, ge=0, description="The first frame after the box was pushed.")
+    by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="Displacement of the box.")
 
 
 class BoardSettings(_Part):
-    """A printed board, held before the simulated rig or lying in its room."""
+    """A printed board, held in front of the simulated rig or lying in its room."""
 
-    kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="What is printed on it.")
+    kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="Kind of board.")
     columns: int = Field(
         default=9, ge=3, le=50, description="Inner corners in a row; of a ChArUco board, squares in a row."
     )
     rows: int = Field(default=7, ge=3, le=50, description="Rows of them.")
     on_floor: bool = Field(
         default=False,
-        description="Whether it lies flat on the floor, in a place that is drawn from the seed; else it is held.",
+        description="Whether the board lies on the floor, in a place drawn from the seed, instead of being held.",
     )
-    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 is no board.")
-    pose: int = Field(default=0, ge=0, description="How it is held: drawn from the seed and this number.")
+    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 for no board.")
+    pose: int = Field(default=0, ge=0, description="Number of the pose, which is drawn from it and the seed.")
     bend: float = Field(
         default=0.002,
         ge=0.0,
         le=0.05,
-        description="Standard deviation of each term of its bend, as a share of half its length.",
+        description="Standard deviation of each term of the board's bend, as a share of half its length.",
     )
 
 
 class ThingSettings(_Part):
-    """A thing on a turntable, or put down by hand, that the simulated rig looks at instead of a room."""
+    """A thing on a turntable, or placed by hand, in front of the simulated rig instead of a room."""
 
     kind: Literal["none", "lump", "ball", "vase", "plate", "box", "file"] = Field(
         default="none",
-        description="Its shape: lump is drawn from the seed (a superquadric with waves over it), file is read; none is "
-        "a room instead.",
+        description="Shape: lump is drawn from the seed (a superquadric with waves), file is read; none is a room "
+        "instead.",
     )
     file: str | None = Field(default=None, description="A mesh, for kind: file (PLY, OBJ, STL, OFF).")
-    size_m: float = Field(default=0.1, gt=0.0, le=1.0, description="Its longest side in metres.")
-    steps: int = Field(default=24, ge=2, le=360, description="How many poses it has; rig.pose is one of them.")
+    size_m: float = Field(default=0.1, gt=0.0, le=1.0, description="Longest side in metres.")
+    steps: int = Field(default=24, ge=2, le=360, description="Number of poses; rig.pose is one of them.")
     step_deg: float | None = Field(
         default=None,
         gt=0.0,
         le=180.0,
-        description="How far the turntable turns in a step; left out, once round in all.",
+        description="Rotation of the turntable per step; left out, a full turn in all steps.",
     )
     turntable: bool = Field(
-        default=True, description="Whether it turns on a turntable; else it is put down another way each time."
+        default=True, description="Whether the thing rotates on a turntable instead of being placed by hand each time."
     )
-    background: bool = Field(
-        default=True, description="The turntable's plate, a table and a wall; else there is nothing."
-    )
+    background: bool = Field(default=True, description="Whether the turntable's plate, a table and a wall are visible.")
     patches: float = Field(
-        default=0.6, ge=0.0, le=1.0, description="How much patches of its surface differ in albedo; 0 is plain."
+        default=0.6, ge=0.0, le=1.0, description="Contrast of the patches of its surface in albedo; 0 is plain."
     )
-    gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="How much of a highlight its surface has.")
+    gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of specular highlights.")
 
 
 class PanelSettings(_Part):
-    """What a simulated projector makes of the picture's shape before it shows it."""
+    """Scaling, keystone correction and mirroring of the picture by a simulated projector."""
 
     scale: float = Field(
-        default=1.0, ge=0.3, le=3.0, description="Enlargement about the centre; above 1, the edges are cropped."
+        default=1.0, ge=0.3, le=3.0, description="Scale about the centre; above 1, the edges are cropped."
     )
     squeeze: float = Field(default=1.0, ge=0.5, le=1.0, description="Factor on the width: 0.75 shows 16:9 as 4:3.")
     keystone: float = Field(
-        default=0.0, ge=0.0, le=0.5, description="How much narrower than the bottom edge the top edge is shown."
+        default=0.0,
+        ge=0.0,
+        le=0.5,
+        description="Keystone: share by which the top edge is narrower than the bottom edge.",
     )
-    mirrored: bool = Field(default=False, description="Whether right and left are exchanged, as for a screen's back.")
+    mirrored: bool = Field(default=False, description="Whether the picture is mirrored, as for rear projection.")
 
 
 class SimulatedRigSettings(BaseModel):
@@ -138,37 +142,38 @@ class SimulatedRigSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     backend: Literal["simulated"] = "simulated"
-    seed: int = Field(0, ge=0, description="Draws the room, its furniture, the rig and the places it looks from.")
+    seed: int = Field(0, ge=0, description="Seed of the room, its furniture, the rig and its poses.")
     room: Literal["corner", "whole"] = Field(
         "corner",
-        description="What the rig is carried round: one corner, or the whole room, furnished along all its walls, with "
-        "a projector that throws wide.",
+        description="One corner, or a whole room, furnished along all its walls, with a short-throw projector.",
     )
     stations: int = Field(
         6,
         ge=2,
         le=48,
-        description="How many places there are round a whole room; each sees a part of the next one's, and from 6 on "
-        "the last one a part of the first one's.",
+        description="Number of stations around a whole room; each overlaps the next, and from 6 on the last overlaps "
+        "the first.",
     )
     pose: int = Field(
         0,
         ge=0,
-        description="Which of its places the rig stands at, of 8 before a corner, of rig.stations in a whole room; "
-        "room and rig stay the same.",
+        description="Number of the rig's pose, of 8 in front of a corner, of rig.stations in a whole room; room and "
+        "rig stay the same.",
     )
     projector_pose: int | None = Field(
         None,
         ge=0,
-        description="Which of these places the projector stands at, as one of a network, with a lens of its own; left "
-        "out, it stays with the camera.",
+        description="Number of the projector's pose, as a device of a network with its own lens; left out, it stays "
+        "with the camera.",
     )
     walls_off_deg: float = Field(
         0.0, ge=0.0, le=10.0, description="Standard deviation of each of the corner's three angles from 90 degrees."
     )
-    furniture: bool = Field(True, description="Boxes, a cupboard and a sphere, which hide and shade parts of the room.")
+    furniture: bool = Field(
+        True, description="Boxes, a cupboard and a sphere, which occlude and shadow parts of the room."
+    )
     furniture_askew_deg: float = Field(
-        0.0, ge=0.0, le=30.0, description="Standard deviation of the cupboard's angle to the wall that it stands at."
+        0.0, ge=0.0, le=30.0, description="Standard deviation of the cupboard's angle to its wall."
     )
     hide_vertex: bool = Field(False, description="A box stands in the corner and hides its vertex from the camera.")
     sphere_radius_m: float = Field(0.12, ge=0.05, le=0.2, description="Radius of the sphere in metres.")
@@ -176,37 +181,34 @@ class SimulatedRigSettings(BaseModel):
         None,
         ge=0.15,
         le=5.0,
-        description="Distance between the centres of the sphere and of a second one, as on a ball bar; left out, there "
-        "is one sphere.",
+        description="Distance between the centres of two spheres, as on a ball bar; left out, there is one sphere.",
     )
     albedo: float | None = Field(
         None,
         ge=0.05,
         le=0.95,
-        description="Mean share of light that walls and floor reflect; left out, each has its own (0.35 to 0.8).",
+        description="Mean albedo of walls and floor; left out, each has its own (0.35 to 0.8).",
     )
-    refresh_hz: float = Field(
-        60.0, ge=10.0, le=1000.0, description="How many pictures the projector builds up in a second."
-    )
+    refresh_hz: float = Field(60.0, ge=10.0, le=1000.0, description="Refresh rate of the projector.")
     pulsation: float = Field(
         0.0,
         ge=0.0,
         le=1.0,
-        description="How much the light pulsates within a refresh period, relative to its mean: exposures that are no "
-        "whole number of periods flicker.",
+        description="Amplitude of the projector's pulsation within a refresh period, relative to its mean: exposures "
+        "that are no whole number of periods flicker.",
     )
     wallpaper: bool = Field(
-        False, description="Walls and floor of the corner are patterned, with something to match everywhere for photos."
+        False, description="Walls and floor of the corner are patterned, with features everywhere for photos."
     )
     ambient: float = Field(
         0.05,
         ge=0.0,
         le=10.0,
-        description="Light in the room beside the projector's, relative to the projector's white.",
+        description="Ambient light relative to the projector's white.",
     )
-    interreflection: bool = Field(True, description="Whether surfaces light each other.")
+    interreflection: bool = Field(True, description="Whether surfaces illuminate each other.")
     distortion: float = Field(
-        1.0, ge=0.0, le=2.0, description="Factor on the drawn lens distortions of both devices; 0 for ideal lenses."
+        1.0, ge=0.0, le=2.0, description="Factor on the random lens distortion of both devices; 0 for ideal lenses."
     )
     gamma: float = Field(2.2, ge=1.0, le=3.0, description="Exponent of the projector's response.")
     contrast: float = Field(1000.0, ge=10.0, description="The projector's white over its black.")
@@ -214,62 +216,62 @@ class SimulatedRigSettings(BaseModel):
         0.0,
         ge=0.0,
         le=0.9,
-        description="Share of a frame's light that is still the previous picture's, as of a slow panel.",
+        description="Ghosting: share of a frame's light that is the previous picture's, as of a slow panel.",
     )
     flicker: float = Field(
         0.0,
         ge=0.0,
         le=0.9,
-        description="How much brighter or darker than usual the projector is in a frame at most, whatever the "
-        "exposure: a lamp or colour wheel that beats with it.",
+        description="Largest deviation of the projector's brightness in a frame at any exposure, as of a lamp or "
+        "colour wheel that beats with it.",
     )
     rolling_shutter_ms: float = Field(
         0.0,
         ge=0.0,
         le=1000.0,
-        description="How much later than the camera's first row the last is exposed: light that flickers or pulsates, "
-        "at refresh_hz, then shows as bands.",
+        description="Rolling shutter: delay of the camera's last row after its first. Light that flickers or pulsates "
+        "at refresh_hz then shows as bands.",
     )
     stripe_loss: float = Field(
         0.0,
         ge=0.0,
         le=0.5,
-        description="Share of its light that a stripe of one pixel loses to crosstalk between the panel's pixels; one "
-        "of two pixels loses half as much.",
+        description="Share of its light that a stripe of one pixel loses to crosstalk of the panel; a stripe of two "
+        "pixels loses half as much.",
     )
     sharpening: float = Field(
         0.0,
         ge=0.0,
         le=3.0,
-        description="How much the projector sharpens: the share of the difference to the picture blurred by one pixel "
-        "that it adds.",
+        description="Sharpening by the projector: share that it adds of the difference to the picture blurred by one "
+        "pixel.",
     )
     panel: PanelSettings = Field(
-        default=PanelSettings(), description="{scale: …, keystone: …, …}: the projector changes the picture's shape."
+        default=PanelSettings(),
+        description="{scale: …, keystone: …, …}: the projector scales, corrects or mirrors the picture.",
     )
     light: LightSettings = Field(
-        default=LightSettings(), description="{frame: …, ambient: …}: the light in the room is switched."
+        default=LightSettings(), description="{frame: …, ambient: …}: the ambient light is switched."
     )
     passer: PasserSettings = Field(
-        default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
+        default=PasserSettings(),
+        description="{width_m: …, first_frame: …, last_frame: …}: a person walks through the view.",
     )
     pushed: PushedSettings = Field(
         default=PushedSettings(), description="{width_m: …, frame: …, by_m: …}: a box is pushed aside."
     )
     board: BoardSettings = Field(
         default=BoardSettings(),
-        description="{square_m: …, pose: …}: a board is held before the rig; with on_floor: true it lies on the floor.",
+        description="{square_m: …, pose: …}: a board is held in front of the rig, or on the floor (on_floor: true).",
     )
     thing: ThingSettings = Field(
         default=ThingSettings(),
-        description="{kind: …, size_m: …, steps: …}: the rig looks at a thing, not into a room.",
+        description="{kind: …, size_m: …, steps: …}: the rig sees a thing instead of a room.",
     )
     bump: BumpSettings = Field(
-        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
+        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is bumped once."
     )
-    drift: DriftSettings = Field(
-        default=DriftSettings(), description="{device: …, px_per_frame: …}: a device turns slowly."
-    )
+    drift: DriftSettings = Field(default=DriftSettings(), description="{device: …, px_per_frame: …}: a device drifts.")
     projector_blur_px: float = Field(
         0.5, ge=0.0, le=4.0, description="Standard deviation of the projector lens's blur in projector pixels."
     )
@@ -278,13 +280,13 @@ class SimulatedRigSettings(BaseModel):
     )
     camera_response: Literal["linear", "srgb", "photo"] = Field(
         "linear",
-        description="From light to grey levels: as machine vision cameras have it, as web cameras, or as a photo "
-        "camera's JPEG, with more contrast.",
+        description="Response: linear as of machine vision cameras, sRGB as of webcams, or with more contrast as of a "
+        "photo camera's JPEG.",
     )
     exposure_us: float | None = Field(
         None,
         gt=0.0,
-        description="Exposure time in microseconds; left out, a white picture reaches 85 % of the camera's range.",
+        description="Exposure in microseconds; left out, white reaches 85 % of the camera's range.",
     )
     bit_depth: Literal[8, 10, 12, 16] = Field(
         8, description="Bits of a camera pixel; more than 8 come as 16-bit images."
@@ -296,7 +298,7 @@ class SimulatedRigSettings(BaseModel):
 
     @property
     def places(self) -> int:
-        """How many there are."""
+        """Number of poses of the rig."""
         if self.thing.kind != "none":
             return self.thing.steps
         return self.stations if self.room == "whole" else _PLACES_BEFORE_A_CORNER
@@ -309,7 +311,7 @@ class SimulatedRigSettings(BaseModel):
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame."""
+        """Bytes per pixel of a frame."""
         return 1 if self.bit_depth == 8 else 2
 
 
@@ -317,11 +319,11 @@ USUAL_EXPOSURE_US = 2e6 / 60  # two refresh periods of most projectors
 
 
 class CameraRigSettings(BaseModel):
-    """What all rigs of real devices have: a projector that is a screen, and a camera that a backend reaches."""
+    """Settings of every rig of real devices: a projector that is a screen, and a camera of a backend."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    slow: ClassVar[bool] = False  # it takes a second a frame, or longer
+    slow: ClassVar[bool] = False  # a frame takes a second or longer
 
     backend: str
     exposure_us: float | None = None
@@ -337,10 +339,10 @@ class CameraRigSettings(BaseModel):
 
     @property
     def has_gain(self) -> bool:
-        """Whether it can be asked for."""
+        """Whether the gain can be set."""
         return True
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame."""
+        """Bytes per pixel of a frame."""
         return 3

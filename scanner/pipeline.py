@@ -55,8 +55,8 @@ from scanner.reconstruction import (
 from scanner.results import AS_SHOWN, CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Operator, Progress, Terminal
 
-OnCloud = Callable[[Scan], object]  # told of the clouds as soon as they are there, while they are being saved
-# Of matches and cloud, for each pixel of the camera.
+OnCloud = Callable[[Scan], object]  # called with the clouds once they exist, while they are being saved
+# Bytes of matches and cloud per camera pixel.
 _RESULT_BYTES_PER_PIXEL = 75
 
 
@@ -86,9 +86,9 @@ def scan(
         captures.append(take(rig, config, folder, progress, f"Capture {len(captures) + 1}"))
         if step + 1 < number:
             with progress.step("Working out where to go next"):
-                told, captures = guide(captures, config)
-            operator.tell(*told.sentences)
-            enough = told.enough
+                guidance, captures = guide(captures, config)
+            operator.tell(*guidance.sentences)
+            enough = guidance.enough
     return reconstruct(captures, config, folder, progress, masks=masks, on_cloud=on_cloud)
 
 

@@ -15,11 +15,11 @@ from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
-from calib.rooms.followed import Sight, find_tracks
 from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
 from calib.rooms.planes import RoomPlane
+from calib.rooms.point_tracking import Sight, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior, rig_of
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
@@ -28,11 +28,16 @@ from calib.rooms.tracks import Track
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3
-_FOLLOWED = 2  # rounds: what is drawn from nearer the truth is followed better
-_ANY_TURN = 1.0  # radians
-_FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
-NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
-_SAME_PLACE = 0.01  # of the reach, and radians
+_TRACKING_ROUNDS = 2  # rounds; tracks from better poses are more accurate
+_FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
+_UNDETERMINED = 0.1  # radians, and relative to the reach: a less certain direction is undetermined
+NEAR = (
+    0.02,
+    0.01,
+    0.005,
+    0.005,
+)  # over the reach: distance of points of two stations that may be on one surface
+_SAME_PLACE = 0.01  # relative to the reach, and radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +147,10 @@ def estimate_room(
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
-    # Lens terms of which matches tell little would make up for ties that are wrong.
-    known = RoomPrior.of(prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    # Weakly determined lens terms would compensate for wrong ties.
+    known = RoomPrior.of(
+        prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_FREE_ROTATION, reach)
+    )
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
     known = replace(known, rig=prior)
     free = known.free(seen(fit.layout, patches))
@@ -153,7 +160,7 @@ def estimate_room(
         fit = minimise(patches, fit.layout, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.layout, known, variances, free)
     tracks: tuple[Track, ...] = ()
-    for _ in range(_FOLLOWED) if sights else ():
+    for _ in range(_TRACKING_ROUNDS) if sights else ():
         tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.layout)
         fit = minimise(patches, fit.layout, known, variances, free, joints=tracks)
     contacts: tuple[Contact, ...] = ()
@@ -204,7 +211,7 @@ def undetermined_in(room: Room, covariance: Floats, reach: float) -> tuple[Undet
     found = []
     for station in range(1, len(room.places)):
         columns = room.place_columns(station)
-        for turning, limit, first in ((True, _FAR_OFF, 0), (False, _FAR_OFF * reach, 3)):
+        for turning, limit, first in ((True, _UNDETERMINED, 0), (False, _UNDETERMINED * reach, 3)):
             block = slice(columns.start + first, columns.start + first + 3)
             variances, directions = np.linalg.eigh(covariance[block, block])
             found += [

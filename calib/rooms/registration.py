@@ -21,7 +21,7 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
-Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "looked through", "another shape"]
+Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "free space", "another shape"]
 _TOO_LITTLE = "it shares too little with the other stations to find its pose, or it shows another room"
 
 
@@ -121,7 +121,7 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
             continue
         worst = worst_misfit(surfaces, best.places)
         if worst is not None and worst.reason:
-            cause: Cause = "another shape" if worst.of_another_shape else "looked through"
+            cause: Cause = "another shape" if worst.of_another_shape else "free space"
             reasons[worst.station] = LeftOut(worst.station, cause, worst.reason)
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
@@ -202,8 +202,8 @@ def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> LeftOut:
     if best.contradiction > _MOST_CONTRADICTION:
         return LeftOut(
             k,
-            "looked through",
-            f"wherever its surfaces fit, {best.contradiction:.0%} of them are where others looked through: "
+            "free space",
+            f"wherever its surfaces fit, {best.contradiction:.0%} of them are in space that others saw as free: "
             "another room, something was moved, or the rig was changed",
         )
     return LeftOut(k, "too little shared", _TOO_LITTLE)

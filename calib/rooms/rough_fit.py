@@ -15,9 +15,9 @@ from calib.rooms.room import Room
 from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 
 _ROUNDS = 10
-_SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
+_SETTLED = 0.5  # share of an approximate level, after a round that hardly lowered it
 _LEAST_IN_FRONT = 0.98
-_MOST_WRONG = 0.25  # of the patches
+_MOST_WRONG = 0.25  # share of the patches
 
 Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
 
@@ -68,8 +68,8 @@ def in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
     chosen = tuple(patch for patch in patches if np.mean((patch.predict(room)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT)
     if len(chosen) < len(patches) / 2 or not chosen:
         raise RefusalError(
-            f"{len(patches) - len(chosen)} of {len(patches)} views of a plane are behind the camera or the projector "
-            "where the registration has them.",
+            f"With the poses of the registration, {len(patches) - len(chosen)} of {len(patches)} observed planes are "
+            "behind the camera or the projector.",
             "Register the stations again; those that do not fit have to be left out.",
         )
     return chosen

@@ -39,8 +39,8 @@ NAMED = {
         arguments.of_batch,
         "batch",
         """
-A refusal or a crash is noted in the capture's row; the others go on. Interrupted or repeated with the same
-arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+A refusal or a crash is noted in the capture's row; the others go on. A batch that is interrupted, and repeated with
+the same arguments, does what is left. Sources and --out may be remote, as in s3://bucket/folder.
 """,
     ),
     "patterns": Command(
@@ -140,16 +140,16 @@ overlap by half. The static background, such as table and wall, is recognised an
 --config FILE --object --stations N --calibration FILE.
 
 Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
-station could as well be turned otherwise, as of a ball.
+rotation is ambiguous, as for a ball.
 """,
     ),
     "live": Command(
-        "Clouds while one looks, from a calibrated rig; those that are kept become stations of a thing or a room.",
+        "Show live clouds of a calibrated rig; clouds that are kept become stations of a thing or a room.",
         arguments.of_live,
         "live",
         """
 Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
-keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C ends it, and keeps what was kept.
+keeps a cloud; scan object OUT, or scan room OUT, joins the kept clouds. Ctrl-C ends it; kept clouds stay.
 """,
     ),
     "compare": Command(
@@ -158,7 +158,7 @@ keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C end
         "compare",
         """
 Differences are given in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
-is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
+that best aligns the two is removed. The exit code is 0 even if they differ; the last sentence says whether they do.
 """,
     ),
     "import": Command(

@@ -19,8 +19,8 @@ from scanner.results import beside, read_finished_scan
 from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
-    "Note: what the calibration took for granted about these angles (corner.squareness_deg) is in them; a ball or a "
-    "length that it knew nothing of is the independent test."
+    "Note: these angles depend on the calibration's assumption about them (corner.squareness_deg). A ball, or a known "
+    "length that was not used, is an independent test."
 )
 
 
@@ -46,7 +46,7 @@ def run(args: Namespace) -> None:
         for path in figure:
             write_figure(path, measured)
     if not measured.pictured:
-        (out / FIGURE_FILE).unlink(missing_ok=True)  # an earlier measurement's
+        (out / FIGURE_FILE).unlink(missing_ok=True)  # of an earlier measurement
     terminal.show(measured.scene.sentence, *tables(measured))
     if args.shares:
         terminal.show(shares_table(measured))

@@ -1,4 +1,4 @@
-"""Sections of a configuration: what may be said of each device, of the patterns and of the scene."""
+"""Sections of a configuration: devices, patterns and scene."""
 
 import re
 from dataclasses import replace
@@ -71,7 +71,7 @@ class ProjectorSettings(_DeviceSettings):
         min_length=2,
         max_length=256,
         description="Light at equally spaced grey levels, from 0 for black to 1 for white, as scan check measures it; "
-        "pictures are then sent so that fringes are true sines. Left out, the decoder straightens what gamma bends.",
+        "pictures are then corrected so that fringes are sines. Left out, the decoder corrects the effect of gamma.",
     )
 
     @model_validator(mode="after")
@@ -95,8 +95,8 @@ class SequenceSettings(Section):
     )
     code: Code | None = Field(
         default=None,
-        description="gray; or xor: the same cells in fine stripes, which bounced light does not turn over; or both, "
-        "which must agree with each other or one of them with the fringes.",
+        description="gray; or xor: the same cells in fine stripes, whose bits interreflection cannot invert; or both, "
+        "which must agree with each other, or one of them with the fringes.",
     )
     cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
     inverses: Flag | None = Field(default=None, description="Whether each bit is followed by its inverse.")
@@ -167,8 +167,8 @@ class LensSettings(Section):
     source: Path | None = Field(
         default=None,
         alias="from",
-        description="A calibration.yaml, or a result that has one, by boards say, whose lens terms with their sigmas "
-        "are expected of devices with the same image size; paths relative to this file.",
+        description="A calibration.yaml, or a result that has one, such as of boards. Its lens terms and their sigmas "
+        "are the prior of devices with the same image size; paths relative to this file.",
     )
 
     @model_validator(mode="after")

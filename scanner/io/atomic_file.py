@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 _LOCK, _PARTIAL = ".names", ".partial."
 _TOKEN_BYTES = 6
-_MOST_BYTES = 1 << 16  # of names
+_MOST_BYTES = 1 << 16  # bytes of names
 _NOT_OPEN = -1
 
 
@@ -99,9 +99,9 @@ class _Partial:
     def begin(self) -> None:
         """Take the lock. Raises OSError."""
         self._file = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        with suppress(OSError):  # a file system without locks, where nobody settles anything
+        with suppress(OSError):  # a file system without locks, where nothing is settled
             fcntl.flock(self._file, fcntl.LOCK_EX)
-        if not self._lock.exists():  # taken for what a killed program has left
+        if not self._lock.exists():  # another program took it for a leftover
             os.close(self._file)
             self.begin()
 
@@ -140,14 +140,14 @@ class _Partial:
                 if name in whole:
                     self.path(name).replace(self._lock.with_name(name))
         self.end()
-        told, folder = ", ".join(left), self._lock.parent
+        names, folder = ", ".join(left), self._lock.parent
         if left and whole:
-            return f"A program was killed when its files were whole: {told} in {folder} took their places now."
-        return f"What a program that was killed had written of {told} in {folder} is removed." if left else ""
+            return f"A program was killed after its files were complete: {names} in {folder} are in place now."
+        return f"Incomplete files of a killed program were removed: {names} in {folder}." if left else ""
 
     def end(self) -> None:
         """Remove the lock and every file that has not been moved to its final name."""
-        with suppress(OSError):  # of a disk that takes nothing, which is said already
+        with suppress(OSError):  # a disk error has been reported already
             for path in self._partial_files():
                 path.unlink(missing_ok=True)
             self._lock.unlink(missing_ok=True)

@@ -30,7 +30,7 @@ from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.rooms.document import given_rig
 from scanner.ui import Progress, Terminal
 
-# So many rounds without a cloud that can be kept are enough where nobody but the program waits for one.
+# Rounds without a usable cloud after which an unattended run gives up.
 _PATIENCE = 100
 _SILENT = Terminal(quiet=True)
 
@@ -214,8 +214,8 @@ class Keeper:
             self.useless += 1
             if self.wishes.number is not None and self.useless == _PATIENCE:
                 raise RefusalError(
-                    f"No cloud came of the last {_PATIENCE} rounds: "
-                    + ("nothing of the fringes is seen." if cloud else "their frames contradict each other."),
+                    f"The last {_PATIENCE} rounds gave no cloud: "
+                    + ("the fringes are not visible." if cloud else "their frames contradict each other."),
                     "Check exposure, light and synchronisation with scan check, and hold the rig still.",
                 )
         else:

@@ -50,7 +50,7 @@ def bar_html(bar: ColourBar | None) -> str:
 def verdict_text(verdict: Verdict | None) -> str:
     """The verdict with what it rests on, or where to look for it."""
     if verdict is None:
-        return "This result does not say how far it can be trusted. Its report.html does."
+        return "This result does not state its verdict. Its report.html does."
     lines = [f"**{verdict.sign} {escaped(verdict.headline)}**", ""]
     lines += [f"- {escaped(reason)}" for reason in verdict.reasons[:DECISIVE]]
     if verdict.advice:

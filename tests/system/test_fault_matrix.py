@@ -1,4 +1,4 @@
-"""Fault × moment → what is left, and what it is worth. Every fault strikes a process that really suffers it."""
+"""Fault × moment → what remains, and its use. Every fault is injected into a real process."""
 
 import subprocess
 import sys
@@ -48,7 +48,7 @@ def names(folder: Path) -> set[str]:
 
 
 def decoded(capture: Path) -> int:
-    """How many matches a capture gives that was broken off."""
+    """Number of matches of an interrupted capture."""
     recording = open_capture(capture)
     sequence = usable(recording.patterns, recording.planned, recording.projector_size)
     assert f"{len(recording.patterns)} of its {len(PATTERNS)} frames were taken" in sequence.words
@@ -61,7 +61,9 @@ def decoded(capture: Path) -> int:
 
 @dataclass(frozen=True)
 class Moment:
-    """Where it strikes, and how many frames are whole and listed by then; `word`: what is said of a torn one."""
+    """Where the fault strikes, and the number of complete, listed frames then; `word`: of the message on a damaged
+    frame.
+    """
 
     name: str
     at: str
@@ -151,8 +153,9 @@ def test_interrupted_while_modules_are_loaded() -> None:
 
 @dataclass(frozen=True)
 class Publishing:
-    """`at`: before which function the process is killed; `there` then says the report at the destination, if there is
-    one; `settled`: what it says after the next start."""
+    """`at`: the function before which the process is killed; `there`: the report at the destination then, if any;
+    `settled`: the report after the next start.
+    """
 
     name: str
     at: str
@@ -229,8 +232,8 @@ def test_a_reused_process_number_is_no_obstacle(bench: FaultBench, config: Path)
 
 @dataclass(frozen=True)
 class Disk:
-    """`options` of a file system of its own; another program takes what is left at a call of the function `filled`,
-    when there are so many `frames`.
+    """`options` of a separate file system, which another program fills at a call of the function `filled`, at this
+    number of `frames`.
     """
 
     name: str
@@ -302,7 +305,7 @@ def test_a_full_disk_while_exporting(
 
 @pytest.mark.parametrize("older", [False, True], ids=["new", "--overwrite"])
 def test_killed_between_two_of_several_files(bench: FaultBench, result: Path, tmp_path: Path, older: bool) -> None:
-    """Whoever begins next completes them, be it to refuse that there are files."""
+    """The next program completes them, even if it then refuses because they exist."""
     model, export = tmp_path / "model", ("export", result, "--to", "colmap", "--out", tmp_path / "model")
     if older:
         assert bench.run(tmp_path, *export, "--points", 100).code == 0
@@ -311,7 +314,7 @@ def test_killed_between_two_of_several_files(bench: FaultBench, result: Path, tm
     assert bench.run(tmp_path, *export, "--overwrite", faults=[planted]).code == -9
     after = bench.run(tmp_path, *export)
     assert after.code == 2
-    assert "A program was killed when its files were whole" in after.said
+    assert "A program was killed after its files were complete" in after.said
     assert "already exists" in after.said
     assert {path.name: path.read_bytes() for path in model.iterdir()} == {
         path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()
@@ -332,7 +335,7 @@ def test_killed_while_a_file_is_written(bench: FaultBench, result: Path, tmp_pat
     assert not (tmp_path / "cloud.ply").exists()
     after = bench.run(tmp_path, *export)
     assert after.code == 0
-    assert "had written of cloud.ply" in after.said
+    assert "files of a killed program were removed: cloud.ply" in after.said
     assert names(tmp_path) == {"cloud.ply"}
 
 

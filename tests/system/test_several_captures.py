@@ -1,4 +1,4 @@
-"""Several captures of one rig through the command line: matches of made-up corners, and what can be wrong with them."""
+"""Several captures of one rig on the command line: matches of synthetic corners, and wrong ones."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -85,7 +85,7 @@ def test_the_report_is_of_all_captures(together: tuple[int, Path]) -> None:
         "/a.npz</a>",
         "Capture 2: ",
         "/b.npz",
-        "Were it elsewhere: 10 px",
+        "If it is elsewhere: 10 px",
     ):
         assert words in report
     assert "was not merged" not in report
@@ -105,7 +105,7 @@ def test_the_calibration_file_states_its_uncertainty(together: tuple[int, Path])
 
 
 def test_faces_are_numbered_consistently(given: Given, together: tuple[int, Path]) -> None:
-    """Clockwise around the vertex in every capture, so that only which comes first may differ."""
+    """Clockwise around the vertex in every capture, so that only the first may differ."""
     _, out = together
     for folder, capture in ((out / "captures" / "1", given.captures[0]), (out, given.captures[1])):
         face, before = read_matches(folder).face, capture.matches.face

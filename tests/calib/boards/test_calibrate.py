@@ -1,4 +1,4 @@
-"""Calibration from boards with known truth: errors within sigmas, and refusals with reasons."""
+"""Calibration from boards with ground truth: errors match sigmas, and refusals give reasons."""
 
 from dataclasses import replace
 from typing import Any
@@ -99,7 +99,7 @@ def test_a_board_that_moved_is_named_and_left_out() -> None:
     [
         ({"tilt_deg": (0.0, 1.5), "distance": (0.99, 1.01)}, "parallel"),
         ({"square": 0.007, "aside": 0.02}, "cover only"),
-        ({"views": 2}, "three are the least"),
+        ({"views": 2}, "at least three are needed"),
     ],
 )
 def test_boards_that_do_not_determine_a_rig_are_refused_with_a_reason(changes: dict[str, Any], reason: str) -> None:

@@ -1,4 +1,4 @@
-"""Points that two pictures show on a plane, against where they are."""
+"""Points of a plane tracked between two pictures, compared with the truth."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from calib.geometry import Calibration, Motion, Sigmas
 from calib.numerics import Floats
 from calib.refinement import SHARED
 from calib.rooms import Room, RoomPlane, Sight
-from calib.rooms.followed import find_tracks
+from calib.rooms.point_tracking import find_tracks
 from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track

@@ -1,4 +1,4 @@
-"""Two views of a lump, turned by 5° in between, by a rig that is known: nothing in it is flat."""
+"""Two views of a lump without planes, rotated by 5° in between, with a known rig."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ STATE = State(
 
 
 def lump(rng: np.random.Generator, count: int) -> Floats:
-    """Points (count, 3) of a ball with bumps, on the side of the camera, about the origin."""
+    """Points (count, 3) on the camera side of a bumpy ball about the origin."""
     way = rng.standard_normal((count, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     way[:, 2] = -np.abs(way[:, 2])
@@ -69,5 +69,5 @@ def test_surfaces_that_are_apart_are_refused() -> None:
     rng = np.random.default_rng(2)
     stations = [seen(lump(rng, 5000) + CENTRE, rng), seen(lump(rng, 5000) + CENTRE, rng)]
     apart = Motion(np.eye(3), np.array([5.0, 0.0, 0.0]))
-    with pytest.raises(RefusalError, match="do not lie on each other"):
+    with pytest.raises(RefusalError, match="too far apart"):
         estimate_without_planes(stations, [Motion(np.eye(3), np.zeros(3)), apart], STATE, RigPrior.exactly(STATE))

@@ -1,4 +1,4 @@
-"""Both methods against corners that are known; what cannot be calibrated is refused."""
+"""Both methods on known corners; undeterminable calibrations are refused."""
 
 from dataclasses import replace
 
@@ -68,7 +68,7 @@ def test_bounded_search_ends_below_the_exact_search() -> None:
 
 
 def test_every_term_of_the_objective_vanishes_only_at_the_truth() -> None:
-    """E_pro and E_cycle each tell the focal length on their own, as in the paper's second table."""
+    """E_pro and E_cycle each determine the focal length, as in the paper's second table."""
     capture = random_capture(np.random.default_rng(2), count=5_000, noise_px=0.0)
     objective = objective_for(capture.matches, PAPER_CAMERA.principal_point_px)
     focal_px = PAPER_CAMERA.focal_px[0] * np.array([0.8, 0.95, 1.0, 1.05, 1.25])
@@ -114,7 +114,7 @@ def test_walls_farther_off_square_than_assumed_stay_within_a_wider_sigma() -> No
         found = _calibrate(capture, "refined", squareness_deg=0.3, decentering=0.0)
         sigma = found.calibration.sigma.camera.focal_px[0]
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
-        warned += any("farther from square than was expected" in note for note in found.notes)
+        warned += any("farther from square than expected" in note for note in found.notes)
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
     assert 1 <= warned <= 5
 

@@ -1,4 +1,4 @@
-"""`scan --captures N`: who moves the rig, who is asked, and what is kept when a device fails."""
+"""`scan --captures N`: how the rig is moved, who is asked, and what remains after a device failure."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,7 +34,7 @@ sequence: {preset: quick}
 
 
 class Operator(Terminal):
-    """A quiet terminal with a person who answers what the test says."""
+    """A quiet terminal with predefined answers."""
 
     def __init__(self, *answers: str) -> None:
         super().__init__(quiet=True)
@@ -51,7 +51,7 @@ class Operator(Terminal):
 
 
 class Mirror:
-    """A projector and a camera in one that fails once its frames are used up."""
+    """A projector and camera in one, which fails after its frames are used up."""
 
     size = SIZE
     highest_level = 255
@@ -73,7 +73,7 @@ class Mirror:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedRigSettings]:
-    """The settings that rigs are opened with; the second of them breaks after three frames of its patterns."""
+    """The settings of opened rigs; the second rig fails after three frames of its patterns."""
     settings_seen: list[SimulatedRigSettings] = []
 
     @contextmanager
@@ -101,7 +101,7 @@ def test_a_device_failure_keeps_the_captured_frames(
     assert [settings.pose for settings in opened] == [1, 2]
     kept = tmp_path / "room-incomplete"
     message = capsys.readouterr().err
-    for words in ("unplugged", f"1 whole capture in {kept / 'captures'}", f"3 frames in {kept / 'capture'}"):
+    for words in ("unplugged", f"1 complete capture in {kept / 'captures'}", f"3 frames in {kept / 'capture'}"):
         assert words in message
     assert not out.exists()
     whole, part = open_capture(kept / "captures/1/capture"), open_capture(kept / "capture")
@@ -168,7 +168,7 @@ def test_a_simulated_rig_moves_by_itself() -> None:
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})
     assert at_place(settings, 5) == settings.model_copy(update={"pose": 7})
-    with pytest.raises(DeviceError, match=r"places 0 to 7; from pose 2 it cannot step aside 6 times"):
+    with pytest.raises(DeviceError, match=r"poses 0 to 7; from pose 2 it cannot move 6 times"):
         at_place(settings, 6)
 
 
@@ -179,7 +179,7 @@ def test_a_simulated_rig_moves_by_itself() -> None:
         (("--captures", "two"), "--captures"),
         (("--captures", "2", "--masks", "masks"), "--masks are of one view"),
         (("--captures", "2", "--set", "method=paper"), "'method: paper'"),
-        (("--captures", "9"), "cannot step aside 8 times"),
+        (("--captures", "9"), "cannot move 8 times"),
         (("--set", "earlier=[nowhere]"), "nowhere: no such matches file"),
         (("--set", "earlier=nowhere"), "'earlier'"),
     ],

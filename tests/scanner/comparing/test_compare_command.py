@@ -110,7 +110,7 @@ def test_a_difference_is_reported_with_its_location(
     free = replace(zoomed, translation=zoomed.translation / zoomed.baseline, unit="baseline")
     write_calibration(folder / "free.yaml", free)
     assert main(["compare", str(folder / "free.yaml"), str(folder / "boards")]) == 0
-    assert "No length is known to both" in " ".join(capsys.readouterr().out.split())
+    assert "They share no known length" in " ".join(capsys.readouterr().out.split())
     assert main(["compare", str(folder / "free.yaml"), str(folder / "truth.yaml")]) == 0
     assert "Neither has a covariance" in " ".join(capsys.readouterr().out.split())
 

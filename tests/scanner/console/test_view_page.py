@@ -1,4 +1,4 @@
-"""`scan view` in a real browser, on a result in which everything is known."""
+"""`scan view` in a real browser, on a result with ground truth."""
 
 import re
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ def test_the_page_shows_everything_about_the_result(visit: Visit) -> None:
         "focal length, px",
         "Between them",
         "showing all",
-        "does not say how far",
+        "does not state its verdict",
     ):
         visit.wait_for(text)
 

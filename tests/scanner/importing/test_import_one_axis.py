@@ -1,4 +1,4 @@
-"""Stripes along one axis: no second axis tells their order, but cells beside each other do."""
+"""Stripes along one axis: without a second axis, adjacent cells determine the order."""
 
 from itertools import product
 from pathlib import Path
@@ -61,7 +61,7 @@ def test_the_projector_size_must_be_given(
     source = camera.write(tmp_path / "frames", in_order("x", "after", finest_first=True), named("{}.png"))
     assert imported(source) == 2
     error = capsys.readouterr().err
-    assert "looks right along x, but one axis does not tell the projector's size: give --projector" in error
+    assert "looks right along x, but one axis does not determine the projector's size: give --projector" in error
     assert "mirrored" not in error
 
 

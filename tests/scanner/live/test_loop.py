@@ -1,4 +1,4 @@
-"""The loop around the decoder: what is kept, what ends it, and that nothing grows or waits."""
+"""The loop around the decoder: what is kept, what ends it, and that nothing grows or blocks."""
 
 import re
 import threading
@@ -36,7 +36,7 @@ projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 
 
 class Acting(Watcher):
-    """Does something when a cloud comes, and notes what is told."""
+    """Runs an action for each cloud, and records the sentences."""
 
     def __init__(self, act: object = None) -> None:
         self._act = act
@@ -52,7 +52,7 @@ class Acting(Watcher):
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> LiveBench:
-    """The rig that every configuration names."""
+    """The rig of every configuration."""
     made = LiveBench()
 
     @contextmanager
@@ -198,7 +198,7 @@ def test_memory_does_not_grow_over_ten_thousand_clouds() -> None:
 
 @pytest.mark.parametrize("number", [2, None])
 def test_without_any_cloud_the_loop_ends_with_an_error(tmp_path: Path, bench: LiveBench, number: int | None) -> None:
-    """Other frames of each round show the picture before: with nobody to see it, it would go on for ever."""
+    """One frame of each round shows the previous picture; unattended, the loop would never end."""
     bench.late = frozenset(range(29, 2000, 5))
     wishes = Wishes(number=number)
 
@@ -207,7 +207,7 @@ def test_without_any_cloud_the_loop_ends_with_an_error(tmp_path: Path, bench: Li
             wishes.end.set()
 
     error = KeyboardInterrupt if number is None else RefusalError
-    said = None if number is None else "No cloud came of the last 100 rounds: their frames contradict"
+    said = None if number is None else "The last 100 rounds gave no cloud: their frames contradict"
     with pytest.raises(error, match=said):
         live(tmp_path, bench, wishes, Acting(act))
 
@@ -219,7 +219,7 @@ def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveB
 
 
 def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
-    """Some rounds of a scene, and what decodes them."""
+    """Some rounds of a static scene, and their decoder."""
     seen, sequence, decoder = begun(bench)
     taken = islice(rounds(bench.rig, sequence, seen.response), 3)
     return [each for each in taken if each is not None], decoder

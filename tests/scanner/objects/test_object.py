@@ -1,4 +1,4 @@
-"""Stations of a simulated thing, joined: poses, the thing without background, and refusals of ambiguous ones."""
+"""Stations of a simulated thing: poses, removal of the background, and refusals of ambiguous ones."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -87,13 +87,15 @@ def test_a_station_of_another_object_is_named_and_left_out() -> None:
 
 def test_an_object_that_did_not_visibly_move_is_refused() -> None:
     station = thing_stations([0], CAMERA)[0]
-    with pytest.raises(RefusalError, match="rests: its surface is at the same place in the 4 stations") as refusal:
+    with pytest.raises(
+        RefusalError, match="Nothing moved: all surfaces are at the same place in the 4 stations"
+    ) as refusal:
         solved([station] * 4)
     assert "round about the axis" in refusal.value.advice
 
 
 def test_the_table_alone_does_not_connect_two_stations() -> None:
-    """More than half of what both see rests."""
+    """More than half of the common surface is static."""
     first, second = solved(thing_stations([0, 2], CAMERA, seed=2), pictures=False).stations
     turn = Rotation.from_matrix(between(first.place, second.place).rotation)
     assert 0 < abs(np.degrees(turn.magnitude()) - 30) < 0.05

@@ -46,4 +46,4 @@ def test_motion_is_accepted_up_to_the_uncertainty_at_rest(
     added = with_doubt([decoded], solution).notes[len(solution.notes) :]
     assert len(added) == (likely > 0.5)
     for note in added:
-        assert "may cost 0.9 % of the intrinsics, of which this view is unsure by 1.2 % anyway" in note
+        assert "may change the intrinsics by 0.9 %; at rest, this view determines them to 1.2 %" in note

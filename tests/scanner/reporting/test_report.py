@@ -301,7 +301,7 @@ def test_structured_ray_residuals_are_reported(calibrated: ReportInput) -> None:
     _, cloud = _parts(calibrated)
     missing = replace(cloud, statistics=replace(cloud.statistics, calibration_px=1.5))
     found = verdict(ReportInput(Reconstructed(_calibrated(calibrated), missing)))
-    assert (found.grade, "errors that show" in found.headline) == ("fair", True)
+    assert (found.grade, "systematic errors" in found.headline) == ("fair", True)
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_patterns_are_described_in_words() -> None:
 
 
 def test_a_misfit_beyond_the_noise_is_not_graded_good(calibrated: ReportInput) -> None:
-    """Of a calibration that was given, too: rays that miss smoothly by three times their noise are its fault."""
+    """Also for a given calibration: smooth ray residuals of three times the noise are its fault."""
     decoded, cloud = _parts(calibrated)
     given = GivenCalibration(decoded, _calibrated(calibrated).calibration)
     for smooth_px, grade in ((0.05, "good"), (0.15, "good"), (0.3, "fair")):
@@ -352,7 +352,7 @@ def test_a_misfit_beyond_the_noise_is_not_graded_good(calibrated: ReportInput) -
 def test_stated_match_errors_limit_the_grade_of_one_axis(
     calibrated: ReportInput, warnings: tuple[str, ...], grade: str, said: str
 ) -> None:
-    """The rays meet whatever the calibration; a fringe that nothing checks is no more than fair."""
+    """With one axis, rays meet for any calibration; an unchecked fringe is graded fair at best."""
     decoded, cloud = _parts(calibrated)
     assert decoded.decoding is not None
     matches = replace(decoded.matches, sigma_px=np.full(len(decoded.matches), 0.05))
@@ -372,5 +372,5 @@ def test_a_principal_point_outside_the_image_is_reported(calibrated: ReportInput
     camera = replace(own.calibration.camera, principal_point_px=(x, 170.0))
     changed = replace(own, calibration=replace(own.calibration, camera=camera, sigma=sigma))
     found = verdict(ReportInput(Reconstructed(changed, cloud)))
-    assert ("outside of its image" in " ".join(found.reasons)) == doubtful
+    assert ("outside its image" in " ".join(found.reasons)) == doubtful
     assert found.grade == ("fair" if doubtful else "good")

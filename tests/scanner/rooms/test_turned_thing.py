@@ -1,4 +1,4 @@
-"""A thing turned by 1.4° on a turntable, given to `scan room`: what is taken for planes must not decide its place."""
+"""A thing rotated by 1.4° on a turntable, given to `scan room`: false planes must not determine its pose."""
 
 import numpy as np
 import pytest
@@ -34,5 +34,5 @@ def test_surfaces_correct_poses_from_false_planes() -> None:
 def test_an_object_turned_in_front_of_a_static_background_is_refused() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     stations = thing_stations([0, 1], CAMERA, seed=1, step_deg=1.4, background=True, kind="box")
-    with pytest.raises(RefusalError, match="Station 1, Station 2 do not lie on each other"):
+    with pytest.raises(RefusalError, match="Station 1, Station 2 do not coincide"):
         solved(stations)

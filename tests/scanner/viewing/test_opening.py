@@ -79,7 +79,7 @@ def test_the_verdict_is_shown_in_words() -> None:
     assert text.startswith("**◐ Calibrated \\<b\\>**")
     assert "- Known to ± 3 %" in text.replace("\N{NO-BREAK SPACE}", " ")
     assert text.endswith("Capture it again.")
-    assert "does not say" in verdict_text(None)
+    assert "does not state" in verdict_text(None)
 
 
 def test_text_from_files_is_escaped() -> None:
