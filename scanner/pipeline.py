@@ -71,9 +71,9 @@ def scan(
     earlier: Sequence[Decoded] = (),
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
+    """Capture with the configured rig, from one or several places, then reconstruct. Raises DeviceError too.
 
-    Between them the `operator` is told what they are worth by now, and asked to move the rig.
+    Between captures, the `operator` is told their accuracy so far, and asked to move the rig.
     """
     captures = [*earlier]
     enough = False
@@ -108,7 +108,7 @@ def resume(
 
 
 def _truth_beside(opened: OpenedRig) -> dict[str, Any]:
-    """What truth.yaml says beside the calibration: where the rig stood, and the thing's volume and area, in metres."""
+    """Additional entries of truth.yaml: the pose of the rig, and the thing's volume and area, in metres."""
     entries: dict[str, Any] = {}
     if opened.place is not None:
         place = opened.place
@@ -126,7 +126,7 @@ def take(
     name: str,
     begun: Recording | None = None,
 ) -> Decoded:
-    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`.
+    """Record and decode a capture, or the rest of a `begun` one.
 
     Raises DeviceError, StorageError if there is no room for it.
     """

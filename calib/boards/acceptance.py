@@ -130,10 +130,10 @@ def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: Cover
 
 
 def ray_sigmas(found: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
-    """Standard deviations (13, 13) of where camera and projector have their rays, in px over either picture.
+    """Standard deviations (13, 13) of the rays of camera and projector, in px over either picture.
 
-    NaN where the other device does not see, at the boards' distance, what this one does. What a rotation of the device
-    would do is no error of its lens: the motion between the devices makes up for it.
+    NaN where the other device does not see the same, at the boards' distance. A rotation of the device is no error of
+    its lens, because the motion between the devices compensates for it.
     """
     every, state = (_grid(sizes[0]), _grid(sizes[1])), found.state
     seen = _seen_by_both(state, every, sizes)

@@ -141,7 +141,7 @@ def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) 
 def _without_odd(
     found: Estimate, anew: Callable[[Sequence[View]], Estimate]
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OddView, ...]]:
-    """The estimate without views that the others mispredict by far: a board that moved, a view of something else."""
+    """The estimate without views that the others predict badly: a board that moved, or another board."""
     left_out: list[OddView] = []
     most = int(_MOST_ODD * len(found.views))
     while True:

@@ -66,9 +66,9 @@ class Halves:
 
 
 def leave_one_out(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
-    """Each view predicted by the others; none for fewer than three.
+    """Each view predicted by the others; empty for fewer than three.
 
-    `anew`: the estimate from some views alone, from its starts on.
+    `anew`: estimates from some of the views, from the starts on.
     """
     count = len(found.views)
     if count < 3:
@@ -101,9 +101,9 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
 
 
 def _usual_levels(found: Estimate, view: int) -> Levels:
-    """A view's own levels, its smooth misfit left aside, unless they are far above those of the others.
+    """A view's own levels without its smooth misfit, unless they are far above those of the others.
 
-    A board that moved looks noisy, and would excuse itself.
+    Otherwise a board that moved would look noisy, and be excused.
     """
     independent = [cells / noise.inflation for cells, noise in zip(found.levels.cells, found.noise, strict=True)]
     usual = float(np.median([np.median(variances) for variances in independent]))
@@ -113,7 +113,7 @@ def _usual_levels(found: Estimate, view: int) -> Levels:
 
 
 def _usual_px(found: Estimate) -> float:
-    """The smooth misfit of a usual view: a larger one is the view's own fault, and none of the noise."""
+    """The smooth misfit of a usual view; a larger one is an error of the view, not noise."""
     return float(np.median([noise.smooth_px for noise in found.noise]))
 
 
@@ -124,8 +124,9 @@ def _variance(jacobian: Floats, covariance: Floats) -> Floats:
 
 
 def halves(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> Halves | None:
-    """Every second view against the others, each estimated `anew` as in `leave_one_out`; None if a half is too few
-    views, or would determine nothing by itself.
+    """Every second view compared with the others, each half estimated `anew` as in `leave_one_out`.
+
+    None if a half has too few views, or determines nothing.
     """
     count = len(found.views)
     parts = [list(range(start, count, 2)) for start in (0, 1)]

@@ -114,7 +114,7 @@ def _is_whole(found: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
 
 
 def _information(found: Estimate, state: State) -> Floats:
-    """What a view of this board would tell of what all views share, its pose being unknown, (SHARED, SHARED)."""
+    """Information of a view of this board on the common parameters, with an unknown pose, (SHARED, SHARED)."""
     corners, grid = _points(found)
     _, by_corners, _ = predict_corners(state, corners, 0)
     camera_px, _, _ = predict_corners(state, grid, 0)

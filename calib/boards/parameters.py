@@ -1,13 +1,13 @@
-"""Parameters of a rig before boards, what they predict of corners and of matches, and the exact derivatives.
+"""Parameters of a rig and boards, predicted corners and matches, and their exact derivatives.
 
-A board's point (a, b), in lengths from its middle, is at (a, b, h(a, b)), h being its bend. The camera sees its
-corners. A camera pixel's ray meets the board, and the point where it does is projected into the projector: so every
-match on the board is predicted, whether or not there is a corner.
+A board's point (a, b), in lengths from its middle, is at (a, b, h(a, b)), with h its bend. The camera sees its corners.
+The ray of a camera pixel intersects the board, and the intersection is projected into the projector. So every match on
+the board is predicted, with or without a corner.
 
 Columns of every step, gradient and Hessian: of the camera log f_x, log (f_y / f_x), x_0, y_0, k1, k2, p1, p2, k3; the
 same of the projector; rotation (3), direction (2) and logarithm of the length of the motion between them; the bend (7);
-then for each view the board's rotation (3), its place (3, as a share of its distance), and by how much it is bent
-otherwise than usual (3): held by hand, or leaning against something, a board is not quite rigid.
+then for each view the board's rotation (3), its position (3, relative to its distance), and the deviation of its bend
+(3), because a board that is held or leans is not quite rigid.
 """
 
 from collections.abc import Sequence

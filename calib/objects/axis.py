@@ -1,4 +1,4 @@
-"""Whether the places are those of a turntable: turns about one axis. Found, not configured; it makes them surer."""
+"""Detection of a turntable: whether the poses are rotations about one axis. It then reduces their sigmas."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
-"""Where views belong, without order or first guess: pairs suggest, all of them judge; doubts are told, never decided.
+"""Registration of views without order or initial guess. Pairs suggest poses, and all members of a group judge them.
 
-A group grows from the surest pair, another one from what it leaves, and the largest counts. A view is tried wherever a
-supposed pose puts it beside a member, and is judged by all members: by what agrees and by what any of them looked
-through. Where a second place is almost as good, the view is ambiguous. Views that are missing are searched for once
-more, longer, for they share little with others.
+A group grows from the most certain pair, another one from the remaining views, and the largest is used. A view is tried
+at every suggested pose relative to a member, and judged by all members: by agreement, and by violations of free space.
+If a second pose is nearly as good, the view is ambiguous, which is reported. Missing views are searched once more,
+longer, because they overlap little.
 """
 
 from collections.abc import Mapping, Sequence
@@ -111,7 +111,7 @@ def _largest_group(
 def _grown(
     views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
 ) -> tuple[dict[int, Motion], list[Alternative]]:
-    """Grow a group from the surest pair, by all views that its members can judge."""
+    """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
     places = {first: Motion(np.eye(3), np.zeros(3))}
     alternatives: list[Alternative] = []
@@ -163,7 +163,7 @@ def _tried(
     places: Mapping[int, Motion],
     k: int,
 ) -> list[Supposed]:
-    """Where a view may be beside the members, best first; `pose` is its place. Empty where it cannot be anywhere."""
+    """Possible poses of a view relative to the members, best first. Empty if there are none."""
     found: list[Supposed] = []
     for member, place in places.items():
         for each in edges.get((min(member, k), max(member, k)), ()):

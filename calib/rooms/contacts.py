@@ -93,9 +93,9 @@ class Contact:
 def find_contacts(
     loose: Sequence[Matches], room: Room, match_px: Sequence[float], radius: float, neighbours: int = _NEIGHBOURS
 ) -> tuple[Contact, ...]:
-    """Between all stations' matches that are on no plane, no further apart than `radius` in baselines.
+    """Contacts between the matches of all stations that are on no plane, up to `radius` apart, in baselines.
 
-    `match_px`: each station's noise, where its matches state none. `neighbours`: how many tell a point's normal.
+    `match_px`: each station's noise, if its matches state none. `neighbours`: number of neighbours for a normal.
     """
     matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
     points = [
@@ -135,7 +135,7 @@ def _seen(room: Room, matches: Matches) -> Floats:
 
 
 def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
-    """Of the surface at each point (N, 3) by its neighbours; NaN where they tell none."""
+    """Normals of the surface at each point (N, 3) from its neighbours; NaN where undetermined."""
     count = int(np.clip(_SHARE * len(points), _NEIGHBOURS, most))
     if len(points) < count:
         return np.full_like(points, np.nan)
@@ -148,7 +148,9 @@ def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
 
 
 def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Floats:
-    """By the matches' noise, as much larger as the distances show, and as errors that are alike over blocks show."""
+    """Variances from the noise of matches, enlarged for the observed distances and for errors that correlate within
+    blocks.
+    """
     distances, _, by_pixels = contact.distances(room)
     noise = contact.noise_px(match_px)
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
@@ -158,7 +160,7 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
 
 
 def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
-    """By what factor variances are larger because errors (N,), in sigmas, are alike in blocks of pixels (N, 2)."""
+    """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
     block = blocks_of(pixel)
     count, total = np.bincount(block), np.bincount(block, relative)
     full = count >= _FEWEST_IN_BLOCK

@@ -1,8 +1,8 @@
-"""Do the dense surfaces lie on each other as an estimate says? Asked of every pair of stations after any registration.
+"""Whether the dense surfaces coincide at the estimated poses, tested for every pair of stations after any registration.
 
-Planes that were none, or the same part of a wall taken for another, may leave small residuals and small sigmas, and
-places that are wrong by many of these. The distances between two clouds, which no such choice has passed through, tell:
-the twist that would bring one onto the other has to be what the covariance allows.
+Wrong planes, or mistaken parts of a wall, may leave small residuals and small sigmas, with poses off by many of these.
+The distances between two clouds do not depend on such choices: the twist that would align them must be within the
+covariance.
 """
 
 from collections.abc import Sequence

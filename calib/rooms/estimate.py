@@ -1,7 +1,7 @@
-"""One maximum-likelihood estimate of a rig, its places in a room and the room's planes, from all stations' matches.
+"""One maximum-likelihood estimate of a rig, its poses in a room and the room's planes, from all stations' matches.
 
-Planes that several stations see tie these together; walls seen from several places have their angles measured, where a
-corner alone has to take them for square. A plane that one station sees counts, too: that it is flat tells of the rig.
+Planes that several stations see connect them. Walls seen from several places determine their angles, which a single
+corner has to assume. A plane that one station sees contributes, too: its flatness constrains the rig.
 """
 
 from collections.abc import Sequence
@@ -54,15 +54,15 @@ class Undetermined:
 
 @dataclass(frozen=True, eq=False)
 class RoomEstimate:
-    """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
+    """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for fixed parameters.
 
-    `patches`: on which of the room's planes each station's cells turned out to be; planes behind those of the start are
-    of stations that see another one than they were said to.
+    `patches`: the room's plane of each station's cells; planes after those of the start belong to stations that see
+    another plane than the one assigned.
 
-    `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
-    median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
-    root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
-    `tracks`: of points on planes that two pictures show.
+    `residual_px` (S,): robust root mean square of each coordinate of a station's cells; NaN without cells. `reach`:
+    median distance of surfaces from the camera, in baselines. `waves` (P,): unevenness of each plane, root mean square,
+    in baselines; 0 if undetected. `contacts`: of surfaces that are no planes. `tracks`: of points on planes in two
+    pictures.
     """
 
     fit: Fit[Room]
@@ -130,17 +130,17 @@ def estimate_room(
     loose: Sequence[Matches] = (),
     sights: Sequence[Sight | None] = (),
 ) -> RoomEstimate:
-    """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
+    """Estimate from a start: the calibrated rig, `places` of stations and `planes` as registered, in baselines.
 
-    `stations`: the cells of each, whose labels `plane_of` translates to the room's planes (−1: of none). `square`:
-    pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
-    `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
-    registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
-    than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
-    no plane; where two stations saw one surface, it ties them. `sights`: of each station that has a picture;
-    what two of them show on a plane ties them along it.
+    `stations`: the cells of each, whose labels `plane_of` maps to the room's planes (−1: none). `square`: pairs of
+    perpendicular planes, with `squareness_deg` as standard deviation; other angles are free. `shifts`: for each station
+    the possible shifts of its matches, for the covariance. `place_sigma`: standard deviations of the registered poses,
+    of a rotation in radians and a translation in baselines, if the registration determines more than these planes; the
+    default is a radian and the reach, which is no constraint. `loose`: for each station matches on no plane; a common
+    surface connects two stations. `sights`: of each station with a picture; common points of a plane connect stations
+    along it.
 
-    Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
+    Raises RefusalError if the start puts cells behind a device, ValueError if the sequences have different lengths.
     """
     if not len(stations) == len(plane_of) == len(places):
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")

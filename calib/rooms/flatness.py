@@ -1,8 +1,8 @@
-"""What planes that are not flat do to a room: plaster and floors are off by millimetres, many times what matches err.
+"""The effect of uneven planes on a room: plaster and floors deviate by millimetres, far beyond the noise of matches.
 
-A plane whose residuals show it is taken to have heights of random waves over what was seen of it, the long ones higher.
-How high is told by the residuals, of which the fit has absorbed a known part; the waves then move the room, to first
-order, as shifts of the matches do. Stations that see one wall see the same waves.
+A plane with such residuals is modelled with heights of random waves over its visible part, longer waves being higher.
+Their amplitude follows from the residuals, of which the fit has absorbed a known part. To first order, the waves move
+the room like shifts of the matches. Stations that see one wall see the same waves.
 """
 
 from collections.abc import Sequence
@@ -88,7 +88,9 @@ class _Waves(Generic[AnyLayout]):
 
 
 def _modes(points: Sequence[Floats], normal: Floats) -> list[Floats]:
-    """Cosines over the rectangle around the points (M, 3) of each patch on a plane, as high as they are long."""
+    """Cosines over the bounding rectangle of the points (M, 3) of each patch on a plane, with heights proportional to
+    their lengths.
+    """
     places = [each @ tangent_basis(normal) for each in points]
     every = np.concatenate(places)
     low, sides = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-12)

@@ -181,7 +181,7 @@ def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
 
 
 def _translations(a: Floats, b: Floats, alike: Bools, area: Ints, reach: float) -> Floats:
-    """Translations (K, 3) by which planes b (Q, 4), turned already, come to lie on planes a (P, 4)."""
+    """Translations (K, 3) that move planes b (Q, 4), already rotated, onto planes a (P, 4)."""
     p, q = np.nonzero(alike)
     order = np.argsort(-area[p, q], kind="stable")[:_MOST_PAIRS_OF_PLANES]
     p, q = p[order], q[order]

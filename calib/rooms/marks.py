@@ -77,7 +77,7 @@ def marks_of(
 
 @lru_cache(maxsize=512)
 def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
-    """Marks of two stations, (M,) of either, that look like each other more than like any other mark."""
+    """Mutually best matching marks of two stations, (M,) of either."""
     if min(len(first), len(second)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     product = first.descriptors @ second.descriptors.T
@@ -89,7 +89,7 @@ def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
 
 
 def apart(first: Marks, second: Marks, pose: Motion) -> tuple[Floats, Floats]:
-    """Of marks that look alike, (M,): how far apart they are at the pose X_first = R X_second + t, and their depth."""
+    """Distance (M,) of matching marks at the pose X_first = R X_second + t, and their depth."""
     own, other = alike(first, second)
     moved = second.points[other] @ pose.rotation.T + pose.translation
     return np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]

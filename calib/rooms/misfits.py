@@ -1,7 +1,7 @@
-"""Stations that do not fit the others of their group: of a rig that was changed, or of a room that was.
+"""Outlier stations of a group: with a changed rig, or of a changed room.
 
-The stations of one unchanged rig are all bent alike, by what its calibration is off; the surfaces of two of them then
-lie as well on each other as those of any other two. A rig that was moved in itself measures another shape.
+Calibration errors bend all stations of one unchanged rig equally, so that the surfaces of any two fit equally well. A
+changed rig measures other shapes.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
-"""A plane of the room as one station sees it: what the room predicts of its cells, and how that changes.
+"""A plane of the room seen by one station: predicted cells, and their derivatives.
 
-Whatever moves, a patch sees of it the rig's 21 columns and three of its own, the plane's tilts and offset before the
-camera. So its cells are summed into those 24, and the sums are carried over to the room's columns.
+A patch depends on the rig's 21 columns and three of its own, the plane's tilts and offset in the camera's frame. So its
+cells are summed over these 24 columns, and the sums are transferred to the room's columns.
 """
 
 from collections.abc import Sequence

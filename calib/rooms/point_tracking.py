@@ -105,7 +105,7 @@ def _followed(
 def _forth_and_back(
     one: NDArray[np.uint8], other: NDArray[np.uint8], inside: NDArray[np.uint8]
 ) -> tuple[Floats, Floats]:
-    """Points (N, 2) of a drawing, and where they are in the other."""
+    """Points (N, 2) of a drawing, and their positions in the other one, checked by tracking back."""
     corners: Any = cv2.goodFeaturesToTrack(one, _MOST, _QUALITY, _SPACING_PX, mask=inside)
     if corners is None:
         return np.zeros((0, 2)), np.zeros((0, 2))

@@ -37,11 +37,11 @@ class Alternative:
 class Group:
     """Stations of one room.
 
-    `places` by station, X_room = R X_camera + t, the room's frame being that of the group's first station. `planes` in
-    the room's frame; `plane_of`: for each station, of each of its labels the index of the plane, −1 for none.
-    `alternatives`: other answers that are as likely; with any, the group is ambiguous. `ahead_nats`: by how much the
-    answer is likelier than the next one that was looked at, infinite where there is none. `held_nats` by station: how
-    much likelier it is there, beside all others, than that it does not belong to them; a small one is held by little.
+    `places` by station, X_room = R X_camera + t, in the frame of the group's first station. `planes` in the room's
+    frame; `plane_of`: for each station, the plane index of each of its labels, −1 for none. `alternatives`: equally
+    likely solutions; with any, the group is ambiguous. `ahead_nats`: log likelihood ratio to the next solution
+    evaluated, infinite without one. `held_nats` by station: evidence that it belongs to the others at its pose; a small
+    value is weak.
     """
 
     stations: tuple[int, ...]

@@ -44,7 +44,7 @@ def _levels(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> Floats:
 
 
 def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Room], variances: list[Floats]) -> Rough:
-    """The same where patches that are not on the plane that they were taken for have planes of their own."""
+    """The fit with separate planes for patches that are not on their assigned plane."""
     for _ in range(int(_MOST_WRONG * len(patches))):
         scores, freedom = tie_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
         per_freedom = scores / np.maximum(freedom, 1)
@@ -64,7 +64,7 @@ def seen(room: Room, patches: Sequence[Patch]) -> Bools:
 
 
 def in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
-    """The patches that are before both devices, all but strays. Raises RefusalError if that is less than half."""
+    """The patches in front of both devices. Raises RefusalError if these are fewer than half."""
     chosen = tuple(patch for patch in patches if np.mean((patch.predict(room)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT)
     if len(chosen) < len(patches) / 2 or not chosen:
         raise RefusalError(

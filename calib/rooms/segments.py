@@ -1,8 +1,8 @@
-"""Plane segments of an organised cloud: floor, walls, and what furniture has of planes.
+"""Plane segments of an organised cloud: floor, walls, and planes of furniture.
 
-A cloud is taken apart in two steps. Small square cells of the image, each with a plane of its own, are gathered into
-planes, the one that explains most surface first; then every pixel goes to the plane that it is nearest to. A room's
-planes bend by what the calibration is off, by some thousandths of the distance: the tolerance allows for that.
+Small square cells of the image, each with its own plane, are grouped into planes, the one that explains most surface
+first. Then every pixel is assigned to the nearest plane. Calibration errors bend a room's planes by some thousandths of
+the distance, which the tolerance includes.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class _Cells:
     area: Floats
 
     def on(self, plane: RoomPlane) -> Bools:
-        """Which cells (N,) lie on a plane and slope like it."""
+        """Which cells (N,) lie on a plane with the same slope."""
         off: Bools = np.abs(self.centre @ plane.normal - plane.offset) < self.tolerance
         like: Bools = off & (self.normal @ plane.normal > _LIKE_CELL)
         return like
@@ -170,8 +170,9 @@ def _assigned(
 
 
 def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[RoomPlane]) -> None:
-    """Take a plane's small pieces away, and make planes of their own of those that are before or behind its largest:
-    fronts of two cupboards are often almost one plane. `labels` and `planes` in place.
+    """Remove small pieces of a plane, and separate those in front of or behind its largest.
+
+    Fronts of two cupboards are often nearly coplanar. `labels` and `planes` are changed in place.
     """
     mask = (labels == label).astype(np.uint8)
     count, piece, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)

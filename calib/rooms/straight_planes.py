@@ -1,8 +1,8 @@
-"""Segments of a cloud that are one plane each, by what needs no calibration: a plane's matches follow a homography.
+"""Segments of a cloud that are one plane each, by a criterion without calibration: a plane's matches follow a
+homography.
 
-Segments found in a cloud of a rig that is roughly known hold surfaces that are nearly one plane, two cupboards side by
-side, say. What a homography, with a lens's distortion, does not explain is taken out, and is a plane of its own if it
-is large enough.
+With an approximate rig, a segment may contain nearly coplanar surfaces, such as two cupboards side by side. Matches
+that a homography with lens distortion does not explain are removed; they form another plane if there are enough.
 """
 
 from dataclasses import replace
@@ -23,9 +23,9 @@ _FITTED = 4000
 
 
 def split_planes(view: StationView, matches: Matches, calibration: Calibration) -> tuple[StationView, Ints]:
-    """The view with planes that are straight, and which of them each match (N,) is on, −1 for none.
+    """The view with straight planes, and the plane of each match (N,), −1 for none.
 
-    `calibration`: the rig as it is known roughly; its lenses' distortions are taken out, its focals do not matter.
+    `calibration`: an approximate rig; only its lens distortion is used.
     """
     ideal, known = _undistorted(matches, calibration)
     height, width = view.labels.shape

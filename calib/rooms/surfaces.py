@@ -1,7 +1,7 @@
-"""A station as registration sees it: a small picture of depths by an ideal camera, and patches of its surfaces.
+"""A station for the registration: a small picture of depths by an ideal camera, and patches of its surfaces.
 
-The picture has neither lens distortion nor more pixels than are needed; its points are those that were measured. A
-patch is one point for each so much of surface, near and far alike.
+The picture has no lens distortion and no more pixels than needed; its points are measured ones. A patch is one point
+per unit of surface area, near and far.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
-"""Stations that see nothing flat, a shell on a turntable say: one estimate from the surfaces that they share alone.
+"""Stations without planes, such as a shell on a turntable: one estimate from their common surfaces alone.
 
-The rig is what a calibration says of it, for surfaces of any shape tell little of a rig.
+The rig is fixed to its calibration, because surfaces of arbitrary shape hardly constrain it.
 """
 
 from collections.abc import Sequence

@@ -32,7 +32,7 @@ class Job:
 
     @property
     def asked(self) -> str:
-        """Identifies what is asked: if it changes, an earlier result is none of this."""
+        """Digest of the request: if it changes, an earlier result is invalid."""
         text = f"{self.capture}\n{self.config.model_dump_json(exclude_unset=True)}\n{self.calibration}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -50,7 +50,7 @@ class Asked:
         return Job("", "", load_config(self.config, self.overrides), self._known)
 
     def refuse_no_calibration(self) -> None:
-        """Raise InputError if the calibration of all is none: every row would say so."""
+        """Raise InputError if the common calibration is invalid, instead of in every row."""
         if self._known is not None:
             parse_calibration(self._known, str(self.calibration))
 

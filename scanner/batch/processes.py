@@ -141,7 +141,7 @@ def _all_memory() -> float:
 
 
 def _memory_of(pid: int | None) -> float:
-    """Bytes that a process has in memory now; none where the system does not tell as Linux does."""
+    """Bytes that a process has in memory now; 0 on systems other than Linux."""
     try:
         pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
     except (OSError, IndexError):

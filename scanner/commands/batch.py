@@ -1,4 +1,4 @@
-"""Reconstruct many captures side by side, and tell of all in one table."""
+"""Reconstruct many captures in parallel, and summarise them in one table."""
 
 import re
 from argparse import Namespace

@@ -38,7 +38,7 @@ def run(args: Namespace) -> None:
 
 
 def _write(path: Path, report: CheckReport) -> str:
-    """Put what was found out into the configuration file; what to tell of it. Raises InputError."""
+    """Write the findings into the configuration file; returns a sentence about it. Raises InputError."""
     values: dict[str, object] = {}
     if report.exposure_us is not None:
         values["rig.exposure_us"] = round(report.exposure_us, _EXPOSURE_DIGITS)

@@ -28,9 +28,9 @@ _STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by
 
 @dataclass(frozen=True)
 class Coordinates:
-    """`values` (H, W) along an axis, in cells or pixels, good to a few `steps`; where they are `certain`.
+    """`values` (H, W) along an axis, in cells or pixels, accurate to a few `steps`; where they are `certain`.
 
-    `misfit`: of fringes that tell the coordinate together, which counted from the other end would be as good.
+    `misfit`: of fringes that determine the coordinate together, and that fit equally well counted from the other end.
     """
 
     values: Floats
@@ -67,7 +67,7 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
 
 
 def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
-    """Whether some fringe is off codes that together tell halves of its periods."""
+    """Whether a fringe contradicts codes that together determine half of its period."""
     certain = np.logical_and.reduce([code.certain for code in codes.values()])
     middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
     cell_width = max(cell for cell, _ in codes) / len(codes)
@@ -194,6 +194,6 @@ def _above_middle(samples: Samples, frame: Floats, middle: Floats) -> Floats:
 
 
 def _is_constant(bits: Bools) -> bool:
-    """Whether nearly all of them are alike, where there are enough to say."""
+    """Whether nearly all values are equal, if there are enough."""
     share = float(np.mean(bits)) if len(bits) >= _FEWEST else 0.5
     return min(share, 1 - share) < _LEAST_OF_EACH

@@ -1,7 +1,7 @@
-"""Does a Gray code along one axis make sense in an order? No second axis is there to check it by, but its own pixels.
+"""Whether a Gray code along one axis is consistent in an order, without a second axis.
 
-Cells that are next to each other on the projector are so on a surface. In another order, or of another code, pixels
-beside each other still differ in one bit, but that bit takes them to cells far apart.
+Adjacent cells of the projector are adjacent on a surface. In a wrong order, or with another code, adjacent pixels still
+differ in one bit, but their cells are far apart.
 """
 
 from collections.abc import Sequence

@@ -41,11 +41,10 @@ class FrameFiles:
 
 
 def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
-    """The frames in a folder, or in its only sub-folder that has images; of all names only those like `pattern`.
+    """The frames in a folder, or in its only sub-folder with images; `pattern` selects names.
 
-    A series is what differs in its last number only, or else in its numbers, or in the moment that its names tell;
-    numbers may be missing, and have any number of digits. Raises InputError where there is no series of at least three,
-    or more than one.
+    Names of a series differ in their last number only, or in their numbers, or in a time stamp. Numbers may have gaps
+    and any number of digits. Raises InputError without a series of at least three, or with several.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder with images, found {'a file' if folder.exists() else 'nothing'}")
@@ -102,7 +101,7 @@ def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
 
 
 def _shape(numbers: re.Pattern[str], path: Path) -> str | None:
-    """A name without its numbers; None if there are none."""
+    """A name with its numbers replaced; None without numbers."""
     stem, count = numbers.subn("#", path.stem)
     return stem + path.suffix.lower() if count else None
 

@@ -70,9 +70,7 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
 
 
 def closest(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
-    """The numbers of the orders to which the frames come closest, where fringes alone tell: all others come close to
-    some place by chance.
-    """
+    """The numbers of the orders that fit the frames best, if only fringes decide; others fit partly by chance."""
     axes: tuple[Axis, ...] = ("x", "y")
     misfits = []
     for patterns in orders if len(orders) > 1 else ():
@@ -125,7 +123,7 @@ def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | N
 
 
 def _beside(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
-    """Numbers of pixels beside each other, and one above the other."""
+    """Values of horizontally and of vertically adjacent pixels."""
     right, below = there[:, :-1] & there[:, 1:], there[:-1] & there[1:]
     return [(numbers[:, :-1][right], numbers[:, 1:][right]), (numbers[:-1][below], numbers[1:][below])]
 
@@ -139,9 +137,9 @@ def _upright(x: Floats, y: Floats, there: Bools) -> float:
 
 
 def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within: float = 4.0) -> float:
-    """The share of matches (N, 2) near the epipolar lines of one fundamental matrix, lenses left aside.
+    """Share of matches (N, 2) near the epipolar lines of one fundamental matrix, without lens distortion.
 
-    `within` is in the units of both devices' coordinates, which need not be pixels.
+    `within` is in the units of both coordinates, which need not be pixels.
     """
     chosen = np.random.default_rng(0).permutation(len(camera_px))[:_MOST_FITTED]
     cv2.setRNGSeed(0)

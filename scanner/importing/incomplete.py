@@ -22,10 +22,10 @@ MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(
 
 
 def without_doubles(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
-    """The frames without those that look like the ones before them: without all of these, else without one.
+    """The frames without duplicates of the previous frame: without all of these, or without one.
 
-    Where nothing is lit, all of them look alike, and none is the other one's double. `samples`: of the numbered frames,
-    and then of white and black.
+    If nothing is lit, all frames look alike, and none counts as a duplicate. `samples`: of the numbered frames, then of
+    white and black.
     """
     if not np.any(samples.lit):
         return

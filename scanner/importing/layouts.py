@@ -73,7 +73,7 @@ def _slstudio_gray(*axes: Axis) -> SequenceOf:
 
 
 def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
-    """So many cycles in so many steps, then a single cycle in three, of each axis; against the usual direction."""
+    """This many cycles in this many steps, then a single cycle in three, for each axis; in reverse direction."""
 
     def sequence(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
         del cell, frames

@@ -54,10 +54,10 @@ class Rejected:
 def recognise(
     files: FrameFiles, layouts: Sequence[Layout], given: Given, look: Callable[[], Samples], progress: Progress
 ) -> tuple[list[Recognised], list[Rejected]]:
-    """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
+    """Which layouts fit the frames, and why the others do not. Raises InputError for a file beside the frames.
 
-    `look` reads the frames, if any layout has as many. Of a single layout, on a projector that is given, they need not
-    decode if they look right. Where no layout fits, white and black may be missing, or a frame be there twice.
+    `look` reads the frames, if any layout has this number. With a single layout and a given projector, frames that look
+    right need not decode. If no layout fits, white and black may be missing, or a frame may be duplicated.
     """
     judge = _Judge(progress, lenient=len(layouts) == 1)
     usual = [layout for layout in layouts if not layout.last or len(layouts) == 1]
@@ -187,7 +187,7 @@ class _Judge:
         return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
 
     def _decoded(self, candidate: Candidate) -> Matches | str:
-        """The matches, or why there are none that make sense."""
+        """The matches, or the reason why there are none."""
         key = candidate.patterns, candidate.projector_size
         if key not in self._found:
             try:

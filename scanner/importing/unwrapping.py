@@ -1,4 +1,4 @@
-"""Fringes of several periods, or beside codes, at sampled pixels: where they agree, and how well."""
+"""Fringes of several periods, or with codes, at sampled pixels: the position where they agree, and how well."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
 
 
 def off_code(phase: Floats, period: float, coordinate: Floats) -> bool:
-    """Whether a fringe's phases (N,) are off, on average, those at the middle of the cells (N,) that codes tell."""
+    """Whether the phases (N,) of a fringe deviate, on average, from those at the middle of the cells (N,) of a code."""
     mean = np.exp(2j * np.pi * (phase - coordinate / period)).mean()
     return bool(abs(np.angle(mean)) / (2 * np.pi) > _OFF_CODE or abs(mean) < 2 / np.pi - _OFF_CODE)
 

@@ -1,8 +1,8 @@
-"""Files that appear whole or not at all, several of them together, and never over others unless that is asked for.
+"""Files that appear completely or not at all, also several together, and replace others only on request.
 
-They are written under hidden names, `.TOKEN.partial.NAME`. `.TOKEN.names` beside them is locked by the process that
-writes, and says which they are when all are whole: from then on, whoever begins next in that folder completes what was
-broken off. A partial file without that is removed.
+They are written under hidden names, `.TOKEN.partial.NAME`. `.TOKEN.names` beside them is locked by the writing process,
+and lists them when all are complete. From then on, the next process that writes to the folder completes an interrupted
+replacement. A partial file without that list is removed.
 """
 
 import fcntl
@@ -40,7 +40,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 @contextmanager
 def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A hidden file beside `path` to write into; else as `new_files`."""
+    """A hidden file to write, which becomes `path`; otherwise like `new_files`."""
     with new_files(path.parent, [path.name], overwrite=overwrite) as (partial,):
         yield partial
 
@@ -70,7 +70,7 @@ def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterato
 
 @contextmanager
 def _made(folder: Path) -> Iterator[None]:
-    """A folder, and those on the way to it; where nothing comes of it, those that were made for it vanish."""
+    """Create a folder and its parents; after a failure, those that were created are removed."""
     missing: list[Path] = []
     try:
         try:
@@ -132,7 +132,7 @@ class _Partial:
             self.path(name).replace(self._lock.with_name(name))
 
     def settle(self) -> str:
-        """Complete what was whole, and remove the rest; a sentence on it, if there was anything."""
+        """Complete what was finished, and remove the rest; a sentence about it, if there was anything."""
         whole = os.pread(self._file, _MOST_BYTES, 0).decode(errors="replace").splitlines()
         left = sorted(path.name.partition(_PARTIAL)[2] for path in self._partial_files())
         for name in left:

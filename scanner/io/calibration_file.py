@@ -101,9 +101,9 @@ class _CalibrationEntry(Entry):
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration; keys beyond the format are ignored, a distortion of fewer than five terms ends in zeros.
+    """Read a calibration; unknown keys are ignored, a distortion of fewer than five terms is padded with zeros.
 
-    Raises InputError for a missing file, a missing or wrong key, or a rotation that is none.
+    Raises InputError for a missing file, a missing or wrong key, or an invalid rotation.
     """
     return _calibration(read_yaml(path), str(path))
 

@@ -25,7 +25,7 @@ _NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
 
 
 def damage(data: bytes) -> str | None:
-    """Return what is wrong with an image file, even one that OpenCV accepts; None if no damage is known."""
+    """Return the damage of an image file, even one that OpenCV accepts; None if none is known."""
     if data.startswith(PNG_START):
         return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):

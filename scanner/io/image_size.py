@@ -43,9 +43,9 @@ Image.MAX_IMAGE_PIXELS = None
 
 
 def size_in_header(data: bytes) -> tuple[Size, int] | None:
-    """Width and height that an image file promises, and the bytes of memory that it takes to decode it.
+    """Width and height in the header of an image file, and the bytes of memory to decode it.
 
-    None if nobody can tell.
+    None if they cannot be determined.
     """
     measure: Callable[[bytes], tuple[int, int, int]] = _by_pillow
     if data.startswith(PNG_START):
@@ -121,7 +121,7 @@ def _by_pillow(data: bytes) -> tuple[int, int, int]:
 
 
 def _depth(image: Image.Image, data: bytes) -> int:
-    """Bytes of a channel, where Pillow's mode does not tell."""
+    """Bytes per channel, if Pillow's mode does not determine them."""
     tiles = getattr(image, "tile", None)
     layout = str(tiles[0][3]) if tiles else ""
     match image.format:

@@ -130,8 +130,9 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
 
 @compiled
 def _gather(there: Bools, values: NDArray[np.generic], vertices: NDArray[np.generic]) -> int:
-    """Copy the rows of `values` (P, components) that are there to the beginning of `vertices`, which are as many, at
-    whatever address of the memory; returns how many there are.
+    """Copy the existing rows of `values` (P, components) to the beginning of `vertices`, at any memory alignment.
+
+    Returns their number.
     """
     count = 0
     for i in range(len(there)):

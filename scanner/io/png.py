@@ -1,9 +1,8 @@
-"""Writing PNG, by all processors at once: a camera should not have to wait for it.
+"""Writing PNG on all processors, so that a camera need not wait.
 
-A PNG's pixels are one stream of deflated data, but a stream may be made of parts that were compressed by themselves
-(RFC 1950, 1951): strips of the image, each in a thread. One filter for all rows, the difference from the pixel to the
-left, is what noise and stripes leave least of; in noise there is nothing to be found again, so only its frequent values
-get short codes (Huffman).
+The pixels of a PNG are one deflate stream, but a stream may consist of independently compressed parts (RFC 1950, 1951):
+strips of the image, one per thread. One filter for all rows, the difference from the pixel to the left, suits noise and
+stripes best. Noise has no repetitions, so only Huffman codes are used.
 """
 
 import struct

@@ -61,7 +61,7 @@ class StoredRoom:
 
 
 def write_room(path: Path, entries: dict[str, Any]) -> None:
-    """Write a room's entries, each item of a list on a line of its own. Raises OSError."""
+    """Write a room's entries, each item of a list as one line. Raises OSError."""
     lines = []
     for key, value in entries.items():
         if isinstance(value, list) and value:

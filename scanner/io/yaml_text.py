@@ -25,10 +25,10 @@ _NUMBERS = {  # at most 64 bits, and no longer than anyone would write
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is none.
+    """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is not.
 
-    What aliases stand for is counted as often as they stand there, or ten lines of them are billions of values. Whole
-    numbers beyond 64 bits are left as text, as are control characters replaced: no reader has a use for them.
+    Values behind aliases are counted at each occurrence, because ten lines of them can be billions of values. Integers
+    beyond 64 bits stay text, and control characters are replaced, because no reader uses them.
     """
 
     yaml_implicit_resolvers = {  # noqa: RUF012
@@ -140,7 +140,7 @@ def flow_yaml(value: object) -> str:
 
 
 def block_yaml(mapping: Mapping[str, Any]) -> str:
-    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers read back the same."""
+    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers are preserved."""
     return yaml.safe_dump(
         dict(mapping), default_flow_style=None, allow_unicode=True, sort_keys=False, width=float("inf")
     )

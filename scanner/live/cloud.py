@@ -40,13 +40,12 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class LiveCloud:
-    """What a round shows. `coordinate` (H, W) along the sequence's axis, NaN where there is none, `variance` (H, W);
-    `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where its brightness is not what it was in the round before.
+    """The result of a round. `coordinate` (H, W) along the sequence's axis, NaN for none, `variance` (H, W).
 
-    `foreign`: how much more, beyond chance, one frame has changed since then than any other of the six.
-
-    `pixel` (N,) is the place of each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit;
-    `sigma` (N,): standard deviation along its ray, from noise and motion.
+    `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where the brightness has changed since the last round.
+    `foreign`: by how much more, beyond chance, one frame has changed than any other of the six. `pixel` (N,): index of
+    each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit; `sigma` (N,): standard
+    deviation along its ray, from noise and motion.
     """
 
     taken: Round

@@ -32,10 +32,10 @@ def joined_text(captures: Sequence[Decoded], calibration: Calibration) -> list[s
 def joining(
     calibration: Calibration, tell: Callable[[str], None], *, of_room: bool
 ) -> Iterator[Callable[[Sequence[Decoded]], None]]:
-    """What takes all stations kept so far, and has them joined in a thread of its own, the newest ones only.
+    """A function that takes all stations kept so far, and joins the newest ones in a thread.
 
-    The last ones are joined before the context ends, if that takes no more than a minute. What fails there is told,
-    for the stations are safe.
+    The last ones are joined before the context ends, if that takes at most a minute. Errors are reported and not
+    raised, because the stations are safe.
     """
     slot = Newest[Sequence[Decoded]]()
     comparison = Comparison() if of_room else Comparison(compare=joined_text)

@@ -1,9 +1,8 @@
-"""The shortest sequence that tells where a point is: two fringes of three steps along one axis.
+"""The shortest unambiguous sequence: two fringes of three steps along one axis.
 
-The longer fringe is longer than the part of an epipolar line on which a pixel's point can be, so that it is
-unambiguous there. The shorter one is as short as the errors of the longer one allow, which a first round with a quarter
-of the longer period shows: its noise, and light from other surfaces, which shifts long fringes by up to a sixteenth of
-their period in the corner of a room.
+The longer fringe is longer than the possible part of an epipolar line, and so unambiguous. The shorter one is as short
+as the errors of the longer one allow. A first round with a quarter of the longer period measures these errors: noise,
+and interreflection, which shifts long fringes by up to a sixteenth of their period in the corner of a room.
 """
 
 from dataclasses import dataclass, replace
@@ -110,7 +109,7 @@ def _uneven(period_px: float) -> float:
 
 
 def _projector_px_per_camera_px(calibration: Calibration) -> float:
-    """As far as focal lengths tell: the devices are about as far from what they see."""
+    """By focal lengths, assuming that both devices are equally far from the scene."""
     return calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
 
 

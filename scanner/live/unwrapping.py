@@ -51,9 +51,10 @@ def unwrap(
     reason: Reasons,
     moving: Reasons,
 ) -> None:
-    """Fill in `coordinate` (H, W), NaN where there is none, its `variance`, the `reason` why not, and whether it is
-    `moving`, from `frames` (6, H, W): long and short fringes in turns. `before` and `coordinate_before` are of a round
-    so many `rounds_apart`; 0: there is none.
+    """Fill in `coordinate` (H, W), NaN for none, its `variance`, the `reason` for a mask, and whether it is `moving`.
+
+    `frames` (6, H, W): long and short fringes alternate. `before` and `coordinate_before` are of the round
+    `rounds_apart` earlier; 0: there is none.
 
     With I_n = m + a cos(θ + 2πn/3), n = 0, 1, 2: a cos θ = ⅔ Σ I_n cos(2πn/3), a sin θ = −⅔ Σ I_n sin(2πn/3) (Creath
     1988), and the variance of θ is ⅔ σ²/a².

@@ -1,4 +1,4 @@
-"""The loop: rounds are taken here, and decoded in a thread beside; whoever is too slow gets the newest, and not all."""
+"""The loop: rounds are taken here, and decoded in another thread; slow observers get only the newest cloud."""
 
 import logging
 import time

@@ -21,9 +21,9 @@ _SPARE, _SPARE_PX = 0.05, 8.0
 
 @dataclass(frozen=True)
 class DenseCloud:
-    """Points (H, W, 3) in the first photo's frame, on the grid of its rectified picture, NaN where there is none.
+    """Points (H, W, 3) in the first photo's frame, on the grid of its rectified picture, NaN for none.
 
-    `colours` (H, W, 3) RGB, `normals` (H, W, 3) facing the first photo's place.
+    `colours` (H, W, 3) RGB, `normals` (H, W, 3) facing the first camera.
     """
 
     points: NDArray[np.float32]
@@ -119,7 +119,7 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
 
 
 def _match(left: Image, right: Image, least: int, count: int) -> Floats:
-    """Disparities (H, W) in columns, NaN where there is none."""
+    """Disparities (H, W) in columns, NaN for none."""
     channels = left.shape[2] if left.ndim == 3 else 1
     matcher = cv2.StereoSGBM.create(
         minDisparity=least,

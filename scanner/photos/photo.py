@@ -33,9 +33,9 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo: `pixels` (H, W) or (H, W, 3) BGR as it is meant to be seen; `focal_px` by its EXIF data, or None.
+    """A photo: `pixels` (H, W) or (H, W, 3) BGR in upright orientation; `focal_px` by its EXIF data, or None.
 
-    `reduced`: so many pixels of the file, squared, are one of these.
+    `reduced`: pixels of the file per pixel, along each side.
     """
 
     path: Path
@@ -109,7 +109,7 @@ def _binned(pixels: Pixels, count: int) -> Pixels:
 
 
 def _exif(path: Path) -> tuple[int, float | None]:
-    """Orientation, and the focal length equivalent to 35 mm film; what a format or a file does not tell is left out."""
+    """Orientation, and the focal length equivalent to 35 mm film; missing values are left out."""
     try:
         with Image.open(path) as image:
             exif, is_tiff = image.getexif(), image.format == "TIFF"

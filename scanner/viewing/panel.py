@@ -1,4 +1,4 @@
-"""Beside the 3-D view: what the result says of itself, and the controls for what is shown of it."""
+"""The panel beside the 3-D view: the result's statements, and the controls of the view."""
 
 from collections.abc import Callable
 from functools import partial

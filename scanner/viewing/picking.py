@@ -38,7 +38,7 @@ class Picked:
     points: tuple[int, ...] = ()
 
     def with_point(self, point: int) -> "Picked":
-        """Add a point. After three points, or at a point that is already picked, start anew with this one."""
+        """Add a point. After three points, or at a point that is already picked, start again with this one."""
         begins = len(self.points) == _MOST or point in self.points
         return Picked(self.cloud, (point,) if begins else (*self.points, point))
 

@@ -1,7 +1,7 @@
-"""Files of results under addresses of the page's own server, so that a report opens with its links and pictures.
+"""Files of results at addresses of the page's server, so that a report opens with its links and pictures.
 
-Only files in folders that were offered are answered, whatever the address says. A result may be a stranger's: its pages
-run no script but the report's own viewer, and load nothing; everything else is downloaded, never shown.
+Only files in offered folders are served, for any address. A result may be of unknown origin: its pages run only the
+report's own viewer script, and load nothing; everything else is downloaded, never shown.
 """
 
 import http

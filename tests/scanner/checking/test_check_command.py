@@ -134,7 +134,7 @@ def test_without_a_finding_nothing_is_written(
     finding(monkeypatch, (), DeviceError("gone"))
     assert run("--config", path, "--write") == 3
     assert path.read_text() == before
-    assert "as it was" in capsys.readouterr().out
+    assert "is unchanged" in capsys.readouterr().out
     assert not path.with_name("room.yaml.bak").exists()
 
 
