@@ -1,1 +1,1 @@
-"""Live clouds: a short sequence repeated, decoded in parallel with the capture; kept clouds become stations."""
+"""Live clouds from a short sequence, decoded during the capture; kept clouds become stations."""
