@@ -243,7 +243,7 @@ class GPhotoCamera:
 
     def _widget(self, names: Sequence[str]) -> tuple[Any, Any] | None:
         """The camera's configuration, and its widget with the first of these names that exists; None if none does."""
-        with self._errors("does not tell its settings"):
+        with self._errors("does not list its settings"):
             config = self._camera.get_config()
         for name in names:
             with suppress(self._gp.GPhoto2Error):

@@ -220,31 +220,31 @@ class SimulatedRigSettings(BaseModel):
         description="Strength of the projector's sharpening (unsharp mask, 1 px).",
     )
     panel: PanelSettings = Field(
-        default=PanelSettings(), description="{scale: …, keystone: …, …}: the projector changes the picture's shape."
+        default=PanelSettings(),
+        description="{scale: …, keystone: …, …}: the projector scales, corrects or mirrors the picture.",
     )
     light: LightSettings = Field(
-        default=LightSettings(), description="{frame: …, ambient: …}: the light in the room is switched."
+        default=LightSettings(), description="{frame: …, ambient: …}: the ambient light is switched."
     )
     passer: PasserSettings = Field(
-        default=PasserSettings(), description="{width_m: …, first_frame: …, last_frame: …}: somebody goes past."
+        default=PasserSettings(),
+        description="{width_m: …, first_frame: …, last_frame: …}: a person walks through the view.",
     )
     pushed: PushedSettings = Field(
         default=PushedSettings(), description="{width_m: …, frame: …, by_m: …}: a box is pushed aside."
     )
     board: BoardSettings = Field(
         default=BoardSettings(),
-        description="{square_m: …, pose: …}: a board is held before the rig; with on_floor: true it lies on the floor.",
+        description="{square_m: …, pose: …}: a board is held in front of the rig, or on the floor (on_floor: true).",
     )
     thing: ThingSettings = Field(
         default=ThingSettings(),
-        description="{kind: …, size_m: …, steps: …}: the rig looks at a thing, not into a room.",
+        description="{kind: …, size_m: …, steps: …}: the rig sees a thing instead of a room.",
     )
     bump: BumpSettings = Field(
-        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is knocked against once."
+        default=BumpSettings(), description="{device: …, frame: …, px: …}: a device is bumped once."
     )
-    drift: DriftSettings = Field(
-        default=DriftSettings(), description="{device: …, px_per_frame: …}: a device turns slowly."
-    )
+    drift: DriftSettings = Field(default=DriftSettings(), description="{device: …, px_per_frame: …}: a device drifts.")
     projector_blur_px: float = Field(
         0.5, ge=0.0, le=4.0, description="Standard deviation of the projector's blur, in its pixels."
     )
@@ -266,7 +266,7 @@ class SimulatedRigSettings(BaseModel):
 
     @property
     def places(self) -> int:
-        """How many there are."""
+        """Number of poses of the rig."""
         if self.thing.kind != "none":
             return self.thing.steps
         return self.stations if self.room == "whole" else _PLACES_BEFORE_A_CORNER
@@ -279,7 +279,7 @@ class SimulatedRigSettings(BaseModel):
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame."""
+        """Bytes per pixel of a frame."""
         return 1 if self.bit_depth == 8 else 2
 
 
@@ -287,11 +287,11 @@ USUAL_EXPOSURE_US = 2e6 / 60  # two refresh periods of most projectors
 
 
 class CameraRigSettings(BaseModel):
-    """What all rigs of real devices have: a projector that is a screen, and a camera that a backend reaches."""
+    """Settings of every rig of real devices: a projector that is a screen, and a camera of a backend."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    slow: ClassVar[bool] = False  # it takes a second a frame, or longer
+    slow: ClassVar[bool] = False  # a frame takes a second or longer
 
     backend: str
     exposure_us: float | None = None
@@ -307,10 +307,10 @@ class CameraRigSettings(BaseModel):
 
     @property
     def has_gain(self) -> bool:
-        """Whether it can be asked for."""
+        """Whether the gain can be set."""
         return True
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of a frame."""
+        """Bytes per pixel of a frame."""
         return 3

@@ -1,4 +1,4 @@
-"""For all tests."""
+"""Fixtures of all tests."""
 
 import os
 import shutil
@@ -46,7 +46,7 @@ _FLAGS = (
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator["Browser"]:
-    """The system's Chromium without a window: one for all tests of pages, which form a group for that."""
+    """Chromium without a window, shared by all tests of pages, which run in one group for that."""
     driver = pytest.importorskip("playwright.sync_api", reason="pages are tested with Playwright")
     chromium = next(filter(None, map(shutil.which, _NAMES)), None)
     if chromium is None:

@@ -1,4 +1,4 @@
-"""Finds in the results all comparisons that a peer won against the refined method."""
+"""All comparisons in which a peer is better than the refined method."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -12,7 +12,7 @@ _NOWHERE = "Nothing that was compared did better anywhere."
 
 
 def where_peers_are_better(results: Results) -> str:
-    """A list with a line for each comparison that a peer won."""
+    """A list with a line for each such comparison."""
     own = results.read("table1")
     found = [
         *_intrinsics(own, results.read("table1-two-views")),

@@ -1,4 +1,4 @@
-"""docs/results.md: everything that was measured, with the paper's figures beside it. No number in it is typed."""
+"""docs/results.md: all results beside the paper's. Every number comes from the results."""
 
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ _TEMPLATES = Environment(
 
 
 def write_page(page: Path, images: Path, results: Results) -> None:
-    """Write the page and its pictures of what was measured; what was not is named. Raises OSError."""
+    """Write the page and its pictures; missing results are named. Raises OSError."""
     text, pictures = render(results)
     images.mkdir(parents=True, exist_ok=True)
     for name, svg in pictures.items():
@@ -36,7 +36,7 @@ def write_page(page: Path, images: Path, results: Results) -> None:
 
 
 def render(results: Results) -> tuple[str, Pictures]:
-    """The page as Markdown, and its pictures by file name. Raises ValueError if nothing was measured."""
+    """The page as Markdown, and its pictures by file name. Raises ValueError without results."""
     parts = {name: results.read(name) for name in EXPERIMENTS}
     absent = [name for name, found in parts.items() if not found]
     if len(absent) == len(EXPERIMENTS):
@@ -59,7 +59,7 @@ def render(results: Results) -> tuple[str, Pictures]:
 
 
 def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
-    """What the template is given of each experiment; adds to the pictures."""
+    """Values of the template for each experiment; adds to the pictures."""
     own, many_views = parts["table1"], parts["table1-many-views"]
     context: dict[str, Any] = {
         "table_1": table_1(own, many_views) if own else "",

@@ -1,4 +1,4 @@
-"""Figures 7 and 8 and the curves beyond the paper, on the page."""
+"""Figures 7 and 8 and the additional curves, on the page."""
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def _peers(parts: Parts) -> list[str]:
 
 
 def beyond(parts: Parts) -> tuple[str, Pictures]:
-    """A curve for each thing that was varied. The numbers are in `results/beyond.json`."""
+    """A curve for each varied quantity. Values are in `results/beyond.json`."""
     pictures, texts = {}, []
     for name in (name for name in CURVES if name in parts):
         curve, points = CURVES[name], parts[name]["points"]
@@ -67,6 +67,6 @@ def beyond(parts: Parts) -> tuple[str, Pictures]:
 
 
 def ratios_to_bound(parts: Parts) -> list[float]:
-    """Median error of the refined method over the bound, at all points where it was told the truth."""
+    """Median error of the refined method over the bound, at all points with correct prior knowledge."""
     there = [point for name, part in parts.items() if name != "principal point" for point in part["points"]]
     return [float(np.divide(point["refined"], point["bound"])) for point in there if point["refined"] is not None]

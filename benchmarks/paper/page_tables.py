@@ -121,7 +121,7 @@ def table_3(parts: Parts) -> tuple[str, Pictures]:
 
 
 def mean_error(method: str) -> Callable[[Figures], float | None]:
-    """Takes the figures of a part to the mean absolute error of a method in it."""
+    """Function from the values of a part to the mean absolute error of a method."""
     return lambda figures: mean_size(figures[method])
 
 

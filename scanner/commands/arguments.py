@@ -79,7 +79,7 @@ def of_batch(parser: ArgumentParser) -> None:
         help="folder that contains captures; or a pattern with *; or a list (.csv) with a column 'capture'",
     )
     add_config(parser, required=False)
-    add_calibration(parser, kind=str)  # may be far away, as the captures
+    add_calibration(parser, kind=str)  # may be remote, as the captures
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="memory of each process, as in 4GB (default: an equal share)")
@@ -149,7 +149,7 @@ def of_patterns(parser: ArgumentParser) -> None:
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)  # argparse tells of what is no number
+    seconds = float(text)  # argparse reports text that is no number
     if not 0 <= seconds <= _LONGEST_WATCH_S:
         raise ArgumentTypeError(f"expected 0 to {_LONGEST_WATCH_S:.0f} seconds, found {text}")
     return seconds

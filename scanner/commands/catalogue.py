@@ -140,7 +140,7 @@ overlap by half. The static background, such as table and wall, is recognised an
 --config FILE --object --stations N --calibration FILE.
 
 Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
-station could as well be turned otherwise, as of a ball.
+rotation is ambiguous, as for a ball.
 """,
     ),
     "live": Command(

@@ -12,7 +12,7 @@ from scanner.configuration import load_config, set_keys
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
 
-# Of a microsecond no camera knows more, and of the light no average.
+# Significant digits: cameras set whole microseconds, and averages are no more accurate.
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
 
 
@@ -38,7 +38,7 @@ def run(args: Namespace) -> None:
 
 
 def _write(path: Path, report: CheckReport) -> str:
-    """Put what was found out into the configuration file; what to tell of it. Raises InputError."""
+    """Write the findings into the configuration file; returns a sentence about it. Raises InputError."""
     values: dict[str, object] = {}
     if report.exposure_us is not None:
         values["rig.exposure_us"] = round(report.exposure_us, _EXPOSURE_DIGITS)

@@ -46,7 +46,7 @@ def run(args: Namespace) -> None:
         for path in figure:
             write_figure(path, measured)
     if not measured.pictured:
-        (out / FIGURE_FILE).unlink(missing_ok=True)  # an earlier measurement's
+        (out / FIGURE_FILE).unlink(missing_ok=True)  # of an earlier measurement
     terminal.show(measured.scene.sentence, *tables(measured))
     if args.shares:
         terminal.show(shares_table(measured))

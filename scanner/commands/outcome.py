@@ -19,9 +19,9 @@ from scanner.ui import Terminal
 
 
 def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[str] = ()) -> None:
-    """Print the summary of a result that was published at `out`, what matters most last.
+    """Print the summary of a result that was published at `out`, the most important last.
 
-    `remarks` are the command's own, beside the scan's.
+    `remarks`: of the command, in addition to the scan's.
     """
     calibration, truth = scan.newest.calibration, scan.newest.decoded.metadata.truth
     terminal.show(calibration_table(calibration, truth))

@@ -1,4 +1,4 @@
-"""Sections of a configuration: what may be said of each device, of the patterns and of the scene."""
+"""Sections of a configuration: devices, patterns and scene."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The examples of docs/api.md run, and the names that it lists are there, and only when they are asked for."""
+"""The examples of docs/api.md run, and the listed names exist and are imported on demand."""
 
 import re
 import subprocess
