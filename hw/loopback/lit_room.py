@@ -27,5 +27,5 @@ class LitRoom:
         add up. The first projector's are with the ambient light.
         """
         renderer = self._rooms[number].renderer
-        light = renderer.thrown(renderer.picture.linear(picture))
+        light = renderer.projected(renderer.picture.linear(picture))
         return self.brightest.sensor.electrons(light if number else light + renderer.ambient)

@@ -20,7 +20,7 @@ from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCa
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.timed_rig import Tally, TimedRig
-from hw.timing.trigger_schedule import pace
+from hw.timing.trigger_schedule import AT_REST, pace
 
 log = logging.getLogger(__name__)
 
@@ -93,15 +93,21 @@ class _LastMode:
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(TimedRig):
     """A rig with triggered cameras, which expose together. Acquisition is pipelined where that works and each camera
-    takes one frame of each picture; otherwise it is sequential.
+    takes one frame of each picture; otherwise it is sequential. `verified` repeats frames that contain another picture,
+    in either mode.
     """
 
     lost_advice = LOST_ADVICE
 
     timing: Timing
     sequential: SequentialAcquisition
-    pipelined: PipelinedAcquisition | None = None
+    verified: PipelinedAcquisition | None = None
     _last_mode: _LastMode = field(default_factory=_LastMode)
+
+    @property
+    def pipelined(self) -> PipelinedAcquisition | None:
+        """The pipelined acquisition, if it works with these devices."""
+        return self.verified if self.verified is not None and self.verified.rhythm.pipelines else None
 
     @property
     def latency_s(self) -> float:
@@ -125,10 +131,11 @@ class SynchronisedRig(TimedRig):
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frames]:
-        pipelined = self.pipelined if (level or unpaired) and not exposures_us else None
-        self._last_mode.pipelined = pipelined is not None and pipelined.possible
-        if pipelined is not None and self._last_mode.pipelined:
-            return pipelined.frames(images, level, unpaired)
+        verified = self.verified if (level or unpaired) and not exposures_us else None
+        if verified is not None and verified.possible:
+            self._last_mode.pipelined = verified.rhythm.pipelines
+            return verified.frames(images, level, unpaired)
+        self._last_mode.pipelined = False
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
@@ -160,18 +167,20 @@ def synchronised(
     """
     cameras = CameraGroup([camera, *(other for other, _ in others)])
     calibration = LatencyCalibration(projector, cameras)
-    pipelined: PipelinedAcquisition | None = None
-    if cameras.has_clock:
+    if not cameras.has_clock:  # flashes measure nothing if the begin of exposures is unknown
+        timing = _rehearsed_sequential(calibration, projector, cameras, LONGEST_LATENCY_S)
+        light = f"within {1e3 * timing.delay_s:.0f} ms (waited for)"
+    else:
         measured = calibration.latency()
         timing = _rehearsed_sequential(calibration, projector, cameras, measured.latest_s)
-        sequential = SequentialAcquisition(projector, cameras, timing)
-        if isfinite(cameras.wait_s):
-            pipelined = _rehearsed_pipelined(calibration, measured, projector, cameras, sequential)
-        found = {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
-    else:  # flashes measure nothing if the begin of exposures is unknown
-        timing = _rehearsed_sequential(calibration, projector, cameras, LONGEST_LATENCY_S)
-        sequential = SequentialAcquisition(projector, cameras, timing)
-        found = {"light after a flip": f"within {1e3 * timing.delay_s:.0f} ms (waited for)"}
+        light = f"{1e3 * timing.latency_s:.1f} ms (measured)"
+    sequential = SequentialAcquisition(projector, cameras, timing)
+    verified = None
+    if cameras.has_clock and isfinite(cameras.wait_s):
+        verified = _rehearsed_pipelined(calibration, measured, projector, cameras, sequential)
+    if verified is None:
+        verified = PipelinedAcquisition(projector, cameras, sequential, AT_REST, calibration.sums)
+    found = {"light after a flip": light}
     return SynchronisedRig(
         projector,
         camera,
@@ -180,5 +189,5 @@ def synchronised(
         others=tuple(Rig(projector, other, known | found, refresh_hz) for other, known in others),
         timing=timing,
         sequential=sequential,
-        pipelined=pipelined,
+        verified=verified,
     )
