@@ -102,7 +102,9 @@ def test_each_projector_shows_its_sequence_once(taken: Path) -> None:
         assert len(left.patterns) > 20
 
 
-def test_a_camera_that_fails_costs_nothing_that_was_captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_failure_keeps_the_frames_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole, grabbed = SimulatedCamera.grab, list[SimulatedCamera]()
 
     def failing(camera: SimulatedCamera) -> Frame:
@@ -113,6 +115,7 @@ def test_a_camera_that_fails_costs_nothing_that_was_captured(tmp_path: Path, mon
 
     monkeypatch.setattr(SimulatedCamera, "grab", failing)
     assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 3
+    assert "0 of 2 captures are complete" in capsys.readouterr().err
     (kept,) = tmp_path.glob("out-incomplete*")
     found = {each.parent.name: open_capture(each) for each in kept.glob("captures/*/capture")}
     assert {*found} == {"left-stage", "right-stage"}
