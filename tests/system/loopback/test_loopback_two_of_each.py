@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from calib.numerics import Image
+from calib.refusal import RefusalError
 from hw import real_devices
 from hw.aravis import backend as aravis
 from hw.loopback.launcher import loopback_network, own_addresses
@@ -21,6 +22,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
+from scanner.networks import job
 from tests.support.loopback_bench import Keeper, wrong_frames
 
 pytestmark = pytest.mark.xdist_group("loopback")
@@ -75,12 +77,18 @@ def counted(device: Callable[..., Any], opened: list[str]) -> Callable[..., Any]
     return noted
 
 
+def not_solved(*_: object) -> None:
+    """What comes after the captures takes long, and is the same for captures of every kind."""
+    raise RefusalError("captured only", "")
+
+
 def test_a_network_of_two_cameras_and_two_projectors(
     tmp_path: Path, keeper: Keeper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if len(own_addresses()) < len(CAMERAS):
         pytest.skip("a second GigE Vision camera needs a second address: this computer has no network")
     keeper.end()  # it has the address of the first camera
+    monkeypatch.setattr(job, "solve_network", not_solved)
     opened: list[str] = []
     for module, name in ((real_devices, "ScreenProjector"), (aravis.load(), "AravisCamera")):
         monkeypatch.setattr(module, name, counted(getattr(module, name), opened))
@@ -117,12 +125,12 @@ def test_a_network_of_two_cameras_and_two_projectors(
             code = main(["network", "--config", str(config), "--out", str(tmp_path / "hall"), "--quiet"])
     late = max(late_s) > _PUNCTUAL_S
     print(f"This computer was late by up to {1e3 * max(late_s):.0f} ms.")
-    assert code == 0 or (late and code == 3)  # where frames come late eight times in a row, a scan ends
+    assert code == 4 or (late and code == 3)  # where frames come late eight times in a row, a scan ends
     frames = {
         first.parents[2].name: open_capture(first.parents[1])
         for first in tmp_path.glob("hall*/captures/*/capture/frames/000.png")
     }
-    if code == 0:
+    if code == 4:
         assert sorted(opened) == ["AravisCamera"] * 2 + ["ScreenProjector"] * 2
         assert {*frames} == {f"{camera}-{projector}" for camera in CAMERAS for projector in PROJECTORS}
         assert all(capture.patterns == capture.planned for capture in frames.values())
