@@ -84,8 +84,8 @@ class StagedProgress:
         usual_s = self._durations_s.get(what)
         self._tell(Stage(what, 0, total, began_s, usual_s))
         for done, item in enumerate(items, start=1):
-            if isinstance(item, tuple) and isinstance(item[-1], Frame):  # (pattern, frame)
-                self._on_frame(item[-1])
+            for frame in _frames_in(item):
+                self._on_frame(frame)
                 frames = True
             yield item
             self._tell(Stage(what, done, total, began_s, usual_s))
@@ -106,6 +106,16 @@ class StagedProgress:
         if self._cancelled.is_set():
             raise CancelledError("cancelled")
         self._on_stage(stage)
+
+
+def _frames_in(item: object) -> Iterator[Frame]:
+    """That of (pattern, frame), or those of one such tuple for each camera."""
+    if isinstance(item, tuple):
+        for part in item:
+            if isinstance(part, Frame):
+                yield part
+            else:
+                yield from _frames_in(part)
 
 
 def durations_in(path: Path) -> Mapping[str, float]:
