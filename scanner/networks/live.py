@@ -13,9 +13,10 @@ from hw.settings import CameraRigSettings
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
+from scanner.networks.sights import OnSight, Sight, Watched, nobody
 from scanner.pipeline import take
 from scanner.results import CAPTURES_FOLDER, Decoded
-from scanner.ui import Terminal
+from scanner.ui import Progress
 
 
 def pairs_to_take(config: Config) -> dict[Pair, Config]:
@@ -39,13 +40,15 @@ def pairs_to_take(config: Config) -> dict[Pair, Config]:
     return pairs
 
 
-def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -> Captures:
+def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, on_sight: OnSight = nobody) -> Captures:
     """Capture each pair in turn, each recorded in a folder of its own, while all other projectors show black.
 
     Raises DeviceError, StorageError; what was captured before stays.
     """
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
+    for pair in pairs:
+        on_sight(Sight(*pair), None)
     for projector, alike in groupby(pairs, key=lambda pair: pair[1]):
         with _others_black(pairs, projector):
             for camera, _ in alike:
@@ -53,8 +56,10 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -
                 place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
                 place.mkdir(parents=True)
                 name = f"{camera} sees {projector} ({len(decoded) + 1} of {len(pairs)})"
-                taken = take(config.required_rig, config, place, terminal, name)
-                decoded[camera, projector] = labelled(taken, config)
+                with Watched([(camera, projector)], progress, on_sight) as watched:
+                    taken = take(config.required_rig, config, place, watched, name)
+                    decoded[camera, projector] = labelled(taken, config)
+                    watched.decoded((camera, projector), taken)
                 sizes |= {camera: config.camera_size, projector: config.projector_size}
     return Captures(decoded, sizes)
 

@@ -8,7 +8,7 @@ from threading import Lock
 import viser
 
 from calib.numerics import Floats
-from scanner.results import REFUSAL_FILE, Verdict, read_verdict
+from scanner.results import Verdict, verdict_of
 from scanner.ui import failure_of
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
@@ -86,16 +86,25 @@ class ResultPanel:
             self._scene.show(some)
             self._scene.draw_points(1.0, Colouring.CAMERA, whole(some))
 
-    def open_refused(self, folder: Path) -> None:
-        """Show why a capture was refused, in place of the last result. Raises InputError."""
-        verdict = read_verdict(folder / REFUSAL_FILE)
+    def open_verdict(self, folder: Path, cloud: ViewedCloud | None = None) -> None:
+        """Show why a capture was refused, or a network with its cloud, in place of the last result.
+
+        Raises InputError.
+        """
+        verdict = verdict_of(folder)
         with self._lock, self._place:
             self._remove()
             self._scene.clear()
             with self._folder(f"Result: {folder.name}"):
                 self._gui.add_markdown(verdict_text(verdict))
                 add_files(self._gui, folder, self._link)
+            if cloud is not None:
+                with self._folder("View"):
+                    controls = ViewControls(self._gui, self._scene, cloud, folder.name)
+                self._scene.show(cloud)
             self._add_notes(verdict)
+        if cloud is not None:
+            controls.draw()
 
     def _add_notes(self, verdict: Verdict | None) -> None:
         if text := notes_text(verdict):

@@ -244,6 +244,68 @@ def test_closing_cancels_and_tells_how_it_ended(worker: Worker, tmp_path: Path) 
     assert "scans/wall-incomplete/capture" in worker.close().message
 
 
+NETWORK = f"{CONFIG}rigs: {{cameras: {{left: {{}}, right: {{}}}}, projectors: {{stage: {{}}}}}}\n"
+
+
+def test_a_device_of_a_network_that_fails_is_named_and_costs_no_capture(
+    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path
+) -> None:
+    (tmp_path / "wall.yaml").write_text(NETWORK)
+    wall.fails_after = 60
+    worker.request(Activity.NETWORK)
+    until(lambda: worker.status.message)
+    assert worker.status.message.splitlines() == [
+        "camera: it went away. Check the cable.",
+        "This was right in the light of stage.",
+        "What was captured so far is kept in scans/wall-incomplete/captures: 1 of 2 captures are whole, and scan "
+        "network takes those.",
+    ]
+    left, right = ([sight for sight in page.sights if sight.camera == name] for name in ("left", "right"))
+    assert [sight.text for sight in (left[0], right[0])] == ["waiting", "waiting"]
+    frames = left[1].total
+    assert [sight.done for sight in left[1:-1]] == list(range(1, frames + 1))
+    assert left[-1].share is not None
+    assert 2 <= right[-2].done < frames
+    assert right[-1].text == "failed: camera: it went away. Check the cable."
+    assert page.results == []
+
+
+def test_each_camera_of_a_network_is_looked_at_in_turn_until_one_is_chosen(
+    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_module, "_TURN_S", 0.1)
+    (tmp_path / "wall.yaml").write_text(NETWORK)
+    worker.request(Activity.LIVE)
+    until(lambda: {*page.cameras} == {"left", "right"})
+    worker.change(pair=("right", "stage"))
+    until(lambda: page.cameras[-3:] == ["right"] * 3)
+    opened = wall.opened
+    worker.change(exposure_us=30_000.0)
+    until(lambda: page.frames[-1].exposure_us == 30_000.0)
+    assert wall.opened == opened
+
+
+@pytest.mark.parametrize(
+    ("config", "distance", "activity", "message"),
+    [
+        (CONFIG, "", Activity.NETWORK, "the configuration has no 'rigs': name a network's devices, as in rigs: {"),
+        (NETWORK, "lefft,stage,2m", Activity.NETWORK, "no device is called 'lefft'; there are left, right, stage"),
+        (NETWORK, "left,stage", Activity.NETWORK, "expected two devices and a length"),
+        (NETWORK, "", Activity.SCANNING, "wall.yaml names several devices: choose a camera and a projector"),
+        (NETWORK.replace("right: {}", "right: {rig: {poze: 1}}"), "", Activity.NETWORK, "did you mean 'rig.pose'?"),
+    ],
+)
+def test_what_no_network_can_be_captured_with_is_said_before(
+    config: str, distance: str, activity: Activity, message: str, worker: Worker, wall: Wall, tmp_path: Path
+) -> None:
+    (tmp_path / "wall.yaml").write_text(config)
+    worker.change(distance=distance)
+    worker.request(activity)
+    until(lambda: worker.status.message)
+    assert message in worker.status.message
+    assert wall.opened == 0
+
+
 def test_requests_come_one_at_a_time(worker: Worker, page: Notebook) -> None:
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.activity is Activity.SCANNING)
