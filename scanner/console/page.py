@@ -18,10 +18,9 @@ from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
 from scanner.networks.sights import Sight
-from scanner.results import NETWORK_FILE, REFUSAL_FILE, Scan
+from scanner.results import REFUSAL_FILE, Scan
 from scanner.viewing.first_look import first_look
-from scanner.viewing.panel import ResultPanel
-from scanner.viewing.result import ViewedResult, network_cloud
+from scanner.viewing.panel import ResultPanel, reading
 from scanner.viewing.scale import KnownScale
 from scanner.viewing.server import Serving, add_style
 
@@ -152,10 +151,8 @@ class ConsolePage:
     def _open(self, folder: Path) -> None:
         if (folder / REFUSAL_FILE).is_file():
             self._result.open_verdict(folder)
-        elif (folder / NETWORK_FILE).is_file():
-            self._result.open_verdict(folder, network_cloud(folder))
         else:
-            self._result.open(ViewedResult(folder))
+            reading(folder)(self._result)
         self._turn_to_result()
 
     def _turn_to_result(self) -> None:

@@ -20,7 +20,7 @@ _LABEL_HEIGHT = 18
 def network_graph(sights: Sequence[Sight]) -> Markup:
     """Draw an edge for each pair, as wide as the part of its picture that the camera sees; dashed until that is known.
 
-    Without a style of the page's, but for a background `--page`; `sights` of at least one pair.
+    `sights` are of at least one pair. A page may give its colours as `--page`, `--accent` and `--second`.
     """
     cameras, projectors = (list(dict.fromkeys(names)) for names in zip(*map(_names, sights), strict=True))
     left, right = (_margin(names) for names in (cameras, projectors))
@@ -62,9 +62,9 @@ def _row(names: Sequence[str], name: str, height: float) -> float:
 
 def _stroke(sight: Sight) -> str:
     if sight.failure:
-        return f'stroke="{css_colour(VERMILION)}" stroke-width="2" stroke-dasharray="2 4"'
+        return f'style="stroke: var(--second, {css_colour(VERMILION)})" stroke-width="2" stroke-dasharray="2 4"'
     if sight.share is not None:
-        return f'stroke="{css_colour(BLUE)}" stroke-width="{1 + 9 * sight.share:.1f}" stroke-opacity="0.75"'
+        return f'style="stroke: var(--accent, {css_colour(BLUE)})" stroke-width="{1 + 9 * sight.share:.1f}"'
     return f'stroke="currentColor" stroke-width="{2 if sight.done else 1}" stroke-dasharray="5 5" stroke-opacity="0.6"'
 
 

@@ -8,19 +8,21 @@ from threading import Lock
 import viser
 
 from calib.numerics import Floats
-from scanner.results import Verdict, verdict_of
+from scanner.results import NETWORK_FILE, Verdict, verdict_of
 from scanner.ui import failure_of
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import whole
 from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
+from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import Scene
 from scanner.viewing.texts import bold, calibration_text, corner_text, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls
 
 LinkTo = Callable[[Path], str]
+Show = Callable[["ResultPanel"], None]
 
 
 class ResultPanel:
@@ -139,3 +141,13 @@ class ResultPanel:
         clicking = self._clicking
         if clicking is not None:
             clicking.pick(origin, direction)
+
+
+def reading(folder: Path) -> Show:
+    """Read a result; returns what shows it on a panel. Raises InputError if it is none, or refused, or damaged."""
+    if (folder / NETWORK_FILE).is_file():
+        cloud = network_cloud(folder)
+        return lambda panel: panel.open_verdict(folder, cloud)
+    result = ViewedResult(folder)
+    result.cloud(result.names[0])
+    return lambda panel: panel.open(result)

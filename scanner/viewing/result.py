@@ -14,7 +14,7 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
 from scanner.errors import InputError
-from scanner.io import read_calibration, read_cloud, read_network, read_poses
+from scanner.io import read_calibration, read_cloud, read_poses
 from scanner.measuring import Scene as MeasuredScene
 from scanner.measuring import read_scene
 from scanner.quantities import FACE_NAMES, device_names
@@ -23,8 +23,6 @@ from scanner.results import (
     CALIBRATION_FILE,
     CAPTURES_FOLDER,
     MERGED_FILE,
-    NETWORK_CLOUD_FILE,
-    NETWORK_FILE,
     POSES_FILE,
     TRUTH_FILE,
     FinishedRoom,
@@ -47,12 +45,15 @@ _AT_ONCE = 100_000  # covariances are large
 
 @dataclass(frozen=True)
 class PlacedRig:
-    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's."""
+    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's, if
+    there is one. `names` of camera and projector, where they have any.
+    """
 
     calibration: Calibration
     rotation: Floats
     position: Floats
-    picture: NDArray[np.uint8]
+    picture: NDArray[np.uint8] | None
+    names: tuple[str, str] | None = None
 
     @property
     def projector_centre(self) -> Floats:
@@ -244,14 +245,6 @@ class ViewedResult:
         """
         path = self.folder / POSES_FILE
         return read_poses(path, len(self._captures))[::-1] if path.is_file() else [None] * len(self._captures)
-
-
-def network_cloud(folder: Path) -> ViewedCloud:
-    """The cloud of several cameras and projectors, in the frame of the first. Raises InputError."""
-    cloud, unit = read_cloud(folder / NETWORK_CLOUD_FILE), read_network(folder / NETWORK_FILE).unit
-    if not len(cloud):
-        raise InputError(f"{folder / NETWORK_CLOUD_FILE}: the cloud is empty")
-    return ViewedCloud(cloud.points, cloud.normals, cloud.colours, (), None, _up(None), unit, "camera")
 
 
 def _up(corner: MeasuredCorner | None) -> Floats:
