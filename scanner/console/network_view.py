@@ -15,7 +15,7 @@ from scanner.console.worker import Activity, Status
 from scanner.errors import InputError
 from scanner.networks.captures import Pair
 from scanner.networks.graph import network_graph
-from scanner.networks.sights import Sight
+from scanner.networks.sights import Sight, in_light
 from scanner.rendering import jpeg_uri
 
 _EVERY_S = 0.3
@@ -65,7 +65,7 @@ class NetworkView:
             self._folder.visible = bool(pairs)
             if pairs:
                 self._draw()
-        self._pair.options = (_IN_TURN, *map(_words, pairs))
+        self._pair.options = (_IN_TURN, *(in_light(*pair) for pair in pairs))
         self._on_network(bool(pairs))
         if settings.pair is not None and settings.pair not in pairs:
             self._pair.value = _IN_TURN
@@ -114,7 +114,7 @@ class NetworkView:
 
     @property
     def _chosen(self) -> Pair | None:
-        return next((pair for pair in self._sights if _words(pair) == self._pair.value), None)
+        return next((pair for pair in self._sights if in_light(*pair) == self._pair.value), None)
 
     def _is_due(self, what: str, now_s: float) -> bool:
         due = now_s - self._drawn_s.get(what, 0.0) >= _EVERY_S
@@ -135,7 +135,3 @@ class NetworkView:
             done, total = sum(sight.done for sight in sights), sum(sight.total or most for sight in sights)
             stages.append(Stage(projector, done, total, self._began_s.get(projector, time.monotonic())))
         return stages if self._began_s else []
-
-
-def _words(pair: Pair) -> str:
-    return Sight(*pair).name

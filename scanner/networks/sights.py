@@ -40,7 +40,7 @@ class Sight:
     @property
     def name(self) -> str:
         """Which pair it is."""
-        return f"{self.camera} in the light of {self.projector}"
+        return in_light(self.camera, self.projector)
 
     @property
     def text(self) -> str:
@@ -50,6 +50,11 @@ class Sight:
         if self.share is not None:
             return f"{percent(self.share)} of its picture"
         return f"{self.done} of {self.total} frames" if self.done else "waiting"
+
+
+def in_light(camera: str, projector: str) -> str:
+    """A pair in words."""
+    return f"{camera} in the light of {projector}"
 
 
 OnSight = Callable[[Sight, Frame | None], object]  # with the frame that has just been taken, if one has
@@ -99,7 +104,8 @@ class Watched:
 
     @property
     def _names(self) -> str:
-        return " and ".join(sight.name for sight in self._sights.values())
+        cameras, projectors = (" and ".join(dict.fromkeys(names)) for names in zip(*self._sights, strict=True))
+        return in_light(cameras, projectors)
 
     def _tell(self, sight: Sight, frame: Frame | None = None) -> None:
         self._sights[sight.camera, sight.projector] = sight

@@ -4,7 +4,7 @@ import base64
 import threading
 import time
 import wave
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +21,11 @@ from scanner.console.progress import CancelledError, Stage, StagedProgress, dura
 from scanner.console.settings import Picture, Settings, plain_name
 from scanner.console.sound import chime
 from scanner.console.worker import Activity, Status, Worker
+from scanner.networks.captures import Pair
+from scanner.networks.sights import OnSight, Watched
+from scanner.patterns import White
 from scanner.results.stated_uncertainty import read_verdict
+from scanner.ui import Progress
 from tests.support.notebook import Notebook, until
 
 SIZE = (32, 24)
@@ -247,26 +251,30 @@ def test_closing_cancels_and_tells_how_it_ended(worker: Worker, tmp_path: Path) 
 NETWORK = f"{CONFIG}rigs: {{cameras: {{left: {{}}, right: {{}}}}, projectors: {{stage: {{}}}}}}\n"
 
 
-def test_a_device_of_a_network_that_fails_is_named_and_costs_no_capture(
-    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path
+def test_a_device_of_a_network_that_fails_is_named_in_the_message_and_on_the_page(
+    worker: Worker, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def failing(pairs: Iterable[Pair], _folder: Path, progress: Progress, on_sight: OnSight) -> None:
+        last = [*pairs][-1]
+        with Watched([last], progress, on_sight) as watched:
+            for _ in watched.track(((White(), Frame(np.zeros((2, 2), np.uint8))),) * 3, 4, "Capturing"):
+                pass
+            raise DeviceError("camera: it went away. Check the cable.")
+
+    monkeypatch.setattr("scanner.networks.job.take_pairs", failing)
     (tmp_path / "wall.yaml").write_text(NETWORK)
-    wall.fails_after = 60
     worker.request(Activity.NETWORK)
     until(lambda: worker.status.message)
     assert worker.status.message.splitlines() == [
         "camera: it went away. Check the cable.",
         "This was right in the light of stage.",
-        "What was captured so far is kept in scans/wall-incomplete/captures: 1 of 2 captures are whole, and scan "
-        "network takes those.",
     ]
-    left, right = ([sight for sight in page.sights if sight.camera == name] for name in ("left", "right"))
-    assert [sight.text for sight in (left[0], right[0])] == ["waiting", "waiting"]
-    frames = left[1].total
-    assert [sight.done for sight in left[1:-1]] == list(range(1, frames + 1))
-    assert left[-1].share is not None
-    assert 2 <= right[-2].done < frames
-    assert right[-1].text == "failed: camera: it went away. Check the cable."
+    assert [sight.text for sight in page.sights] == [
+        *("1 of 4 frames", "2 of 4 frames", "3 of 4 frames"),
+        "failed: camera: it went away. Check the cable.",
+    ]
+    stages = [status.stage for status in page.statuses if status.stage]
+    assert Stage("Capturing, right in the light of stage", 3, 4) in stages
     assert page.results == []
 
 
