@@ -216,7 +216,7 @@ def test_a_network_shows_who_sees_whose_light(console: Console) -> None:
     expect(graph).to_have_accessible_name(re.compile("right in the light of stage: waiting"), timeout=PATIENCE_MS)
     visit.page.mouse.click(1000, 900)
     visit.page.keyboard.press("Shift+N")
-    visit.wait_for("left in the light of stage, ")
+    visit.wait_for("in the light of stage, ")
     for camera in ("left", "right"):
         expect(visit.page.get_by_alt_text(f"what {camera} sees")).to_be_visible(timeout=PATIENCE_MS)
     visit.wait_for("devices are one network")
