@@ -53,10 +53,10 @@ class NetworkView:
     def follow(self, settings: Settings) -> None:
         """Show the network of the configuration as it is now; until that can be read, the last one."""
         try:
-            whole = settings.load_whole()
-            pairs = [] if whole.rigs is None else [*whole.pairs]
+            rigs = settings.load_whole().rigs
         except InputError:
             return  # whoever needs it says so
+        pairs = [] if rigs is None else [*rigs.pairs]
         with self._lock:
             if pairs == [*self._sights]:
                 return

@@ -54,12 +54,15 @@ class Settings:
 
     def load_whole(self) -> Config:
         """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
-        changed: list[str] = []
-        if self.exposure_us is not None:
-            changed.append(f"{self.rig_key}.exposure_us={self.exposure_us!r}")
-        if self.gain is not None:
-            changed.append(f"{self.rig_key}.gain={self.gain!r}")
-        return load_config(self.config, [*self.overrides, *changed])
+        whole = load_config(self.config, self.overrides)
+        set_here = {"exposure_us": self.exposure_us, "gain": self.gain}
+        changed = [f"{key}={value!r}" for key, value in set_here.items() if value is not None]
+        if not changed:
+            return whole
+        sections = [self.rig_key]
+        if whole.rigs is not None and self.pair is None:
+            sections = [f"rigs.cameras.{camera}.rig" for camera in whole.rigs.cameras]
+        return load_config(self.config, [*self.overrides, *(f"{each}.{key}" for each in sections for key in changed)])
 
     def load(self) -> Config:
         """The same, or of a network that of the pair. Raises InputError, also if no pair is chosen."""
