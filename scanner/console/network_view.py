@@ -58,13 +58,12 @@ class NetworkView:
             return  # whoever needs it says so
         pairs = [] if rigs is None else [*rigs.pairs]
         with self._lock:
-            if pairs == [*self._sights]:
+            if self._timed or pairs == [*self._sights]:
                 return
             self._sights = {pair: Sight(*pair) for pair in pairs}
             self._began_s, self._pictures = {}, {}
             self._folder.visible = bool(pairs)
-            if pairs:
-                self._draw()
+            self._draw()
         self._pair.options = (_IN_TURN, *(in_light(*pair) for pair in pairs))
         self._on_network(bool(pairs))
         if settings.pair is not None and settings.pair not in pairs:
@@ -74,7 +73,9 @@ class NetworkView:
         """Tell the time that is left for as long as there is any."""
         with self._lock:
             timed = status.activity is Activity.NETWORK
-            if timed != self._timed and self._sights:
+            if timed and not self._timed:
+                self._sights, self._began_s = {}, {}  # those that are captured are about to be told
+            if timed != self._timed:
                 self._timed = timed
                 self._draw()
 
@@ -93,9 +94,8 @@ class NetworkView:
                 self._began_s.setdefault(sight.projector, now_s)
             elif not sight.failure:
                 self._began_s.pop(sight.projector, None)
-            if frame is not None and sight.done < sight.total and not self._is_due("", now_s):
-                return
-            self._draw()
+            if frame is None or self._is_due("", now_s):
+                self._draw()
         if frame is not None:
             self.on_frame(sight.camera, frame, sight.name)
 
@@ -114,7 +114,7 @@ class NetworkView:
 
     @property
     def _chosen(self) -> Pair | None:
-        return next((pair for pair in self._sights if in_light(*pair) == self._pair.value), None)
+        return next((pair for pair in [*self._sights] if in_light(*pair) == self._pair.value), None)
 
     def _is_due(self, what: str, now_s: float) -> bool:
         due = now_s - self._drawn_s.get(what, 0.0) >= _EVERY_S
@@ -124,6 +124,8 @@ class NetworkView:
 
     def _draw(self) -> None:
         sights = [*self._sights.values()]
+        if not sights:
+            return
         self._graph.content = f'<div class="scan-graph">{network_graph(sights)}</div>{failures_html(sights)}'
         self._progress.content = stages_html(self._stages(), timed=self._timed)
 
