@@ -75,9 +75,9 @@ class Watched:
         self._sights = {pair: Sight(*pair) for pair in pairs}
         self._progress, self._on_sight = progress, on_sight
 
-    def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
-        """Pass `items` on, and tell how many went by."""
-        for done, item in enumerate(self._progress.track(items, total, f"{what}, {self._names}"), start=1):
+    def track(self, items: Iterable[T], total: int, _: str) -> Iterator[T]:
+        """Pass `items` on, and tell how many went by, and of which pairs in place of what is done with them."""
+        for done, item in enumerate(self._progress.track(items, total, self._names), start=1):
             for sight, frame in zip([*self._sights.values()], frames_in(item), strict=False):
                 self._tell(replace(sight, done=done, total=total), frame)
             yield item
