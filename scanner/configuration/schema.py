@@ -99,12 +99,14 @@ class Config(Section):
                 "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
+        own = self.rigs
         return {
             (camera, projector): validate(
-                Config, _merged(_merged(common, of_camera), of_projector), f"rigs: {camera} with {projector}"
+                Config,
+                _merged(_merged(common, own.cameras[camera]), own.projectors[projector]),
+                f"rigs: {camera} with {projector}",
             )
-            for projector, of_projector in self.rigs.projectors.items()
-            for camera, of_camera in self.rigs.cameras.items()
+            for camera, projector in own.pairs
         }
 
     @property
