@@ -3,9 +3,9 @@
     python benchmarks/bench_accuracy.py [--seeds 0 1 2] [--presets quick standard concave]
 
 All light transport is on and walls and floor have albedo 0.8. 'Well lit' pixels are lit directly by the projector, with
-all pixels around them, and reach a tenth of the camera's range. The second table is what a calibration sees: the mean
-error of the matches in cells of 16 × 16 camera pixels on walls and floor, root mean square over the cells at a given
-distance from the nearest crease between them.
+all pixels around them, and reach a tenth of the camera's range. The second table concerns calibrations: the mean error
+of the matches in cells of 16 × 16 camera pixels on walls and floor, root mean square over the cells at a given
+distance from the nearest crease.
 """
 
 import argparse
@@ -34,8 +34,8 @@ WELL_LIT = 0.1
 
 @dataclass(frozen=True)
 class Compared:
-    """Per camera pixel (H, W): `error_px` (H, W, 2) and `sigma_px`, NaN without match; `well_lit`; `crease_px`,
-    the distance to the nearest pixel of another face, infinite off the faces.
+    """Per camera pixel (H, W): `error_px` (H, W, 2) and `sigma_px`, NaN without match; `well_lit`; `crease_px`, the
+    distance to the nearest pixel of another face, infinite off the faces.
     """
 
     error_px: Floats
@@ -45,7 +45,7 @@ class Compared:
 
 
 def decoded(room: SimulatedRoom, preset: PresetName) -> tuple[Decoding, int, Image]:
-    """The decoding, the number of frames, and the white one."""
+    """The decoding, the number of frames, and the white frame."""
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
     patterns = PRESETS[preset].patterns(projector.size)

@@ -3,7 +3,7 @@
     python benchmarks/bench_ball.py --seeds 0 1 2 3 --diameters-mm 100 240
 
 The walls are square and known to be, the baseline and the camera's principal point are given. The ball takes no part in
-the calibration; its true diameter and place are known exactly.
+the calibration; its diameter and position are known exactly.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
     python benchmarks/bench_batch.py --captures 1000
 
-The captures are copies of one of a simulated room, of half a second of work each. 'alone': the same work in a loop.
-The overhead is what a capture takes longer on one worker than alone. 'apart': a Dask scheduler and two workers, over
+The captures are copies of one of a simulated room, with half a second of work each. 'alone': the same work in a loop.
+The overhead is the additional time of a capture on one worker. 'apart': a Dask scheduler and two workers, over
 TCP. Keep the machine idle.
 """
 
@@ -36,7 +36,7 @@ _ROOM = (
     "sequence={preset: quick}",
 )
 _ALONE = 40
-# As docs/scale.md has it: Dask's own settings give memory back at once, which costs a quarter of the time.
+# As in docs/scale.md: Dask's defaults return memory at once, which costs a quarter of the time.
 _MEMORY = {"MALLOC_TRIM_THRESHOLD_": "268435456", "MALLOC_MMAP_THRESHOLD_": "33554432"}
 
 
@@ -70,7 +70,7 @@ def _measure(folder: Path, recording: Path, count: int) -> None:
     with _apart() as client:
         _warm(client, jobs[0], folder / "warm", 2)
         rate = _rate(jobs, folder / "apart", DaskWorkers(client))
-        print(f"scheduler and two workers apart: {rate:.2f} a second, {rate / rates[2]:.2f} of two processes here")
+        print(f"scheduler and two separate workers: {rate:.2f} a second, {rate / rates[2]:.2f} of two processes here")
     command = [
         sys.executable,
         "-m",

@@ -2,8 +2,8 @@
 
     python benchmarks/bench_bias.py [--seeds 0 1 2] [--under '{"ambient": 1.0}'] [--exposure 0.25]
 
-Furnished rooms with all light transport on; camera of 612 × 512 pixels, projector of 427 × 240, once as narrow as the
-rig has it (focal length 1.46 widths) and once wide (0.8). Means over the matches of a face, weighted as a calibration
+Furnished rooms with all light transport on; camera of 612 × 512 pixels, projector of 427 × 240, once narrow as in the
+rig (focal length 1.46 widths) and once wide (0.8). Means over the matches of a face, weighted as a calibration
 does, in thousandths of a projector pixel; matches that err by more than five sigmas are left out, as there. 'peer':
 plain least squares on the same frames, without any correction (`conditions/plain_decoder.py`).
 """
@@ -40,7 +40,7 @@ def _nothing(*_: object) -> None:
     return None
 
 
-# What stands in for a correction, by module, object and name.
+# Replacements of corrections, by module, object and name.
 Off = tuple[tuple[str, str, Callable[..., object]], ...]
 SWITCHED_OFF: dict[str, Off] = {
     "all corrections": (),

@@ -1,11 +1,11 @@
-"""Boards: ours against local homographies and OpenCV's stereoCalibrate, on real captures and on made-up ones.
+"""Boards: this program, and local homographies with OpenCV's stereoCalibrate, on real and synthetic captures.
 
 python benchmarks/bench_board.py [--real FOLDER] [--sets 50] [--rendered 8]
 
 Real captures (those of github.com/kamino410/procam-calibration, a chessboard of 9 × 7 corners, squares of 75): the
-stereo error by their own definition, and each board predicted by the others. Made-up ones, whose truth is known: error
-over sigma, and the errors of both beside the Cramér–Rao bound. Rendered ones: six boards before the simulated rig of
-each seed, from the frames on.
+stereo error by their own definition, and each board predicted by the others. Synthetic ones with ground truth: error
+over sigma, and the errors of both beside the Cramér–Rao bound. Rendered ones: six boards in front of the simulated rig
+of each seed, from the frames on.
 """
 
 import argparse
@@ -87,7 +87,7 @@ def _scatter_of_focals(result: FromBoards, peers: list[Corners], sizes: tuple[Si
 
 
 def _own_corners(view: View) -> Corners:
-    """The view's corners with the projector's pixels from the cells of matches around each."""
+    """The view's corners, with projector pixels from the cells of matches around each."""
     side = 1.2 * float(np.sqrt(np.median(np.ptp(view.cells.camera_px, axis=0).prod() / len(view.cells))))
     return local_corners(view.points, view.corners_px, view.cells.camera_px, view.cells.projector_px, 1.5 * side)
 

@@ -2,7 +2,7 @@
 
 python benchmarks/bench_boards_and_corner.py [--rigs 30]
 
-Made-up rigs, whose truth is known: five boards (corners of 0.08 px, matches of 0.1 px) and one capture of a corner
+Synthetic rigs with ground truth: five boards (corners of 0.08 px, matches of 0.1 px) and one capture of a corner
 (20,000 matches of 0.1 px, walls off by 0.3°). Also the
 smallest zoom of the projector in between that is detected.
 """

@@ -1,11 +1,11 @@
-"""How well random corners calibrate: errors, errors in units of their own sigma, and sigmas over the Cramér–Rao bound.
+"""Calibration from random corners: errors, errors over sigmas, and sigmas over the Cramér–Rao bound.
 
     python benchmarks/bench_calibration.py --corners 200 --seed 0
 
 Synthetic matches of the paper's rig (50,000 a capture, 0.1 px of noise), no images. 'error' is the mean absolute error
-of (f_c, f_p, x_p, y_p) relative to their size. An error/sigma of rms 1 says that the sigma is true, a sigma/bound of 1
-that no unbiased method can do better; the bound, which knows of lens terms that are zero in truth, is not computed
-where captures share a corner. The line below is error/sigma, rms, of each of the rig's parameters.
+of (f_c, f_p, x_p, y_p) relative to their size. An error/sigma of rms 1 means that the sigma is true, a sigma/bound of 1
+that no unbiased method can be better. The bound fixes lens terms that are zero in truth, and is not computed for
+captures that share a corner. The line below is error/sigma, rms, of each of the rig's parameters.
 """
 
 import argparse
@@ -29,7 +29,7 @@ PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
 CENTRE = PrincipalPoint(((CAMERA_SIZE[0] - 1) / 2, (CAMERA_SIZE[1] - 1) / 2), 0.03 * CAMERA_SIZE[0])
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 WEAK, STRONG, NONE = (-0.02, -0.01), (-0.06, -0.03), (0.0, 0.0)
-# k1, k2 of camera and projector: the range of ordinary lenses, as of the simulated rig.
+# k1, k2 of camera and projector: the range of ordinary lenses, as in the simulated rig.
 ORDINARY = ((-0.06, -0.005), (-0.01, 0.01)), ((-0.03, 0.01), (-0.01, 0.01))
 NOISE_PX = 0.1
 
@@ -37,7 +37,7 @@ NOISE_PX = 0.1
 @dataclass(frozen=True)
 class Case:
     name: str
-    k1: tuple[float, float] | None = WEAK  # None: k1 and k2 of ordinary lenses, drawn for each corner
+    k1: tuple[float, float] | None = WEAK  # None: k1 and k2 of random ordinary lenses
     point: PrincipalPoint = KNOWN
     off_deg: float = 0.0
     captures: int = 1
@@ -112,7 +112,7 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     values = [calibration.camera.focal_px[0], np.mean(calibration.projector.focal_px)]
     error = np.array([*values, *calibration.projector.principal_point_px]) - truth
     point = np.array(calibration.camera.principal_point_px) - PAPER_CAMERA.principal_point_px
-    if sigma.camera.focal_px is None:  # as of `paper`
+    if sigma.camera.focal_px is None:  # as for `paper`
         return Outcome(seconds, error / truth)
     sigmas = np.array(
         [sigma.camera.focal_px[0], sigma.projector.focal_px[0], *sigma.projector.principal_point_px], np.float64

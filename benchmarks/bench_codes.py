@@ -2,8 +2,8 @@
 
     python benchmarks/bench_codes.py [--bounced 0.5 2.5 4 8]
 
-The made-up scene of the decoder's tests, a box before a wall: what has bounced is the scene's light, blurred over a
-fifth of the picture, as a multiple of the direct light. 'Wrong' are matches that are off by at least two projector px.
+The synthetic scene of the decoder's tests, a box in front of a wall. Interreflection is the scene's light, blurred over
+a fifth of the picture, as a multiple of the direct light. 'Wrong' matches are off by at least two projector px.
 """
 
 import argparse

@@ -4,10 +4,10 @@
     python benchmarks/bench_conditions.py --jobs 2 --write   all of it, an hour or two; writes conditions/results.md
     python benchmarks/bench_conditions.py --only flicker --seeds 3 --sequences gray -v
 
-Each capture is taken of a simulated room, written as a capture folder, and replayed through the command line in this
-process; the principal point is given, and the walls are known to be square, as they are. Two totals matter:
+Each capture is of a simulated room, written as a capture folder, and replayed through the command line in this process.
+The principal point is given, and the walls are square and known to be. Two totals matter:
 
-- *refused that could be decoded*: the exit code is not 0, but the matches of a page of plain code without checks
+- *refused that could be decoded*: the exit code is not 0, but the matches of a plain decoder without checks
   (`conditions/plain_decoder.py`: a bit against its inverse, or half-way between white and black; fringes by least
   squares; at most three of the finest bits left out) have a median error of at most 0.5 px, and calibrating with
   them errs by at most 4 sigma or by at most 2 %;
@@ -15,8 +15,8 @@ process; the principal point is given, and the walls are known to be square, as 
   2 % where the report does not say that the result is good for a first look only. With patterns along one axis, for
   which the true calibration is given: the matches err by more than 2 sigma in the median.
 
-Mistakes (exchanged frames, a wrong size) may always be refused. A picture that no pinhole with square pixels throws is
-held against the truth by the camera's focal length alone.
+Mistakes (exchanged frames, a wrong size) may always be refused. If no pinhole with square pixels explains the picture,
+only the camera's focal length is judged.
 """
 
 import argparse
@@ -51,10 +51,10 @@ def main() -> None:
         for s in setups
         for c in chosen
         if (c.name, c.strength, s.seed, s.sequence) not in done
-        # Patterns of its own are the same whatever the sequence.
+        # Conditions with their own patterns do not depend on the sequence.
         if c.shown is None or s.sequence == sequences[0]
     ]
-    # Workers are started, not forked: threads of a library do not survive a fork.
+    # Workers are started, not forked, because threads of a library do not survive a fork.
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         for outcome in pool.map(_run, tasks, chunksize=4):
             outcomes.append(outcome)
@@ -90,7 +90,7 @@ def _options() -> argparse.Namespace:
 
 def _run(task: tuple[str, str, Setup, Path | None]) -> Outcome:
     name, strength, setup, keep = task
-    condition: Condition = named(name, strength)  # lambdas do not travel between processes
+    condition: Condition = named(name, strength)  # lambdas cannot be pickled
     return run(condition, setup, keep)
 
 
@@ -98,7 +98,7 @@ def _earlier(path: Path | None) -> Iterator[Outcome]:
     if path is None or not path.exists():
         return
     found = [Outcome(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-    yield from {(o.name, o.strength, o.seed, o.sequence): o for o in found}.values()  # of several, the last
+    yield from {(o.name, o.strength, o.seed, o.sequence): o for o in found}.values()  # the last of several
 
 
 def _tell(outcome: Outcome, number: int, of: int, *, verbose: bool) -> None:

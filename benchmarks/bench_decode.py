@@ -2,8 +2,8 @@
 
     python benchmarks/bench_decode.py [--width 2448 --height 2048] [--projector 1920x1080] [--repeat 5]
 
-At half the size and at the full one. A run before those that are timed loads the machine code, or waits for the
-compiler where that has changed. The second table shows where the time after the last frame goes.
+At half the size and at the full one. An untimed run loads the machine code, or compiles it. The second table shows
+where the time after the last frame goes.
 
 With `--peer-python`, the interpreter of an environment that has opencv-contrib-python-headless and fringes, OpenCV's
 structured_light and the package Fringes decode frames of the same scene as well (see peer_decoders.py).
@@ -36,10 +36,10 @@ _WHITE = 180.0
 _AMBIENT = 10.0
 _BYTES_PER_MATCH = 20
 _PERIODS, _SHIFTS = (21.0, 19.0), 4
-# What decoding may take; growth is that of the time per pixel, from half the size to the full one.
+# Limits of decoding; growth is that of the time per pixel, from half the size to the full one.
 _MOST_PER_FRAME_MS, _MOST_FOLDING, _MOST_COPIES, _MOST_GROWTH, _MOST_MEMORY_MB = 4, 6, 8, 1, 300
 _AXES: tuple[Axis, ...] = ("x", "y")
-# The functions that each stage after the last frame consists of. Tolerances are measured beside the checks.
+# Functions of each stage after the last frame. Tolerances are measured together with the checks.
 _STAGES = {
     "noise": ("measure_noise",),
     "checks, tolerances": ("check_frames", "check_codes", "check_fringes", "check_maps"),
@@ -64,7 +64,7 @@ def render(patterns: tuple[Pattern, ...], projector: tuple[int, int], size: tupl
 def seen_by_camera(
     patterns: tuple[Pattern, ...], projector: tuple[int, int], projector_px: Floats32, albedo: Floats32
 ) -> Iterator[Image]:
-    """Frames (H, W), given which projector pixel (H, W, 2) each camera pixel sees, and how much it reflects (H, W)."""
+    """Frames (H, W), given the projector pixel (H, W, 2) and the albedo (H, W) of each camera pixel."""
     rng = np.random.default_rng(1)
     x, y = cv2.split(projector_px)
     noise = [rng.normal(0, 1.2, albedo.shape).astype(np.float32) for _ in range(3)]
@@ -90,8 +90,8 @@ class Run:
 
 @dataclass(frozen=True)
 class Measured:
-    """The least of several runs, in seconds, at a camera of `size` (width, height); memory in bytes; `stages`: the
-    share of each in the end.
+    """The minimum of several runs, in seconds, for a camera of `size` (width, height); memory in bytes; `stages`: the
+    share of each in the time after the last frame.
     """
 
     size: tuple[int, int]
@@ -164,7 +164,7 @@ def stages_of_end(decoder: Decoder) -> dict[str, float]:
     profile = cProfile.Profile()
     total = timed(lambda: profile.runcall(decoder.finish))
     seconds = {entry.code.co_name: entry.totaltime for entry in profile.getstats() if not isinstance(entry.code, str)}
-    # The footprint is measured on the way to the maps.
+    # The footprint is measured while the maps are made.
     seconds["coordinate_maps"] -= seconds["_footprint"]
     shares = {stage: sum(seconds[name] for name in names) / total for stage, names in _STAGES.items()}
     return shares | {"the rest": 1 - sum(shares.values())}

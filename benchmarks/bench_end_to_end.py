@@ -3,15 +3,16 @@
     python benchmarks/bench_end_to_end.py [--repeat 3] [--profile 30]
 
 A white corner fills the picture of the paper's camera (5 megapixels), so nearly every pixel is matched. Both lenses
-bend. The standard sequence is decoded as it comes; then matches, calibration, cloud and report are written. CPU seconds
-beside those of the clock tell how far two cores were used, and what other load on the machine cost.
+have distortion. The standard sequence is decoded as frames arrive; then matches, calibration, cloud and report are
+written. CPU seconds beside those of the clock show how far two cores were used, and the cost of other load on the
+machine.
 
-A plain copy is one of all frames into a single piece of new memory. When the limits were set it was one of frame after
-frame, each into memory of its own, which takes more or less time by what the allocator has kept: both are told.
+A plain copy is one of all frames into a single piece of new memory. When the limits were set, each frame was copied
+into its own memory, which takes more or less time depending on the allocator: both are printed.
 
-A first run is not shown: it loads libraries and machine code, which a running console has done before. While the result
-is written, its files and the report's parts are made side by side, so their times by the clock overlap, and their CPU
-seconds are those of their own threads: the report's parts are made in threads of theirs.
+A first run, which loads libraries and machine code, is not shown; a running console has done this before. While the
+result is written, its files and the report's parts are made in parallel, so their times by the clock overlap, and their
+CPU seconds are those of their own threads.
 """
 
 import argparse
@@ -43,7 +44,7 @@ from scanner.reporting import page as report
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.02, 0.0, 0.0, 0.0, 0.0))
 PROJECTOR = Intrinsics(1920, 1200, (950.0, 950.0), (955.0, 640.0), (-0.01, 0.0, 0.0, 0.0, 0.0))
-# In plain copies of all frames, in the same run.
+# Limits in plain copies of all frames, in the same run.
 TO_CLOUD, TOTAL = "from the last frame to the cloud", "from the last frame to everything saved"
 LIMITS = {TO_CLOUD: 12.0, TOTAL: 20.0}
 WRITING = "Writing the result"
@@ -68,7 +69,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def corner_seen(camera: Intrinsics, projector: Intrinsics) -> tuple[Floats32, Floats32]:
-    """The projector pixel (H, W, 2) that each camera pixel sees, and the light (H, W) it returns, 0 to 1."""
+    """The projector pixel (H, W, 2) that each camera pixel sees, and its relative brightness (H, W), 0 to 1."""
     camera_axes = look_at(_CAMERA_AT, np.zeros(3), _UP, 0.05)
     projector_axes = look_at(_PROJECTOR_AT, np.array([0.1, 0.0, 0.1]), _UP, -0.03)
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
@@ -88,7 +89,7 @@ def corner_seen(camera: Intrinsics, projector: Intrinsics) -> tuple[Floats32, Fl
 def stream_of(
     frames: list[Image], patterns: tuple[Pattern, ...], camera: Intrinsics, last: list[tuple[float, float]]
 ) -> Stream:
-    """The frames as they would come; when the last one does is noted in `last`."""
+    """The frames as from a camera; the time of the last one is appended to `last`."""
 
     def as_they_come() -> Iterator[tuple[Pattern, Frame]]:
         for number, (pattern, image) in enumerate(zip(patterns, frames, strict=True), start=1):
@@ -100,7 +101,7 @@ def stream_of(
 
 
 def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfile.Profile | None = None) -> Stopwatch:
-    """Decode, calibrate, triangulate and save, timed; with a `profile` it is slower."""
+    """Decode, calibrate, triangulate and save, timed; a `profile` makes it slower."""
     known = {"known": list(CAMERA.principal_point_px)}
     config = Config.model_validate({"camera": {"principal_point": known}, "corner": {"squareness_deg": 0.0}})
     watch, last = Stopwatch(), list[tuple[float, float]]()
@@ -119,7 +120,7 @@ def one_run(frames: list[Image], patterns: tuple[Pattern, ...], profile: cProfil
 
 
 def table_of(runs: list[Stopwatch], copies: list[PlainCopy], title: str) -> Table:
-    """Steps with their parts, a column for each run; of the whole, how many plain copies it took, and of its limit."""
+    """Steps with their parts, a column for each run; for the total, the ratio to plain copies and to its limit."""
     table = Table(title=title)
     table.add_column("stage")
     for number in range(1, len(runs) + 1):
@@ -136,7 +137,7 @@ def table_of(runs: list[Stopwatch], copies: list[PlainCopy], title: str) -> Tabl
                 shown = (f"{each:.1f} ({each / LIMITS[step]:.2f})" for each in found)
                 table.add_row(f"  {how} (of limit, {LIMITS[step]:g})", *shown)
         parts = first.parts[step]
-        # Parts that run beside each other come to an end in any order.
+        # Parallel parts end in any order.
         for part in sorted(parts, key=lambda each: -parts[each].clock_s) if step == WRITING else parts:
             table.add_row(f"  {part}", *(str(run.parts[step][part]) for run in runs))
         if parts and step != WRITING:

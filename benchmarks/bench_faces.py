@@ -2,7 +2,7 @@
 
     python benchmarks/bench_faces.py --rooms 30 --boxes 10 --seed 0
 
-Rooms with furniture (parallel and turned boxes, a sphere, sometimes a hidden vertex; k1 from −0.1 to 0.05 on either
+Rooms with furniture (parallel and rotated boxes, a sphere, sometimes a hidden vertex; k1 from −0.1 to 0.05 on either
 lens, 0.03 to 0.3 px of noise, up to 5 % outliers, errors along the creases) and boxes seen from outside, at 1224 × 1024
 camera pixels. 'wrong': labelled matches that lie on another surface; 'labelled': share of a face's true matches that
 are labelled, the worst of the three; 'off': how far from perpendicular the three chosen surfaces really are.

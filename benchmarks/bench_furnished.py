@@ -1,12 +1,12 @@
-"""Are the sigmas of single captures true? Furnished rooms, from frames to calibration, against their truth.
+"""Errors over sigmas of single captures of furnished rooms, from frames to calibration.
 
     python benchmarks/bench_furnished.py [--rooms 50] [--seed 100] [--jobs 2]
 
-The furniture is upright but turned by N(0, 2°), all light transport is on; camera of 612 × 512 pixels, projector of 427
-× 240, walls square, the camera's principal point known, and unknown. 'error/sigma': root mean square over the rooms, of
-each of the rig's parameters; the last line is without what the decoder errs smoothly (`SMOOTH_PX`). 'modes': root mean
-square of the polynomials in the matches' errors over a face, constant first, which is where that figure comes from;
-'noise': what independent matches would leave of each.
+The furniture is rotated about the vertical by N(0, 2°), all light transport is on; camera of 612 × 512 pixels,
+projector of 427 × 240, walls square, the camera's principal point known, and unknown. 'error/sigma': root mean square
+over the rooms of each of the rig's parameters; the last line excludes the decoder's smooth errors (`SMOOTH_PX`).
+'modes': root mean square of the polynomials in the matches' errors over a face, constant first, from which that value
+comes; 'noise': what independent matches would give.
 """
 
 import argparse
@@ -34,8 +34,8 @@ CASES = (("known", SMOOTH_PX), ("unknown", SMOOTH_PX), ("known", 0.0))
 
 @dataclass
 class Outcome:
-    """One room: for each case the deviations of the rig's columns in sigmas, None if refused; `modes` (3, modes, 2)
-    and `noise_px` of the faces.
+    """One room: deviations of the rig's columns in sigmas for each case, None if refused; `modes` (3, modes, 2) and
+    `noise_px` of the faces.
     """
 
     modes: Floats
@@ -50,7 +50,7 @@ def point_of(name: str, truth: Calibration) -> PrincipalPoint:
 
 
 def modes_of(matches: Matches, truth: GroundTruth) -> tuple[Floats, Floats]:
-    """Amplitudes (3, modes, 2) of polynomials in the errors over each face, and what noise leaves of each, (3,)."""
+    """Amplitudes (3, modes, 2) of polynomials in the errors over each face, and the contribution of noise, (3,)."""
     assert matches.sigma_px is not None
     x, y = np.rint(matches.camera_px).astype(int).T
     error = matches.projector_px - truth.projector_px[y, x]

@@ -2,12 +2,12 @@
 
     python benchmarks/bench_joint_rooms.py --seeds 0 1 2 3 4
 
-All light transport is on, the default sequence is shown, the rig looks at the corner from its places 0, 1 and 2. The
-walls are off square by 0.3 degrees (normal, each angle), which the calibration is told as a prior; of the camera's
+All light transport is on, the default sequence is shown, the rig sees the corner from its poses 0, 1 and 2. The
+walls are off square by 0.3 degrees (normal, each angle), which is the prior of the calibration; of the camera's
 principal point it knows only the image's centre. 'calibration' is the mean absolute error of (f_c, f_p, x_p, y_p); it
 is also given for each capture alone. 'each cloud' compares the points with the true ones in the camera's frame,
 'merged' the merged cloud with the true surfaces in the true corner's frame, both relative to the distance from the
-camera, the baseline being known; 'agreement' is how far the captures' surfaces are from each other.
+camera, the baseline being known; 'agreement' is the distance between the captures' surfaces.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def captured(seed: int, pose: int, camera_size: Size, projector_size: Size) -> C
 
 
 def true_surfaces(room: SimulatedRoom) -> tuple[Floats, Floats]:
-    """Points (N, 3) and normals (N, 3) in the world of what the camera sees."""
+    """Points (N, 3) and normals (N, 3) in the world seen by the camera."""
     optics, camera = room.room.camera.optics, room.room.camera
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     directions = camera.rays(np.stack([x.ravel(), y.ravel()]))
@@ -66,7 +66,7 @@ def merged_error(cloud: MergedCloud, views: list[View], captures: list[Captured]
     true_legs = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     corner = Corner(np.zeros(3), true_legs)
     true = View(views[0].points, None, views[0].camera, corner)
-    # Both frames lie along the same legs; which of them is which is told by the first capture.
+    # Both frames lie along the same legs; the first capture determines their order.
     axes = np.roll(views[0].axes, cloud.turns[0], axis=0) @ camera.rotation
     turn = next(turn for turn in range(3) if np.trace(np.roll(true.axes, turn, axis=0) @ axes.T) > 2)
     in_world = true.in_camera(cloud.points.astype(np.float64) * baseline_m, turn)

@@ -5,12 +5,12 @@
 
 Synthetic matches of the paper's devices (300,000 a capture before what a wall hides, 0.1 px of noise, k1 −0.02 and
 −0.01), no images. The projector stands 0.4 m beside the camera, toed in by 6 to 12°; both look into the corner, yawed
-by up to 18°. p1 and p2 of both devices are drawn with the standard deviation that begins a row. The calibration is told
-that one (`--told true`), or the same for all rows (`--told 0.0003`). 'error' is the mean absolute error of (f_c, f_p,
-x_p, y_p) relative to their size. An error/sigma of rms 1 says that the sigma is true.
+by up to 18°. p1 and p2 of both devices are drawn with the standard deviation that begins a row. The prior of the
+calibration is that one (`--told true`), or the same for all rows (`--told 0.0003`). 'error' is the mean absolute error
+of (f_c, f_p, x_p, y_p) relative to their size. An error/sigma of rms 1 means that the sigma is true.
 
-`--random-rigs` asks another thing of so many of these rigs, before exactly square corners with 20,000 matches: whether
-any is refused for walls that are not square, as one is whose search ends in another basin.
+`--random-rigs` counts refusals of this many rigs in front of exactly square corners with 20,000 matches. A refusal for
+walls that are not square means that the search ended in a wrong minimum.
 """
 
 import argparse
@@ -44,14 +44,18 @@ class Row:
     point: PrincipalPoint = KNOWN
     captures: int = 1
     off_deg: float = 0.0
-    squareness_deg: float | None = None  # what is told of the walls; the truth if left out
+    squareness_deg: float | None = None  # prior on the walls; the truth if left out
     matches: int = VIEWS.count
+    scaled: float = 1.0  # the projector's picture, along x
 
     @property
     def name(self) -> str:
         told = f" (told {self.squareness_deg:g}°)" if self.squareness_deg is not None else ""
         walls = f", walls {self.off_deg:g}°{told}" if self.off_deg else ""
-        return f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}"
+        scaled = f", picture {100 * (self.scaled - 1):+g} %" if self.scaled != 1 else ""
+        return (
+            f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}{scaled}"
+        )
 
 
 DECENTERINGS = (0.0, 0.0002, 0.001)
@@ -61,6 +65,7 @@ ROWS = (
     *(Row(size, KNOWN, captures, 0.3) for captures in (1, 2) for size in DECENTERINGS),
     *(Row(size, UNKNOWN, 3, 0.3) for size in DECENTERINGS),
     *(Row(0.0002, KNOWN, captures, 0.8, squareness_deg=0.3) for captures in (1, 2)),
+    *(Row(0.0002, UNKNOWN, captures, 0.3, scaled=1.01) for captures in (1, 2)),
 )
 
 
@@ -73,7 +78,7 @@ class Outcome:
 
 
 def toed_in(rng: np.random.Generator, camera: Intrinsics, projector: Intrinsics) -> Calibration:
-    """A projector beside the camera, to its left or its right."""
+    """A projector to the left or right of the camera, converging."""
     side = rng.choice([-1.0, 1.0])
     turn = [rng.normal(0, 0.02), side * np.radians(rng.uniform(*TOE_IN_DEG)), rng.normal(0, 0.02)]
     rotation = Rotation.from_rotvec(turn).as_matrix()
@@ -98,10 +103,15 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
         walls_off_deg=row.off_deg,
         rig=rig,
     )
+    middle = np.array([(SIZES[1][0] - 1) / 2, 0.0])
+    matches = [
+        replace(each.matches, projector_px=(each.matches.projector_px - middle) * (row.scaled, 1.0) + middle)
+        for each in captures
+    ]
     start = time.process_time()
     try:
         found = self_calibrate_jointly(
-            [capture.matches for capture in captures],
+            matches,
             *SIZES,
             principal_point=row.point,
             squareness_deg=row.off_deg if row.squareness_deg is None else row.squareness_deg,
@@ -130,7 +140,7 @@ def line(row: Row, outcomes: list[Outcome]) -> str:
 
 
 def not_square(rigs: int, seed: int, pool: ProcessPoolExecutor) -> None:
-    """Print how many rigs before square corners were refused and why, for each prior of the walls' angles."""
+    """Print how many rigs in front of square corners were refused and why, for each prior of the walls' angles."""
     for squareness_deg in (0.0, 0.3):
         row = Row(0.0003, squareness_deg=squareness_deg, matches=20_000)
         outcomes = list(pool.map(outcome, repeat(row), repeat(None), repeat(seed), range(rigs)))

@@ -2,15 +2,15 @@
 
     python benchmarks/bench_live.py [--clouds 40] [--exposure-ms 33.3] [--rooms 3]
 
-*Speed*: a camera that does nothing but expose. The rate is a share of what its frames allow; the delay goes from the
-last exposure to the cloud; work is processor time a cloud over the time of its six frames. The clock tells of an idle
-machine only; work does not need one.
+*Speed*: a simulated camera that only exposes. The rate is relative to that of its frames; the delay is from the last
+exposure to the cloud; work is processor time per cloud over the time of its six frames. Rate and delay need an idle
+machine; work does not.
 
-*Truth*: a still ball before a wall in closed form, one that moves at 10 mm/s, and simulated corners against a full scan
-of the same place. Errors over sigmas are 68th percentiles; "off" is half a short period and more.
+*Truth*: a static ball in front of a wall in closed form, one that moves at 10 mm/s, and simulated corners compared with
+a full scan from the same pose. Errors over sigmas are 68th percentiles; "off" is half a short period and more.
 
-The plain decoder is three steps and two frequencies in NumPy, after SLStudio (Wilm et al. 2014): the longer fringe
-gives the order of the shorter, and what is lit is kept.
+The plain decoder has three steps and two frequencies in NumPy, after SLStudio (Wilm et al. 2014): the longer fringe
+gives the order of the shorter, and lit pixels are kept.
 """
 
 import time
@@ -39,7 +39,7 @@ from tests.support.live_bench import LiveBench, calibration
 LEAST_RATE, MOST_DELAY_S = {1.3: 0.95, 5.2: 0.5}, 0.15
 DEPTHS = (0.35, 0.7)
 BALL_M_PER_S = 0.01
-_LEAST_AMPLITUDE = 5.0  # grey levels, of the plain decoder's pixels
+_LEAST_AMPLITUDE = 5.0  # grey levels; least amplitude of the plain decoder
 
 
 def plain(grey: Image, sequence: LiveSequence) -> Floats:
@@ -73,13 +73,13 @@ def speed(smaller: float, clouds: int, exposure_s: float) -> list[str]:
             time.sleep(max(0.0, due_s - time.monotonic()))
             yield Round(number, each.frames, each.grey.copy(), due_s)
 
-    decoder.cloud(still[1], decoder.cloud(still[0]))  # loads the machine code
+    decoder.cloud(still[1], decoder.cloud(still[0]))  # load the machine code
     account, began_s = Account(), time.process_time()
     watch(exposed(), decoder, lambda _, __: None, lambda: False, account)
     decoded = account.clouds + account.contradicting + 1
     work = (time.process_time() - began_s) / (decoded * FRAMES * exposure_s)
     plain_s = min(timed(lambda: plain(still[0].grey, sequence)) for _ in range(3))
-    rate = account.clouds / (clouds - 1)  # the first round has none to be compared with
+    rate = account.clouds / (clouds - 1)  # the first round cannot be compared
     megapixels = round(bench.calibration.camera.width * bench.calibration.camera.height / 1e6, 1)
     limit = LEAST_RATE[megapixels]
     return [
@@ -109,7 +109,7 @@ def judged(name: str, coordinate: Floats, sigma: Floats | None, true: Floats, se
 
 
 def of_ball(speed_m: tuple[float, float, float], exposure_s: float, name: str) -> list[list[str]]:
-    """Rows of the ball alone: ours and the plain decoder's."""
+    """Rows of the ball alone: this decoder and the plain one."""
     bench = LiveBench(speed_m=(speed_m[0] * exposure_s, speed_m[1] * exposure_s, speed_m[2] * exposure_s))
     seen, sequence, decoder = prepared(bench)
     before, earlier = bench.taken, list[LiveCloud]()
@@ -122,16 +122,14 @@ def of_ball(speed_m: tuple[float, float, float], exposure_s: float, name: str) -
 
 
 def both(name: str, cloud: LiveCloud, of_true: Floats | float, true: Floats, sequence: LiveSequence) -> list[list[str]]:
-    """Rows of ours, and of the plain decoder on the same frames. `of_true`: standard deviation of what they are held
-    against.
-    """
+    """Rows of this decoder, and of the plain one on the same frames. `of_true`: standard deviation of the reference."""
     ours, sigma = cloud.coordinate.astype(np.float64), np.hypot(np.sqrt(cloud.variance), of_true)
     theirs = plain(cloud.taken.grey, sequence)
     return [judged(name, ours, sigma, true, sequence), judged("  plain", theirs, None, true, sequence)]
 
 
 def of_corner(seed: int) -> list[list[str]]:
-    """Rows of a simulated corner, against a full scan from the same place."""
+    """Rows of a simulated corner, compared with a full scan from the same pose."""
     config = Config.model_validate(
         {
             "rig": {"backend": "simulated", "seed": seed},

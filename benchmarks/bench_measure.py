@@ -1,10 +1,10 @@
-"""Do measurements err by what they state? Error over sigma of angles, flatness, diameters and distances, against truth.
+"""Errors over sigmas of measured angles, flatness, diameters and distances, from ground truth.
 
     python benchmarks/bench_measure.py --rooms 17
 
-Furnished simulated rooms with a ball bar, walls off by 0.3°, the principal point unknown; small devices, so that many
-rooms fit into a coffee break. Each room is captured from three places: 'together' is their joint calibration, 'alone'
-the newest capture's own. Everything is read back from the result folders, as `scan measure` does.
+Furnished simulated rooms with a ball bar, walls off by 0.3°, the principal point unknown; small devices, for speed.
+Each room is captured from three places: 'together' is their joint calibration, 'alone' the newest capture's own.
+Everything is read back from the result folders, as `scan measure` does.
 """
 
 import argparse
@@ -30,7 +30,7 @@ DIAMETER_M, BAR_M, WALLS_OFF_DEG = 0.24, 0.4, 0.3
 PLACES, PAIRS = 3, 4
 RULER = 0.03
 
-# Of one kind of measurement: error and the budget's sigma, scatter, smooth, calibration.
+# Per kind of measurement: error, and sigma, scatter, smooth and calibration parts of the budget.
 Errors = dict[str, list[tuple[float, ...]]]
 
 
@@ -52,7 +52,7 @@ def note(errors: Errors, kind: str, error: float, budget: object) -> None:
 
 
 def compare(errors: Errors, how: str, folder: Path, room: Room) -> None:
-    """Measure in one result, and note the errors."""
+    """Measure in one result, and record the errors."""
     found = read_finished_scan(folder)
     scene = read_scene(folder, found.calibration)
     true_normals = -room.scene.room.outward_normals[:3] @ room.camera.rotation.T
@@ -83,7 +83,7 @@ def compare(errors: Errors, how: str, folder: Path, room: Room) -> None:
 
 
 def note_lengths(errors: Errors, how: str, found: FinishedScan, scene: Scene, truth: Calibration) -> None:
-    """A short ruler in the middle of the scene: as seen by what was calibrated, and as it would really have to be."""
+    """A short ruler in the middle of the scene: its length by the calibration, and the true one."""
     assert scene.lengths is not None
     middle, rig = scene.lengths.middle, found.calibration
     half = RULER * float(np.linalg.norm(middle))

@@ -1,16 +1,16 @@
-"""Captures of simulated rooms during which a device is knocked against, drifts, or rests: what becomes of them.
+"""Outcomes of captures of simulated rooms during which a device is bumped, drifts, or rests.
 
     python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4
     python benchmarks/bench_motion.py --captures 200 --rooms 0 1 2 3 4 --rest 1
-    python benchmarks/bench_motion.py --captures 500 --jobs 2 --results motion.jsonl    goes on where the file ends
-    python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4 --numbers 366    some of them again
+    python benchmarks/bench_motion.py --captures 500 --jobs 2 --results motion.jsonl    continues the file
+    python benchmarks/bench_motion.py --captures 500 --rooms 0 1 2 3 4 --numbers 366    repeats some of them
 
-Bumps of 0.1 to 10 px of either device in any direction at any frame, drifts as far over the capture, some at rest; all
-presets in turn, and their patterns in the order of other programs, which show all along x before all along y ('apart').
-A few captures, with noise of their own, share each turn of a device, which takes long to simulate; it happens at
-another frame of each. 'wrong': an answer beyond 4 of its sigmas or 2 % (the mean of the four intrinsics); 'weak':
-beyond 2 %, but within 4 sigmas of more than 1 %, so that the report says 'for a first look'; 'doubtful': wrong, but
-with the note that nothing tells of a motion.
+Bumps of 0.1 to 10 px of either device in any direction at any frame, drifts of the same size over the capture, some at
+rest; all presets in sequence, and their patterns in the order of other programs, which show all along x before all
+along y ('apart'). A few captures with independent noise share each rotation of a device, which is slow to simulate; it
+happens at a different frame of each. 'wrong': an answer beyond 4 of its sigmas or 2 % (the mean of the four
+intrinsics); 'weak': beyond 2 %, but within 4 sigmas of more than 1 %, so that the report says 'for a first look';
+'doubtful': wrong, but with the note that the frames cannot reveal motion.
 """
 
 import argparse
@@ -47,7 +47,7 @@ _SMALLEST_PX, _LARGEST_PX = 0.1, 10.0
 
 @dataclass(frozen=True)
 class Case:
-    """What happens during a capture; `apart`: all patterns along x come before all along y."""
+    """The motion during a capture; `apart`: all patterns along x come before all along y."""
 
     room: int
     preset: PresetName
@@ -70,7 +70,7 @@ class Case:
 
     @property
     def turn(self) -> dict[str, object]:
-        """The turn of the device, as settings of the simulated rig."""
+        """The rotation of the device, as settings of the simulated rig."""
         return {"device": self.device, "direction_deg": self.direction_deg}
 
 
@@ -107,7 +107,7 @@ def cases(options: argparse.Namespace) -> Iterator[Case]:
 
 
 class Footage:
-    """What the camera in a room expects to see of patterns, at rest and after the latest turn of a device."""
+    """Expected camera views of patterns in a room, at rest and after the latest rotation of a device."""
 
     def __init__(self, room: SimulatedRoom) -> None:
         self.room = room
@@ -140,7 +140,7 @@ class Footage:
 
 
 def run(case: Case, footage: Footage) -> tuple[str, str]:
-    """The outcome of a case, with its figures."""
+    """Run a case; returns its outcome with its figures."""
     patterns = patterns_of(case.preset, apart=case.apart)
     decoder = Decoder(patterns, PROJECTOR)
     truth = footage.room.calibration
@@ -177,7 +177,7 @@ def sigma_of(found: Calibration) -> float:
 
 
 def errors(found: Calibration, truth: Calibration) -> tuple[float, float]:
-    """Of the intrinsics: the mean error in per cent, and the worst in sigmas."""
+    """Errors of the intrinsics: the mean in per cent, and the largest in sigmas."""
     sigmas = []
     for device in ("camera", "projector"):
         error = abs(getattr(found, device).focal_px[0] - getattr(truth, device).focal_px[0])
@@ -198,13 +198,13 @@ class Row:
 
 
 def run_all(cases: Sequence[Case], results: Path | None) -> list[Row]:
-    """Run the cases of one room in order; each is printed, and written to `results`, as soon as it is known."""
+    """Run the cases of one room in order; each is printed, and written to `results`, once it is known."""
     room = SimulatedRoom(SimulatedRigSettings(seed=cases[0].room), CAMERA, PROJECTOR)
     footage, rows = Footage(room), []
     for case in cases:
         row = Row(case, *run(case, footage))
         rows.append(row)
-        print(f"{row}\n", end="", flush=True)  # one write: processes share the terminal
+        print(f"{row}\n", end="", flush=True)  # one write, because processes share the terminal
         if results:
             with results.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(row)) + "\n")
@@ -221,7 +221,7 @@ def earlier(results: Path | None) -> dict[Case, Row]:
 
 
 def totals(rows: Sequence[Row]) -> Iterator[str]:
-    """Counts of outcomes by kind of motion, a line each."""
+    """Counts of outcomes by kind of motion, one line each."""
     counts: Counter[tuple[str, str, str]] = Counter()
     for row in rows:
         case = row.case
@@ -241,10 +241,10 @@ def main() -> None:
         wanted = [wanted[number] for number in options.numbers]
     known = earlier(options.results)
     rows = [known[case] for case in wanted if case in known]
-    # A process has all of one room and preset: they share what the camera sees at rest, which takes long to simulate.
+    # Each process runs one room and preset, because its views at rest are slow to simulate.
     groups = groupby((case for case in wanted if case not in known), key=lambda case: (case.room, case.preset))
     tasks = [tuple(group) for _, group in groups]
-    # Workers are started, not forked: threads of a library do not survive a fork.
+    # Workers are started, not forked, because threads of a library do not survive a fork.
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         for found in pool.map(run_all, tasks, repeat(options.results)):
             rows.extend(found)

@@ -1,9 +1,9 @@
-"""Networks of made-up rooms against their truth: focals, places, whether sigmas are true, what it costs.
+"""Networks in synthetic rooms: errors of focal lengths and poses, errors over sigmas, and time.
 
     python benchmarks/bench_network.py --rooms 10 --sizes 2x1 1x2 2x2 4x4 --wavy 0.002
 
-Matches are made without rendering, 0.05 projector px of noise, with faces labelled; walls are 0.3° off square, lenses
-are of any kind; `--wavy` gives walls waves. 'error/sigma' is the root mean square of focal lengths, principal points
+Matches are computed without rendering, with 0.05 projector px of noise and labelled faces; walls are 0.3° off square,
+lenses are random; `--wavy` gives walls waves. 'error/sigma' is the root mean square of focal lengths, principal points
 and places over their sigmas.
 """
 
@@ -19,7 +19,7 @@ from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 
 
 def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[list[float], list[float], list[float]]:
-    """Of focals in per cent, of places in millimetres, and all in sigmas."""
+    """Errors of focal lengths in per cent, of positions in millimetres, and all in sigmas."""
     first, second = (network.poses[name] for name in estimate.seed)
     unit = float(np.linalg.norm(second.translation - first.translation))
     focals, places, relative = [], [], []

@@ -1,18 +1,18 @@
-"""Things on a turntable and put down by hand, joined without an initial guess, against the truth.
+"""Things on a turntable or placed by hand, joined without an initial guess, compared with the truth.
 
     python benchmarks/bench_objects.py [--things 4] [--first 0] [--steps 12] [--free] [--camera 408 342] [--noise 0.05]
     python benchmarks/bench_objects.py --balls 3
 
-Simulated things of 100 mm (superquadrics with waves over them) before a table and a wall. Matches are those of rays,
-one for each camera pixel, with noise in projector px; stations come in random order. The calibration is the true one:
-its share is in neither errors nor sigmas. Errors are the largest of a thing's stations: turn, and shift of the thing's
-middle, both against the first station; of the surface the median distance of the cloud's points from the true one, with
-the estimated places and with the true ones. Error/sigma of shifts leaves out those along a turntable's axis, which are
-none by definition. The volume is that of the closed surface (`--fill`), where less than 15 % of it is bridged. Wrong is
-a station off by more than 1° without a word. Seconds are of one processor, rays apart.
+Simulated things of 100 mm (superquadrics with added waves) in front of a table and a wall. Matches come from rays, one
+per camera pixel, with noise in projector px; stations are in random order. The calibration is the true one and adds
+nothing to errors and sigmas. Errors are the largest of a thing's stations: rotation, and shift of the thing's middle,
+both relative to the first station; and the median distance of the cloud from the true surface, with the estimated and
+with the true poses. Error/sigma of shifts excludes those along a turntable's axis, which are zero by definition. The
+volume is that of the closed surface (`--fill`), if less than 15 % of it is bridged. A station is wrong if it is off by
+more than 1° without a warning. Seconds are of one processor, without casting rays.
 
-`--balls`: volumes of so many plain balls, put down twelve times by hand. Nothing tells how a ball was turned, so they
-are joined by the true places.
+`--balls`: volumes of this many plain balls, placed twelve times by hand. The rotation of a ball is undetermined, so the
+true poses are used.
 """
 
 import argparse
@@ -88,7 +88,7 @@ def main() -> None:
         )
     if ratios:
         turns, shifts = _over_sigma(np.concatenate(ratios))
-        print(f"error/sigma, rms: turns {turns:.2f}, shifts {shifts:.2f}")
+        print(f"error/sigma, rms: rotations {turns:.2f}, shifts {shifts:.2f}")
 
 
 def _ball(seed: int, steps: int, camera: tuple[int, int], noise: float) -> None:
@@ -101,7 +101,7 @@ def _ball(seed: int, steps: int, camera: tuple[int, int], noise: float) -> None:
 
 
 def _volume(found: SolvedObject, solid: Solid) -> str:
-    """Error of the closed surface's volume and its sigma, relative to the true one."""
+    """Relative error of the closed surface's volume, and its relative sigma."""
     surface = surface_of(found, cloud_of(found), fill=True)
     if surface is None or surface.volume is None:
         return "–"
@@ -110,15 +110,17 @@ def _volume(found: SolvedObject, solid: Solid) -> str:
 
 
 def _over_sigma(relative: Floats) -> tuple[float, float]:
-    """Root mean squares of errors over sigmas (n, 6), of turns and of shifts."""
+    """Root mean squares of errors over sigmas (n, 6), of rotations and of shifts."""
     turns, shifts = (float(np.sqrt(np.nanmean(part**2))) for part in (relative[:, :3], relative[:, 3:]))
     return turns, shifts
 
 
 def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:
-    """Turn in degrees and shift of the middle (n, 2), both over their sigmas (n, 6); of all stations but the first."""
+    """Rotation in degrees and shift of the middle (n, 2), and both over their sigmas (n, 6), of all stations but the
+    first.
+    """
     first = found.stations[0].place
-    # The frame of the truth: the first station is where it was found.
+    # In the frame of the truth, the first station has its estimated pose.
     moved = composed(first, inverse(places[0]))
     errors, relative = [], []
     for station, place in zip(found.stations[1:], places[1:], strict=True):
@@ -128,7 +130,7 @@ def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:
         errors.append([np.degrees(np.linalg.norm(turn)), np.linalg.norm(off.translation)])
         relative.append(np.concatenate([np.degrees(turn) / station.sigma_deg, off.translation / station.sigma]))
     if found.turntable is not None:
-        # The middle is on the axis, which is the frame's z: a turn moves it along that neither in truth nor by sigma.
+        # The middle is on the axis, the z axis of the frame; shifts along it are zero, also by their sigmas.
         relative = [np.append(each[:5], np.nan) for each in relative]
     return np.array(errors), np.array(relative)
 

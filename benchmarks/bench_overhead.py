@@ -3,14 +3,13 @@
     python benchmarks/bench_overhead.py
     python benchmarks/bench_overhead.py --camera stream
 
-On the loopback rig, with a whole sequence (the standard one unless told otherwise), recorded and decoded as in a scan.
-Of `quick` and `concave` each frame bears its share of the pictures that prove bits without inverses. Both ways take
-turns on the same rig, so that other load on the machine is the same for both; "of limit" is the ratio to the limit,
-1.3 exposures. Sequential comes first: the simulated light of a picture that was never shown takes a processor 25 ms,
-and the loopback camera keeps it; nothing of a real rig competes with the scan so. Also: how soon Ctrl-C answers, and
-what a scan leaves behind in memory. Of a camera that streams the limit is its latency (from a swap until a frame may
-show the picture) and two frame periods, with the mean of 2 frames a picture and of 4. Needs what `make rig` installs,
-and a machine with nothing else to do.
+On the loopback rig, with a whole sequence (default: standard), recorded and decoded as in a scan. With `quick` and
+`concave`, the pictures that verify bits without inverses count towards each frame. Both modes alternate on the same
+rig, so that other load affects both; "of limit" is the ratio to the limit, 1.3 exposures. Sequential comes first:
+rendering a new picture takes a processor 25 ms, and the loopback camera caches it; a real rig has no such load. Also
+measured: the response time to Ctrl-C, and the memory that scans leave allocated. With a streaming camera, the limit is
+its latency (from a swap until a frame may show the picture) plus two frame periods, for the mean of 2 frames per
+picture and of 4. Needs what `make rig` installs, and an idle machine.
 """
 
 import argparse
@@ -56,7 +55,7 @@ def decode(rig: Rig, config: Config, folder: Path) -> None:
 
 
 def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[float, str]:
-    """Milliseconds per frame, and a line on them."""
+    """Milliseconds per frame, and a line about them."""
     decode(rig, config, folder)
     found = cast(dict[str, float], rig.account()["synchronisation"])
     exposures = found["ms_per_frame"] / 1e3 / rig.sequential.exposure_s
@@ -69,7 +68,7 @@ def one_capture(rig: SynchronisedRig, config: Config, folder: Path) -> tuple[flo
 
 
 def interruption(folder: Path) -> float:
-    """Seconds from SIGINT amid a capture to the end of the process."""
+    """Seconds from SIGINT during a capture to the end of the process."""
     command = [sys.executable, "-m", "scanner", "--config", str(CONFIG), "--out", str(folder / "result"), "--quiet"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while len(list(folder.glob(".result*/capture/frames/*.png"))) < 10:
@@ -110,7 +109,7 @@ def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
                 with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
                     rig = cast(SynchronisedRig, opened.rig)
                     flying = "not at all" if rig.pipelined is None else f"{rig.pipelined.rhythm.outstanding} at once"
-                    for way, used in (("sequential", replace(rig, pipelined=None)), ("pipelined", rig)):
+                    for way, used in (("sequential", replace(rig, verified=None)), ("pipelined", rig)):
                         exposures, line = one_capture(used, config, Path(folder) / f"{way} {scan}")
                         found[way].append(exposures)
                         print(f"latency {latency_ms:3.0f} ms, {way} ({flying}): {line}", flush=True)
@@ -138,7 +137,7 @@ def measure_stream(config: Config, latencies_ms: list[float], scans: int) -> Non
 
 
 def one_stream(rig: StreamedRig, config: Config, folder: Path) -> str:
-    """A capture of a stream, and a line on its time per picture."""
+    """A capture of a stream, and a line about its time per picture."""
     decode(rig, config, folder)
     timing, seconds = rig.timing, rig.tally.seconds_per_frame
     limit_s = timing.soonest_s + 2 * timing.period_s

@@ -1,13 +1,13 @@
-"""The paper's tables and figures from simulated captures, with its own figures beside them, as docs/results.md.
+"""The paper's tables and figures from simulated captures, beside the published ones, as docs/results.md.
 
     python benchmarks/bench_paper.py                                     all of it, an hour or two
     python benchmarks/bench_paper.py --quick                             small pictures; the page goes to build/paper/
-    python benchmarks/bench_paper.py --only table1 figure7 --rooms 2     some of it, then the page of what there is
-    python benchmarks/bench_paper.py --missing                           go on where it was broken off
-    python benchmarks/bench_paper.py --page                              the page again, of what was measured before
+    python benchmarks/bench_paper.py --only table1 figure7 --rooms 2     a part, then the page of all results
+    python benchmarks/bench_paper.py --missing                           continue an interrupted run
+    python benchmarks/bench_paper.py --page                              the page of earlier results
 
-Each part is kept as it comes in benchmarks/paper/results/ (JSON). Decoded captures are kept in build/paper/, and taken
-from there by all experiments. COLMAP's rows need pycolmap: pip install -e '.[bench]'.
+Each part is saved in benchmarks/paper/results/ (JSON) once it is measured. Decoded captures are saved in build/paper/
+and shared by all experiments. COLMAP's rows need pycolmap: pip install -e '.[bench]'.
 """
 
 import argparse
@@ -31,7 +31,7 @@ ROOMS = (0, 1, 2, 3)
 
 @dataclass(frozen=True)
 class Places:
-    """Where results are kept, and where the page with its pictures goes."""
+    """Folders of the results, and of the page with its pictures."""
 
     results: Path
     page: Path

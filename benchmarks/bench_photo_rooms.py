@@ -1,10 +1,10 @@
-"""Rendered photos of a textured corner, from features to the answer: how far off f and the principal point are.
+"""Rendered photos of a textured corner, from features to the errors of f and principal point.
 
     python benchmarks/bench_photo_rooms.py --rooms 4 --seed 0
 
-The simulator's room with patterned walls, lit by its ceiling alone, as its camera sees it from two or three places: all
-light transport, lens distortion, blur and noise. Walls are square unless --walls-off says otherwise. Places are where
-an operator would put a rig, not where two photos would best be taken from.
+The simulator's room with patterned walls, lit by its ceiling only, from two or three poses: all light transport, lens
+distortion, blur and noise. Walls are square unless --walls-off is given. The poses suit a rig, and are not optimal for
+photos.
 """
 
 import argparse
@@ -22,11 +22,11 @@ from scanner.commands.main import main as scan
 from scanner.io import read_calibration
 
 SIZE = (1600, 1200)
-PICTURE = (64, 36)  # of the projector, which stays dark
+PICTURE = (64, 36)  # the projector stays dark
 
 
 def rendered(seed: int, pose: int, walls_off_deg: float, path: Path) -> Intrinsics:
-    """Write a photo; the camera that took it."""
+    """Write a photo; returns its camera."""
     settings = SimulatedRigSettings(
         seed=seed, pose=pose, walls_off_deg=walls_off_deg, ambient=10.0, furniture=False, wallpaper=True
     )
@@ -37,7 +37,7 @@ def rendered(seed: int, pose: int, walls_off_deg: float, path: Path) -> Intrinsi
 
 
 def answer(folder: Path, count: int, squareness_deg: float, camera: Intrinsics) -> str:
-    """Errors of the photos 0 … count − 1, as text."""
+    """Errors with the photos 0 … count − 1, as text."""
     out = folder / f"of-{count}"
     photos = [str(folder / f"{pose}.png") for pose in range(count)]
     start = time.perf_counter()

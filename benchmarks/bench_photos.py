@@ -1,12 +1,12 @@
-"""How well photos of random corners calibrate one unknown camera: errors, and errors in units of their own sigma.
+"""Calibration of an unknown camera from photos of random corners: errors, and errors over sigmas.
 
     python benchmarks/bench_photos.py --corners 100 --seed 0
 
 Synthetic matches: 2,000 of every further photo with the first, 0.3 px of noise in each photo, a principal point off the
 centre by up to 15 % of the width, 0.3 of the distance between the photos. f is in per cent of the focal length, the
-principal point (mean of both coordinates) in per cent of the width. 'error/σ' of 1 says that the sigma is true; 'bound'
-is the Cramér–Rao bound of one pair, its mean over the corners. 'cropped' sees the points of 'whole' through a window.
-With pycolmap, its two-view solution of the same matches is shown beside them.
+principal point (mean of both coordinates) in per cent of the width. 'error/σ' of 1 means that the sigma is true;
+'bound' is the Cramér–Rao bound of one pair, its mean over the corners. 'cropped' shows a window of 'whole'. With
+pycolmap, its two-view solution of the same matches is listed as well.
 """
 
 import argparse
@@ -63,7 +63,7 @@ class Outcome:
 
 
 def cropped(photos: SyntheticPhotos, rng: np.random.Generator) -> SyntheticPhotos:
-    """What a window of the photos would have matched; its place is random, but holds matches of all faces."""
+    """The matches in a window of the photos, at a random place with matches of all faces."""
     camera = photos.camera
     for _ in range(1000):
         low = np.floor(rng.uniform((0, 0), (camera.width - WINDOW[0], camera.height - WINDOW[1])))
@@ -88,7 +88,7 @@ def outcome(case: Case, seed: int, number: int) -> Outcome:
     rng = np.random.default_rng([seed, number])
     photos = random_photos(rng, case.options)
     if case.crop:
-        # As many matches as the whole photo's, of the same noise: what is asked is whether the crop as such costs.
+        # As many matches as in the whole photo, with the same noise, to measure the effect of the crop alone.
         photos = cropped(random_photos(np.random.default_rng([seed, number]), replace(case.options, count=4000)), rng)
     camera = photos.camera
     size = (camera.width, camera.height)
@@ -124,7 +124,7 @@ def line(case: Case, outcomes: list[Outcome]) -> str:
     if not len(errors):
         return f"{case.name:40} no answer in {len(outcomes)}"
     size = np.abs(errors)
-    # Of a normal deviate the mean size is √(2/π) of its sigma: the bound as a mean error.
+    # The mean absolute value of a normal deviate is √(2/π) of its sigma: the bound as a mean error.
     least = 100 * np.sqrt(2 / np.pi) * bounds.mean(axis=0) if len(bounds) else None
     return (
         f"{case.name:40} {100 * size[:, 0].mean():8.3f} {100 * np.median(size[:, 0]):8.3f}"

@@ -2,10 +2,9 @@
 
     python benchmarks/bench_recording.py --out some/folder/on/the/disk [--rounds 3]
 
-A camera that does nothing but expose and transfer, whose frames are taken ahead, recorded (on the disk itself, or in
-its cache only) and decoded as in a scan. "of limit" is the ratio to the limit, 10 % over exposure and transfer. The
-second table has what a frame costs in ways to write it, in milliseconds of work (two processors share that of a PNG as
-it is recorded): those that OpenCV reads, for that is what a capture folder may hold.
+A simulated camera exposes and transfers frames, which are prefetched, recorded (on the disk itself, or in its cache
+only) and decoded as in a scan. "of limit" is the ratio to the limit, 10 % over exposure and transfer. The second table
+compares file formats that OpenCV reads, in milliseconds of work per frame (two processors share that of a PNG).
 """
 
 import shutil
@@ -48,7 +47,7 @@ CAMERAS = [
 
 
 def encoder(suffix: str, *options: int) -> Callable[[Image], bytes]:
-    """One of OpenCV's."""
+    """An encoder of OpenCV."""
     return lambda image: cv2.imencode(suffix, image, options)[1].tobytes()
 
 
@@ -75,7 +74,7 @@ def exposed(images: list[Image], period_s: float) -> Iterator[tuple[Pattern, Fra
 
 
 def capture(folder: Path, images: list[Image], size: Size, period_s: float) -> tuple[float, float]:
-    """Seconds per frame of a capture that is recorded and decoded, and how long the camera waited in all."""
+    """Seconds per frame of a recorded and decoded capture, and the total time that the camera waited."""
     ahead = Ahead(exposed(images, period_s), MOST_AHEAD)
     stream = record(Stream(PATTERNS, PROJECTOR, size, iter(ahead)), folder)
     decoder = Decoder(PATTERNS, PROJECTOR)
@@ -98,9 +97,9 @@ def captures(out: Path, rounds: int) -> Table:
         "of limit",
         "waited, s",
     )
-    table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded beside the capture")
+    table = Table(*columns, title=f"{len(PATTERNS)} frames, recorded and decoded during the capture")
     images_of = {size: render(PATTERNS, PROJECTOR, size) for size, _, _ in CAMERAS}
-    capture(out, images_of[CAMERAS[0][0]], CAMERAS[0][0], 0.1)  # loads what is compiled
+    capture(out, images_of[CAMERAS[0][0]], CAMERAS[0][0], 0.1)  # loads compiled code
     for size, exposure_s, transfer_s in CAMERAS:
         period_s = exposure_s + transfer_s
         for synced in (False, True):

@@ -1,13 +1,13 @@
-"""Scans from unsynchronised films of simulated rooms, against their truth.
+"""Scans from unsynchronised films of simulated rooms, compared with the truth.
 
     python benchmarks/bench_recordings.py [--rooms 0] [--films phone sharpened …] [--width 640]
     python benchmarks/bench_recordings.py --drawn 200 --width 480
 
-Every film is of the video that `scan patterns --video` writes, by a camera of `filming/`, which shares nothing with
-what reads it: clocks 0.1 % off, any start. The bit rate is that of 1080p in proportion to the pixels; --width 1920
+Every film shows the video of `scan patterns --video`, by a camera of `filming/`, which shares no code with
+the reader: clocks 0.1 % off, any start. The bit rate is that of 1080p in proportion to the pixels; --width 1920
 films 1920 × 1080 with a projector of 854 × 480. --drawn draws cameras, videos and disturbances at random, ten to a
 room. 'error' is the mean absolute error of (f_c, f_p, x_p, y_p), 'sigmas' the largest of the four in sigmas of its own;
-a film that is refused says why. The last line sums up: what is confident and wrong is off by more than 4 sigma.
+a refused film gives the reason. The last line sums up: 'confident and wrong' is off by more than 4 sigma.
 """
 
 import argparse
@@ -38,12 +38,12 @@ from scanner.ui import Terminal
 
 FULL_PIXELS = 1920 * 1080
 MOST_SIGMAS = 4.0
-PER_ROOM = 10  # of films that are drawn
+PER_ROOM = 10  # random films per room
 
 
 @dataclass(frozen=True)
 class Filmed:
-    """A camera before a video with pictures of `hold_s`."""
+    """A camera and a video whose pictures last `hold_s`."""
 
     camera: Camera
     hold_s: float = 0.2
@@ -89,7 +89,7 @@ def films() -> dict[str, Filmed]:
 
 
 def drawn(seed: int) -> Filmed:
-    """Any camera before any video."""
+    """A random camera and video."""
     rng = np.random.default_rng([seed, 40])
     rate = float(rng.choice([24.0, 25.0, 30.0, 30.0, 50.0, 60.0]))
     camera = Camera(
@@ -158,7 +158,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A row of the table; `sigmas` None of what was refused, whose reason is `told`."""
+    """A row of the table; `sigmas` is None for a refused film, whose reason is `told`."""
 
     median_px: float | None
     error_percent: float | None

@@ -1,4 +1,4 @@
-"""Registration of stations of synthetic rooms without an initial guess, against the truth.
+"""Registration of stations of synthetic rooms without an initial guess, compared with the truth.
 
     python benchmarks/bench_registration.py --seeds 0 20 --kinds whole open stranger two moved bare [--painted]
 
@@ -6,7 +6,7 @@ Furnished rooms with walls off square by 0.3°, six stations in random order of 
 clouds with 3 mm of noise at 3 m and bent by 0.3 % of a wrong calibration. `open`: one station is missing; `stranger`:
 one more is of another room; `two`: four stations of one room and three of another; `moved`: one station's rig was
 changed; `bare`: no furniture. `--painted`: stations have pictures, of surfaces with a poster here and
-there. 'wrong': stations that are not where they stood relative to the first of their group (1°, 80 mm), or in a group
+there. 'wrong': stations whose pose relative to the first of their group is off (1°, 80 mm), or in a group
 with another room's. 'left out': of those that belong. Seconds are of one processor.
 """
 
@@ -66,7 +66,7 @@ def view_of(station: Station) -> StationView:
 
 
 def errors(found: Registration, of: list[Stop]) -> list[tuple[float, float]]:
-    """Degrees and metres of each station in a group but the first one; infinite if it is of another room."""
+    """Degrees and metres of each station in a group except the first; infinite for a station of another room."""
     off = []
     for group in found.groups:
         first = of[group.stations[0]]

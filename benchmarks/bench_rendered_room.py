@@ -1,13 +1,13 @@
-"""Whole rooms that other software rendered (`rendered_room.py`), from their frames to poses, surfaces and balls.
+"""Whole rooms rendered by other software (`rendered_room.py`), from frames to poses, surfaces and balls.
 
     python benchmarks/bench_rendered_room.py ROOM... [--calibrated] [--seed 0] [--without 2]
 
-ROOM is a folder of `rendered_room.py`. Stations are decoded, come in random order, and nothing is known of the rig but
-the image sizes and the baseline; `--calibrated`: with the true calibration given and held. Places are compared in the
-best overall frame. Surfaces are errors as shares of the room's diagonal, median and 95 %: of the room's cloud from the
-nearest true surface, and of the stations' clouds pixel by pixel from what the pixel's ray meets. Errors over sigmas are
-rms, of lengths those of distances between facing planes and of angles. 'light' is how far matches are off from where
-the true points fall in the projector's picture, median and 95 %.
+ROOM is a folder of `rendered_room.py`. Stations are decoded and in random order; only image sizes and baseline of the
+rig are known. `--calibrated`: the true calibration is given and fixed. Poses are compared in the best overall frame.
+Surface errors are relative to the room's diagonal, median and 95 %: of the room's cloud from the nearest true surface,
+and of the stations' clouds, pixel by pixel, from the true points. Errors over sigmas are rms; those of lengths include
+distances between facing planes, and angles. 'light' is the distance of matches from the true projector pixels, median
+and 95 %.
 """
 
 import argparse
@@ -46,7 +46,7 @@ _ROUNDS, _EXACT = 8, 1e-5  # baselines
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """`points` (S, H, W, 3): what camera pixels see, in each station's camera frame; lengths in metres."""
+    """`points` (S, H, W, 3): of the camera pixels, in each station's camera frame; lengths in metres."""
 
     rig: Calibration
     places: tuple[Motion, ...]
@@ -63,7 +63,7 @@ class Truth:
         return cls(rig, places, told["points"], told["balls"], float(told["diagonal"]))
 
     def in_world(self, station: int) -> Floats:
-        """(H, W, 3)."""
+        """Points (H, W, 3) of a station in the world."""
         place = self.places[station]
         world: Floats = self.points[station].astype(np.float64) @ place.rotation.T + place.translation
         return world
@@ -91,7 +91,7 @@ def config_of(truth: Truth) -> Config:
 
 
 def light_errors(captures: Sequence[Decoded], order: Sequence[int], truth: Truth) -> Floats:
-    """Of all matches, in projector pixels, (N,)."""
+    """Errors of all matches, in projector pixels, (N,)."""
     errors = []
     for capture, station in zip(captures, order, strict=True):
         pixels = np.rint(capture.matches.camera_px).astype(int)
@@ -102,7 +102,7 @@ def light_errors(captures: Sequence[Decoded], order: Sequence[int], truth: Truth
 
 
 def overlaps(captures: Sequence[Decoded], order: Sequence[int], truth: Truth) -> Floats:
-    """Share of what each station measured that the next one of the ring measured, too, (S,)."""
+    """Share of the points of each station that the next one in the ring measured, too, (S,)."""
     lit = {}
     for capture, station in zip(captures, order, strict=True):
         mask = np.zeros(truth.points.shape[1:3], np.bool_)
@@ -169,7 +169,7 @@ def _lens(device: Intrinsics) -> str:
 
 
 def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float:
-    """Distance of the fitted centres, in metres; NaN where a ball was hardly seen."""
+    """Distance of the fitted centres, in metres; NaN if a ball has too few points."""
     seen = [(station.cloud.points, truth.in_world(k)) for station, k in zip(room.stations, members, strict=True)]
     balls = [
         [points[np.abs(np.linalg.norm(world - ball, axis=2) - _RADIUS_M) < _ON_BALL_M] for points, world in seen]
@@ -179,7 +179,7 @@ def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float
 
 
 def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
-    """Places and turns against the first station, rms."""
+    """Errors over sigmas of poses relative to the first station, rms."""
     first, true = room.stations[0].place, truth.places[members[0]]
     turn = Rotation.from_matrix(true.rotation @ first.rotation.T)
     moved, turned = [], []
@@ -193,7 +193,7 @@ def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
 
 
 def lengths_in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
-    """Distances of planes that face each other, and angles of those that cross, rms."""
+    """Errors over sigmas of distances of facing planes, and of angles of crossing ones, rms."""
     true = true_planes(room, members, truth)
     gaps, angles = [], []
     for a, b in combinations(true, 2):
@@ -210,7 +210,9 @@ def lengths_in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) ->
 
 
 def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[int, tuple[Floats, float]]:
-    """In the estimate's frame and baselines, by number: normals and offsets of what pixels on the planes truly see."""
+    """True planes in the estimate's frame and baselines, by number: normals and offsets of the true points of pixels on
+    the planes.
+    """
     first, on = truth.places[members[0]], dict[int, list[Floats]]()
     for station, k in zip(room.stations, members, strict=True):
         for plane in np.unique(station.plane[station.plane >= 0]):
@@ -259,11 +261,11 @@ def main() -> None:
             print(f"  refused: {refusal.reason}")
             continue
         ended = time.process_time()
-        for stranger in room.outlier_stations:
-            print(f"  {stranger.name}: {stranger.reason}")
+        for outlier in room.outlier_stations:
+            print(f"  {outlier.name}: {outlier.reason}")
         report(room, order, truth)
         print(f"  seconds of one processor: corners {started - began:.1f}, rest {ended - started:.1f}", flush=True)
-    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+    print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
 
 
 def _given(truth: Truth) -> RigStart:

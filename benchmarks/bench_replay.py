@@ -2,8 +2,8 @@
 
     python benchmarks/bench_replay.py [--captures DIR] [--repeat 3]
 
-In seconds of the processors, which other work on the machine disturbs less than the clock. A replay before those that
-are timed loads the machine code, or waits for the compiler where that has changed.
+Times are processor seconds, which depend less on other work on the machine. An untimed replay loads the machine code,
+or compiles it.
 """
 
 import argparse
@@ -28,7 +28,7 @@ _MOST_READINGS = 5
 
 
 def processor_s(action: Callable[[], object], repeat: int) -> float:
-    """Processor seconds, the least of several runs, because other work only adds to it."""
+    """Processor seconds; the minimum of several runs, because other work only adds to it."""
     found = []
     for _ in range(repeat):
         begin_s = time.process_time()
@@ -45,7 +45,7 @@ def read(files: list[Path]) -> None:
 
 
 def replay(capture: Path) -> int:
-    """The exit code; a capture without a corner is decoded all the same."""
+    """The exit code; a capture without a corner is decoded, too."""
     with tempfile.TemporaryDirectory(prefix="replay-") as folder, contextlib.redirect_stderr(io.StringIO()):
         return scan(["replay", str(capture), "--out", str(Path(folder) / "result"), "--quiet"])
 

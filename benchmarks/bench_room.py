@@ -1,16 +1,16 @@
-"""Whole rooms: stations registered without a guess, and one estimate of rig, places and walls, against the truth.
+"""Whole rooms: registration without an initial guess, one estimate of rig, poses and walls, and their errors.
 
     python benchmarks/bench_room.py [--rooms 6] [--stations 6] [--camera 612 512] [--first 0] [--without 2]
         [--changed 3] [--pictures]
 
-Simulated furnished rooms, walls off square by 0.3°, furniture askew by 4°, two balls 3 m apart. Matches are those of
-rays, one for each camera pixel, with 0.03 projector px of noise; nothing is known of the camera's principal point but
-that it is near the image's centre. Stations come in random order. Errors of places are the largest after the whole room
-was laid over the truth; wrong is a station off by more than 20 mm. Surfaces are errors of the room's cloud, from the
-nearest true surface, and of single pixels of the stations, from what the pixel's ray meets, which is the noise of a
-match. `--without`: leave one station out, so that the chain is open. `--changed`: before this station the projector was
-turned in the rig, by 0.3 to 1° about any axis. `--pictures`: stations have the lit scene's, too. Seconds are of one
-processor: start is calibrating from corners, solve is surfaces, registration, estimate and final clouds.
+Simulated furnished rooms, walls off square by 0.3°, furniture rotated by 4°, two balls 3 m apart. Matches come from
+rays, one per camera pixel, with 0.03 projector px of noise; the camera's principal point is only known to be near the
+image's centre. Stations are in random order. Pose errors are the largest after aligning the whole room with the truth;
+a station off by more than 20 mm is wrong. Surface errors are those of the room's cloud, from the nearest true surface,
+and of single pixels of the stations, from their true points, which is the noise of a match. `--without`: leave one
+station out, so that the chain is open. `--changed`: the projector was rotated in the rig before this station, by 0.3 to
+1° about any axis. `--pictures`: stations have pictures of the lit scene. Seconds are of one processor: start is
+calibrating from corners, solve is surfaces, registration, estimate and final clouds.
 """
 
 import argparse
@@ -50,8 +50,8 @@ _TURNED_DEG = (0.3, 1.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One room: errors in mm and degrees; surfaces of the cloud and of pixels, median and 95 %, as shares of the
-    diagonal in percent; errors over sigmas.
+    """One room: errors in mm and degrees; surface errors of the cloud and of pixels, median and 95 %, relative to the
+    diagonal in per cent; errors over sigmas.
     """
 
     joined: int
@@ -97,7 +97,7 @@ def measure(true: Sequence[TrueStation], camera: Size) -> Row:
 
 
 def any_turn(seed: list[int]) -> Floats:
-    """About any axis, as a rotation vector in degrees (3,)."""
+    """A random rotation vector in degrees (3,)."""
     rng = np.random.default_rng(seed)
     axis = rng.standard_normal(3)
     turn: Floats = rng.uniform(*_TURNED_DEG) * axis / np.linalg.norm(axis)
@@ -106,7 +106,7 @@ def any_turn(seed: list[int]) -> Floats:
 
 def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_s: float) -> Row:
     truth = [true[k] for k in room.group.stations]
-    # The gauge of the sigmas: by the first station. Errors are then looked at in the best overall frame.
+    # The gauge of the sigmas is the first station; errors are evaluated in the best overall frame.
     found = np.array([station.place.translation for station in room.stations])
     centres = np.array([each.place.translation for each in truth])
     turn = Rotation.from_matrix(truth[0].place.rotation @ room.stations[0].place.rotation.T)
@@ -145,21 +145,21 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         in_sigmas,
         list(lengths_in_sigmas(room, truth, best, shift)),
         100 * abs(room.calibration.camera.focal_px[0] / truth[0].calibration.camera.focal_px[0] - 1),
-        [f"{stranger.name}: {stranger.cause}" for stranger in room.outlier_stations],
+        [f"{outlier.name}: {outlier.cause}" for outlier in room.outlier_stations],
         start_s,
         solve_s,
     )
 
 
 def seen_by(station: TrueStation, camera: Size) -> Floats:
-    """True points (H, W, 3) of the camera's pixels in the simulation's frame; NaN where nothing was lit."""
+    """True points (H, W, 3) of the camera's pixels in the simulation's frame; NaN where unlit."""
     world = np.full((camera.height * camera.width, 3), np.nan)
     world[station.pixel] = station.points @ station.place.rotation.T + station.place.translation
     return world.reshape(camera.height, camera.width, 3)
 
 
 def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
-    """Error of the distance between the two balls in metres; NaN where one was not seen."""
+    """Error of the distance between the two balls in metres; NaN if one was not seen."""
     seen = list(zip(room.stations, truth, strict=True))
     balls = [
         [station.cloud.points.reshape(-1, 3)[each.pixel[each.surface == number]] for station, each in seen]
@@ -169,7 +169,7 @@ def balls_off(room: SolvedRoom, truth: Sequence[TrueStation]) -> float:
 
 
 def lengths_in_sigmas(room: SolvedRoom, truth: Sequence[TrueStation], turn: Rotation, shift: Floats) -> list[float]:
-    """Errors of the angles between the plan's walls, over their sigmas: the walls of the scene that they lie on."""
+    """Errors over sigmas of the angles between the plan's walls, compared with the walls of the scene."""
     scene = truth[0].scene
     normals = scene.normals(
         np.arange(6 + 6 * len(scene.blocks), dtype=np.int32), np.zeros((3, 6 + 6 * len(scene.blocks)))
@@ -236,7 +236,7 @@ def main() -> None:
     print(
         f"error/sigma of angles between walls, rms: {rms(angles):.2f} ({len(angles)}, of which a room's hang together)"
     )
-    print(f"memory at most: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+    print(f"peak memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
 
 
 if __name__ == "__main__":

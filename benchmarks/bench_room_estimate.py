@@ -1,12 +1,12 @@
-"""Whole rooms: one estimate of rig, places and planes, on made-up rooms whose truth is known.
+"""Whole rooms: one estimate of rig, poses and planes, on synthetic rooms with ground truth.
 
     python benchmarks/bench_room_estimate.py [--rooms 30] [--times 6 12 24] [--wavy 0.001] [--tangential 0.0004]
 
 Six stations in a furnished room of 4.5 × 3.6 × 2.6 m, walls off square by 0.3° (normal, each direction), noise of 0.03
 to 0.1 projector px, matches straight from points in space. The start is the truth with focals off by 1 %, principal
-points by 5 px, places and planes by 30 mm and 0.5° (1 sigma each). Of the camera's principal point the estimate knows
-the image's centre, give or take 50 px. Beside it: the same with the rig held as one station's corner calibrates it, and
-with the true rig held. 'bound' is Cramér and Rao's.
+points by 5 px, places and planes by 30 mm and 0.5° (1 sigma each). The prior of the camera's principal point is the
+image's centre ± 50 px. For comparison: the same with the rig fixed to the calibration from one station's corner, and to
+the true rig. 'bound' is the Cramér–Rao bound.
 """
 
 import argparse
@@ -35,14 +35,14 @@ sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
 
 _CENTRE_SIGMA_PX, _SQUARENESS_DEG = 50.0, 0.3
-_WEAK = 3e-3  # metres: stations that slide further than this, by their own sigma, are told apart
-_APART = 0.3  # baselines, of two vertices
-_FACING, _CROSSING = -0.98, 0.1  # of two normals' product
+_WEAK = 3e-3  # metres: stations with a larger sigma in some direction are counted separately
+_APART = 0.3  # baselines: largest distance of two estimates of a vertex
+_FACING, _CROSSING = -0.98, 0.1  # scalar products of the normals of facing and of perpendicular planes
 
 
 @dataclass
 class Errors:
-    """Errors of one estimate: pose errors (mm, degrees) with whether the station is held in all directions."""
+    """Errors of one estimate: pose errors (mm, degrees), and whether each station is determined in all directions."""
 
     millimetres: list[float] = field(default_factory=list)
     degrees: list[float] = field(default_factory=list)
@@ -90,7 +90,7 @@ def _with_tangential(device: Intrinsics, terms: Floats) -> Intrinsics:
 
 
 def corner_calibration(made: SyntheticRoom, rng: np.random.Generator) -> State | None:
-    """The rig from one station that sees the floor and two walls next to each other, as a person would choose it."""
+    """The rig from one station that sees the floor and two adjacent walls, as a person would choose it."""
     camera, projector = made.calibration.camera.size, made.calibration.projector.size
     for i in rng.permutation(len(made.stations)):
         matches = made.stations[i].matches
@@ -117,7 +117,7 @@ def corner_calibration(made: SyntheticRoom, rng: np.random.Generator) -> State |
 
 
 def lengths(found: RoomEstimate, truth: Room) -> Iterator[tuple[str, Measured, float]]:
-    """By kind, what was found and what is true: distances of facing planes, angles, room's edges."""
+    """Estimated and true values by kind: distances of facing planes, angles, edges of the room."""
     true = _exact(found, truth)
     normals = np.stack([plane.normal for plane in truth.planes])
     products = normals @ normals.T
@@ -138,7 +138,7 @@ def _exact(found: RoomEstimate, truth: Room) -> RoomEstimate:
 
 
 def _gap_there(found: RoomEstimate, truth: Room, first: int, second: int) -> float:
-    """The true distance, at the point where it was measured."""
+    """The true distance at the point of measurement."""
     one, other = truth.planes[first], truth.planes[second]
     middle = (centre_of(found, first) + centre_of(found, second)) / 2
     foot = middle - (one.normal @ middle - one.offset) * one.normal
@@ -190,9 +190,9 @@ def accuracy(count: int, matches: int, wavy: float, balls: int, tangential: floa
         print(f"  {name:26}{errors.row()}")
     error_mm = np.array(ways["joint estimate"].millimetres)[np.array(ways["joint estimate"].held)]
     least_mm = _rms(np.array(bound_mm))
-    if not balls:  # whose matches the bound does not know
+    if not balls:  # the bound does not include matches on balls
         print(f"  {'bound':26}{least_mm:9.3f}   error over bound {_rms(error_mm) / least_mm:.3f}")
-    print(f"  views of planes taken for others than they are: {untied}")
+    print(f"  misassigned observations of planes: {untied}")
     print(f"  focals, mean error: {100 * np.mean(focals):.4f} %")
     print("  error / sigma, rms")
     for name, values in sigmas.items():
@@ -205,7 +205,7 @@ def _loose(made: SyntheticRoom, balls: int) -> list[Matches]:
 
 
 def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
-    """Without planes that exist in the estimate only."""
+    """The patches without planes that exist in the estimate only."""
     size = truth.size
     room = replace(found.room, planes=found.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))

@@ -1,11 +1,11 @@
-"""Are a whole room's sigmas as large as its errors? The estimate alone, in the rooms of `bench_room.py`.
+"""Errors over sigmas of whole rooms, by the estimate alone, in the rooms of `bench_room.py`.
 
     python benchmarks/bench_room_sigmas.py [--rooms 9] [--draws 3] [--smooth-px 0]
 
-Errors of one room hang together (five angles between its walls, and all places by one focal length), so that four rooms
-say little: here noise is drawn anew several times for each room, and only the estimate is made again, from planes that
-are told, at places 10 mm and 0.2° off. `--smooth-px`: how large smooth errors the sigmas allow for, of which the
-matches have none. 'bent': planes that pass for bent in one draw in how many, where all are flat.
+Errors in one room correlate (five angles between its walls, and all poses through one focal length), so a few rooms are
+not conclusive. Here, noise is drawn several times for each room, and only the estimate is repeated, with known planes,
+from poses 10 mm and 0.2° off. `--smooth-px`: smooth errors assumed in the sigmas; the matches have none. 'bent': number
+of draws per plane judged bent, where all are flat.
 """
 
 import argparse
@@ -32,14 +32,14 @@ from tests.support.whole_room import TrueStation, stations
 _NOISE_PX, _CENTRE_SIGMA_PX = 0.03, 35.0
 _LEAST, _LEAST_SHARE = 200, 0.02  # matches on a plane of a station, as in `calib.rooms.straight_planes`
 _WALLS, _OF_A_BLOCK = 6, 6
-_CROSSING = 0.1  # of two normals' product
-_OFF_M, _TURNED = 0.01, 0.003  # of the start
+_CROSSING = 0.1  # largest scalar product of two perpendicular normals
+_OFF_M, _TURNED = 0.01, 0.003  # displacement of the start
 
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A room in baselines, in its first camera's frame; `surface`: of each plane, and `label` of each station's matches
-    as indices of the planes, −1 for none.
+    """A room in baselines, in its first camera's frame; `surface` of each plane, and `label` of each station's matches
+    as plane indices, −1 for none.
     """
 
     true: Sequence[TrueStation]
@@ -74,7 +74,7 @@ class Made:
         return cls(true, room, surface, [number[each.surface] for each in true])
 
     def cells(self, rng: np.random.Generator) -> list[Cells]:
-        """With noise of their own."""
+        """Cells with new noise."""
         found = []
         for each, label in zip(self.true, self.labels, strict=True):
             count = np.bincount(label[label >= 0], minlength=len(self.surface))

@@ -1,4 +1,4 @@
-"""Whole scans of simulated rooms against their truth: decoding, faces, both calibrations, cloud.
+"""Whole scans of simulated rooms compared with the truth: decoding, faces, both calibrations, cloud.
 
     python benchmarks/bench_rooms.py --seeds 0 1 2 3 4 5
 

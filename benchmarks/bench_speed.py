@@ -1,4 +1,4 @@
-"""How long a calibration takes, and how that grows with the number of matches.
+"""Time of a calibration, by the number of matches.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/bench_speed.py
 

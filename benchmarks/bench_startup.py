@@ -1,4 +1,4 @@
-"""How long the command takes to answer when there is nothing to do, beside Python itself in the same run.
+"""Response time of the command when there is nothing to do, compared with Python itself in the same run.
 
     python benchmarks/bench_startup.py
 
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeat", type=int, default=9)
     options = parser.parse_args()
-    # In turn, so that what else the machine does meets all of them.
+    # Alternating, so that other load affects all of them.
     rounds = [{name: seconds(arguments) for name, arguments in ANSWERS.items()} for _ in range(options.repeat)]
     print(f"{'':24} {'median':>8} {'worst':>8} {'x python':>9} {'of limit':>9}")
     python = statistics.median(each["python -c pass"] for each in rounds)

@@ -2,9 +2,9 @@
 
     python benchmarks/bench_stations.py [--stations 6 12 24] [--matches 20000] [--seed 1]
 
-Made-up furnished rooms as of `bench_registration.py` (clouds, for the registration) and of `bench_room_estimate.py`
-(matches, for the estimate). Every number of stations has a process of its own, so that memory is its own. Seconds are
-of one processor, from the stations' clouds and from their matches on. 'a pair' is per pair of stations that overlap:
+Synthetic furnished rooms as of `bench_registration.py` (clouds, for the registration) and of `bench_room_estimate.py`
+(matches, for the estimate). Every number of stations runs in its own process, to measure memory. Seconds are
+of one processor, from the stations' clouds and from their matches. 'a pair' is per pair of stations that overlap:
 share surfaces, as registered, or planes.
 """
 
@@ -30,11 +30,11 @@ from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
 
 
 def registered(number: int, seed: int) -> tuple[float, int, int]:
-    """Seconds, how many stations were put together, and pairs of them that overlap."""
+    """Seconds, the number of registered stations, and pairs of them that overlap."""
     rng = np.random.default_rng(seed)
     room = furnished(rng)
     views = [view_of(seen_from(room, place, rng)) for place in ring(rng, room, number)]
-    register(views[:2])  # compiled, or read from the cache, before the clock starts
+    register(views[:2])  # compile, or load from the cache, before timing
     began = time.process_time()
     found = register(views)
     return time.process_time() - began, len(found.groups[0].stations), len(found.pairs)

@@ -2,9 +2,9 @@
 
     python benchmarks/bench_views.py --views 500 --seed 0
 
-A view is accepted with its sigmas or refused with a reason. Counted are the accepted ones of which a focal or the
-projector's principal point is wrong by more than 5 sigma, and the refused ones whose focals the Cramér–Rao bound would
-put within 1 %. Synthetic matches, no images; corner 1.5 to 6 m away, baseline 0.15 to 0.8 m, any roll, focals of 0.5 to
+A view is accepted with its sigmas or refused with a reason. The table counts accepted views with a focal length or
+projector principal point off by more than 5 sigma, and refused views whose focal lengths have a Cramér–Rao bound below
+1 %. Synthetic matches, no images; corner 1.5 to 6 m away, baseline 0.15 to 0.8 m, any roll, focals of 0.5 to
 3 widths, projector shifted by up to half its height, noise 0.03 to 0.5 px, 300 to 100,000 matches.
 """
 
@@ -29,7 +29,7 @@ WRONG_SIGMAS, USEFUL_SIGMA = 5.0, 0.01
 
 @dataclass(frozen=True)
 class View:
-    """A capture, and what the program is told about it; `impossible` where no calibration can be right by design."""
+    """A capture, and the knowledge given to the program; `impossible` if it cannot be calibrated by design."""
 
     kind: str
     capture: SyntheticCapture
@@ -45,7 +45,7 @@ def random_options(rng: np.random.Generator) -> CaptureOptions:
     camera_centre = ((width - 1) / 2 + 0.02 * width * rng.normal(), (height - 1) / 2 + 0.02 * width * rng.normal())
     shift = rng.uniform(-0.5, 0.5) * PROJECTOR_SIZE[1]
     projector_centre = (426.5 + rng.normal(0, 10), 239.5 + shift)
-    # A wide projector before a long lens lights what the camera cannot see: the fields of view go together.
+    # Fields of view are chosen together: a wide projector with a long camera lens lights what is not seen.
     field = np.exp(rng.uniform(np.log(0.5), np.log(3.0)))
     other = np.clip(field * np.exp(rng.uniform(-0.5, 0.5)), 0.5, 3.0)
     strength = rng.choice([0.0, 0.02, 0.06]) * min(1.0, field) ** 2
@@ -136,7 +136,7 @@ def _joined(a: Matches, b: Matches) -> Matches:
 
 
 def best_sigma(view: View) -> float:
-    """The larger of the focals' relative sigmas by the Cramér–Rao bound."""
+    """The larger relative sigma of the focal lengths by the Cramér–Rao bound."""
     point = view.principal_point
     knowledge = Knowledge(CAMERA_SIZE, PROJECTOR_SIZE, point.px, point.sigma_px, view.squareness_deg)
     return float(max(bound([view.capture], knowledge, view.noise_px)[:2]))
@@ -167,7 +167,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a view: `deviation` (4,) in sigmas of an accepted one; `needless` refusals; a `line` to print."""
+    """The outcome of a view: `deviation` (4,) in sigmas if accepted; `needless` refusals; a `line` to print."""
 
     kind: str
     deviation: np.ndarray | None = None

@@ -2,9 +2,9 @@
 
     python benchmarks/bench_wrong_frames.py [--scans 20] [--busy 4] [--latency-ms 50]
 
-Each of the 52 frames of a scan is compared with what the simulated camera sees of its pattern at rest, and with the
-patterns before and after it: no more than 2 % of a frame may be of those. The wall has jitter, and misses a refresh now
-and then, which neither projector nor camera tell of. `--without-inverses`: 39 frames, verified by parity.
+Each of the 52 frames of a scan is compared with the simulated camera's view of its pattern at rest, and with the
+patterns before and after it: at most 2 % of a frame may be of those. The wall has jitter, and sometimes misses a
+refresh, which neither projector nor camera report. `--without-inverses`: 39 frames, verified by parity.
 Needs what `make rig` installs.
 """
 

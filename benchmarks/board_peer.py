@@ -1,7 +1,7 @@
 """The usual calibration from boards: local homographies at the corners, then OpenCV's stereoCalibrate.
 
 D. Moreno and G. Taubin, Simple, accurate, and robust projector-camera calibration, 3DIMPVT 2012; with the thresholds
-and windows that the script of github.com/kamino410/procam-calibration has.
+and windows of the script in github.com/kamino410/procam-calibration.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ _WINDOWS = 180  # windows side by side in an image's width, twice over
 
 @dataclass(frozen=True)
 class Corners:
-    """Of one board: `points` (N, 2), their pixels in both devices, (N, 2) each."""
+    """One board: `points` (N, 2), and their pixels in both devices, (N, 2) each."""
 
     points: Floats
     camera_px: Floats
@@ -41,7 +41,7 @@ class Peer:
 
 
 def corners_of(folder: Path, points: Floats, counts: tuple[int, int]) -> Corners:
-    """Of a Gray code capture, pixel by pixel as OpenCV's decoder has it; the corners by its older detector."""
+    """Corners of a Gray code capture: its pixels by OpenCV's decoder, its corners by OpenCV's older detector."""
     recording = open_capture(folder)
     images = {pattern: frame.image.astype(np.int32) for pattern, frame in recording.stream().frames}
     white = images[White()]
@@ -78,7 +78,7 @@ def _local(points: Floats, camera_px: Floats, known: np.ndarray, there: Floats, 
 
 
 def local_corners(points: Floats, camera_px: Floats, seen: Floats, there: Floats, reach_px: float) -> Corners:
-    """The same from matches (M, 2) each, those within a window around each corner."""
+    """The same from matches (M, 2) each, those in a window around each corner."""
     kept, projector_px = [], []
     for i, corner in enumerate(camera_px):
         near = np.abs(seen - corner).max(axis=1) <= reach_px
@@ -90,7 +90,7 @@ def local_corners(points: Floats, camera_px: Floats, seen: Floats, there: Floats
 
 
 def calibrate(boards: Sequence[Corners], camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Peer:
-    """Camera, projector, then both with these held, as the script does."""
+    """Calibrate camera, projector, then both with these fixed, as the script does."""
     flat = [np.concatenate([b.points, np.zeros((len(b.points), 1))], axis=1).astype(np.float32) for b in boards]
     seen = [board.camera_px.astype(np.float32)[:, None] for board in boards]
     lit = [board.projector_px.astype(np.float32)[:, None] for board in boards]
@@ -111,7 +111,7 @@ def calibrate(boards: Sequence[Corners], camera_size: tuple[int, int], projector
 
 
 def predicted(peer: Peer, board: Corners, camera_px: Floats) -> Floats:
-    """Projector pixels of camera pixels (N, 2), by the plane of a board placed by its corners in the camera."""
+    """Projector pixels of camera pixels (N, 2) on a board whose pose comes from its corners in the camera."""
     flat = np.concatenate([board.points, np.zeros((len(board.points), 1))], axis=1)
     _, turn, place = cv2.solvePnP(flat, board.camera_px, *peer.camera, flags=cv2.SOLVEPNP_ITERATIVE)
     rotation = cv2.Rodrigues(turn)[0]

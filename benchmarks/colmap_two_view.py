@@ -13,20 +13,20 @@ import numpy as np
 from calib.geometry import Calibration, Intrinsics, Matches, intersect
 
 HAS_COLMAP = importlib.util.find_spec("pycolmap") is not None
-# COLMAP starts a camera of which nothing is known at this multiple of its image's longer side.
+# COLMAP's initial focal length of an unknown camera, relative to the longer side of its image.
 FOCAL_OF_LONGER_SIDE = 1.2
-_HALF_PX = 0.5  # COLMAP has the centre of the first pixel at (0.5, 0.5)
+_HALF_PX = 0.5  # COLMAP's first pixel centre is at (0.5, 0.5)
 
 
 def unknown_focal(width: int, height: int, principal_point_px: Sequence[float]) -> Intrinsics:
-    """A pinhole as COLMAP starts it."""
+    """A pinhole with the initial focal length of COLMAP."""
     focal = FOCAL_OF_LONGER_SIDE * max(width, height)
     return Intrinsics(width, height, (focal, focal), (float(principal_point_px[0]), float(principal_point_px[1])))
 
 
 @dataclass(frozen=True)
 class TwoViews:
-    """A reconstruction of two views; `one_camera`: both are by one camera, else each has its own."""
+    """A reconstruction of two views; `one_camera`: both are by one camera."""
 
     model: Any
     sizes: tuple[tuple[int, int], tuple[int, int]]
@@ -44,7 +44,7 @@ class TwoViews:
 
     @property
     def calibration(self) -> Calibration:
-        """In units of the baseline. Raises ValueError where the adjustment ran off: no pinhole has such numbers."""
+        """Calibration in units of the baseline. Raises ValueError if the adjustment diverged."""
         numbers = (1, 1) if self.one_camera else (1, 2)
         first, second = (
             _from_colmap(size, self.model.cameras[number].params)
@@ -57,7 +57,7 @@ class TwoViews:
 
 
 def two_views(matches: Matches, first: Intrinsics, second: Intrinsics | None) -> TwoViews | None:
-    """Pose and points of two pinholes as they are given; None where COLMAP finds no pose. `second` None: the first."""
+    """Pose and points of two given pinholes; None if COLMAP finds no pose. `second` None: the first."""
     import pycolmap
 
     pycolmap.set_random_seed(0)

@@ -1,11 +1,11 @@
-"""Do two checkouts of this program come to the same results?
+"""Compare the results of two checkouts of this program.
 
     git worktree add ../before COMMIT
     python benchmarks/compare_results.py ../before . --seeds 0 1 2 --recordings captures/*
 
-Both scan the same simulated rooms, alone and from two places, and replay the same recordings, each with the calibration
-beside it, too. What they print, their exit codes, and the numbers and words in calibration.yaml, matches.npz and the
-clouds are compared; files that only one of them writes are listed. Exit code 1 if anything differs.
+Both scan the same simulated rooms, once and from two poses, and replay the same recordings, also with the calibration
+beside them. Output, exit codes, and the numbers and words in calibration.yaml, matches.npz and the clouds are compared;
+files that only one of them writes are listed. Exit code 1 if anything differs.
 """
 
 import argparse
@@ -34,7 +34,7 @@ _SMALL = (
 
 
 def commands(seeds: list[int], recordings: list[Path], results: Path) -> Iterator[tuple[str, list[str]]]:
-    """What to run, by name; the configuration is each checkout's own, `results` are those of the first checkout."""
+    """Commands by name; each checkout uses its own configuration, `results` are those of the first checkout."""
     room = ["--config", "configs/room-sim.yaml", *(word for key in _SMALL for word in ("--set", key))]
     for seed in seeds:
         one = [*room, "--set", f"rig.seed={seed}"]
@@ -54,7 +54,7 @@ def _folder(name: str) -> str:
 
 
 def run(checkout: Path, arguments: list[str], out: Path) -> tuple[int, list[str]]:
-    """Exit code, and what was printed but for paths and times."""
+    """Exit code, and the output without paths and times."""
     environment = os.environ | {"PYTHONPATH": str(checkout)}
     done = subprocess.run(
         [sys.executable, "-m", "scanner", *arguments, "--out", str(out), "--quiet"],
@@ -68,7 +68,7 @@ def run(checkout: Path, arguments: list[str], out: Path) -> tuple[int, list[str]
 
 
 def differences(before: Path, after: Path, tolerance: float) -> Iterator[str]:
-    """How the files of two result folders differ, in sentences."""
+    """Differences of the files of two result folders, as sentences."""
     files = [{str(path.relative_to(each)) for path in each.rglob("*") if path.is_file()} for each in (before, after)]
     for name in sorted(files[0] ^ files[1]):
         yield f"{name} is only {'before' if name in files[0] else 'after'}"
@@ -89,7 +89,7 @@ def differences(before: Path, after: Path, tolerance: float) -> Iterator[str]:
 
 
 def _off(first: Any, second: Any) -> float:
-    """The largest difference of two arrays, relative to the largest number in them; infinite where they are unlike."""
+    """The largest difference of two arrays, relative to their largest value; infinite for different shapes."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.shape != b.shape or np.any(np.isnan(a) != np.isnan(b)):
         return float("inf")
@@ -97,7 +97,7 @@ def _off(first: Any, second: Any) -> float:
 
 
 def _changes(first: str, second: str) -> Iterator[str]:
-    """The words of a text that differ."""
+    """The differing words of a text."""
     words = first.split(), second.split()
     for kind, begin, end, new, until in SequenceMatcher(None, *words, autojunk=False).get_opcodes():
         if kind != "equal":

@@ -28,9 +28,9 @@ def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: floa
 
 
 def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: float) -> np.ndarray:
-    """Relative covariance of (f_c, f_p, x_p, y_p), (4, 4), at the truth, each capture with a corner of its own.
+    """Relative covariance of (f_c, f_p, x_p, y_p), (4, 4), at the truth, each capture with its own corner.
 
-    Lens terms that are zero in truth are known to be.
+    Lens terms that are zero in truth are fixed.
     """
     truth = captures[0].calibration
     state = State(
@@ -70,8 +70,8 @@ def bound_of_photos(
 ) -> np.ndarray:
     """Sigmas of (f, x_0, y_0), (3,), in pixels from the first pair of photos, at the truth.
 
-    A lens term that is zero in truth is known to be. Noise in the first photo moves what is predicted for the second by
-    the derivative D of that, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
+    Lens terms that are zero in truth are fixed. Noise in the first photo moves the prediction for the second by its
+    derivative D, so that a match's residual has the covariance σ₂² I + σ₁² D Dᵀ.
     """
     matches, truth = photos.pairs[0]
     camera = rig_device_of(truth.camera)
@@ -97,8 +97,8 @@ def bound_of_photos(
 def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
     """Sigmas of f_x, x_0, y_0 of camera and projector, (6,), in pixels, at the truth.
 
-    Lens terms that are zero in truth are known to be, as is a board's bend; pixels are known to be square. `views`: the
-    same boards' matches as cells, whose sigmas are those of the noise.
+    Lens terms that are zero in truth are fixed, as is a board's bend; pixels are square. `views`: the matches of the
+    same boards as cells, with the sigmas of the noise.
     """
     rig, options = boards.calibration, boards.options
     bend = np.append(boards.bend, np.zeros(4))
@@ -118,7 +118,7 @@ def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
 def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise_px: float) -> np.ndarray:
     """Covariance (size, size) of a room's columns, at the truth.
 
-    `patches`: of the same stations, whose cells' sigmas are those of the noise; `prior`: with the truth as its start.
+    `patches`: of the same stations, with the sigmas of the noise; `prior`: starts at the truth.
     """
     exact = [replace(patch, cells=replace(patch.cells, projector_px=patch.predict(truth)[0])) for patch in patches]
     variances = [noise_px**2 * (patch.cells.sigma_px / patch.cells.noise_px) ** 2 for patch in patches]

@@ -1,6 +1,6 @@
-"""Other people's decoders on frames from a file, for `bench_decode.py --peer-python`; prints seconds as JSON.
+"""Decoders by others on frames from a file, for `bench_decode.py --peer-python`; prints seconds as JSON.
 
-Runs in an environment of its own, for opencv-contrib cannot be installed beside the opencv-python-headless that
+Runs in a separate environment, because opencv-contrib cannot be installed beside opencv-python-headless, which
 roomscan needs: python -m venv peers && peers/bin/pip install opencv-contrib-python-headless fringes
 """
 
@@ -16,7 +16,7 @@ _SAMPLED = 20_000
 
 
 def opencv_seconds(frames: np.ndarray, projector: tuple[int, int]) -> float:
-    """OpenCV's Gray code, asked for each pixel as its samples do; some thousand pixels, scaled up to all."""
+    """OpenCV's Gray code, called per pixel as in its samples; some thousand pixels, scaled up to all."""
     decoder = cv2.structured_light.GrayCodePattern.create(*projector)  # type: ignore[attr-defined]
     images = list(frames)
     height, width = frames.shape[1:]
@@ -29,7 +29,7 @@ def opencv_seconds(frames: np.ndarray, projector: tuple[int, int]) -> float:
 
 
 def fringes_seconds(frames: np.ndarray, projector: tuple[int, int], periods: list[float], shifts: int) -> float:
-    """The package Fringes: whole images, compiled by numba; along both axes the fringes of `periods`."""
+    """The package Fringes: whole images, compiled by Numba; along both axes the fringes of `periods`."""
     from fringes import Fringes
 
     decoder = Fringes()

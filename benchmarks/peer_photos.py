@@ -1,4 +1,4 @@
-"""COLMAP's solution of two photos by one camera of which nothing is known, its principal point held or freed."""
+"""COLMAP's solution of two photos by one unknown camera, with its principal point fixed or free."""
 
 import numpy as np
 from colmap_two_view import HAS_COLMAP, two_views, unknown_focal
@@ -10,7 +10,7 @@ PEERS = (HELD, FREE) if HAS_COLMAP else ()
 
 
 def two_view(matches: Matches, size: tuple[int, int], peer: str) -> np.ndarray | None:
-    """(f, x_0, y_0) in pixels, in this project's convention of pixel centres; None where COLMAP finds no solution."""
+    """(f, x_0, y_0) in pixels, in this project's convention of pixel centres; None if COLMAP finds no solution."""
     found = two_views(matches, unknown_focal(*size, ((size[0] - 1) / 2, (size[1] - 1) / 2)), None)
     if found is None:
         return None

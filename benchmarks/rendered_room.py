@@ -2,11 +2,11 @@
 
     python benchmarks/rendered_room.py SEQUENCE OUT [--seed 0] [--stations 6] [--paths 1024] [--tangential 0.0003]
 
-SEQUENCE is a folder of `scan patterns`. Mitsuba (`pip install mitsuba`, and a libLLVM) has the scene, its textures and
-all intersections; light is traced from there. Rendering is linear in the projector's picture, so paths are traced once
-for all patterns: what each camera pixel receives directly is where its nine sub-pixels meet the picture, and what
-comes by one or two bounces is kept as a histogram over the picture's columns and rows, on a coarser grid.
-OUT/1, OUT/2, … are captures; OUT/truth.npz has places, devices and what each camera pixel sees.
+SEQUENCE is a folder of `scan patterns`. Mitsuba (`pip install mitsuba`, and a libLLVM) computes the scene, its textures
+and all intersections; light is traced here. Rendering is linear in the projector's picture, so paths are traced once
+for all patterns. Direct light of a camera pixel comes from nine sub-pixels. Light after one or two bounces is stored as
+a histogram over the picture's columns and rows, on a coarser grid. OUT/1, OUT/2, … are captures; OUT/truth.npz has
+poses, devices and the points of all camera pixels.
 """
 
 import argparse
@@ -21,14 +21,14 @@ from rendered.devices import Array, Device, Place, Rig, draw_rig, world_rays
 from rendered.furnished import ring, room
 from rendered.light import bounced_light, direct_light, spread, trace
 
-_FULL_WELL, _READ_NOISE, _AMBIENT = 20_000.0, 8.0, 0.02  # electrons, electrons, of white
-_FINE = 64  # steps of a picture's pixel, within which it is interpolated linearly
+_FULL_WELL, _READ_NOISE, _AMBIENT = 20_000.0, 8.0, 0.02  # electrons, electrons, share of white
+_FINE = 64  # steps per pixel of the picture, interpolated linearly
 
 
 def capture(
     scene: "mi.Scene", rig: Rig, place: Place, sequence: Path, out: Path, seed: int, paths: int
 ) -> dict[str, NDArray[np.float32]]:
-    """One station's frames; returns what its pixels see, (H, W, 3) in the camera's frame."""
+    """One station's frames; returns the points of its pixels, (H, W, 3) in the camera's frame."""
     rng = np.random.default_rng(seed)
     width, height = rig.camera.size
     x, y = np.meshgrid(np.arange(width), np.arange(height))

@@ -1,4 +1,4 @@
-"""How far a calibration is from the truth, in its own sigmas, parameter by parameter."""
+"""Errors of a calibration in its own sigmas, parameter by parameter."""
 
 import numpy as np
 
@@ -8,13 +8,13 @@ from calib.refinement import CAMERA, PROJECTOR, State, device_of
 from calib.self_calibration import SelfCalibration
 
 _DEVICE = ("f", "x0", "y0", "k1", "k2", "p1", "p2", "k3")
-# Of both devices, the rotation between them, and the direction of the translation.
+# Parameters of both devices, the rotation between them, and the direction of the translation.
 COLUMNS = (*(f"{name}_c" for name in _DEVICE), *(f"{name}_p" for name in _DEVICE), "R1", "R2", "R3", "t1", "t2")
 _FOUR = [CAMERA.start, PROJECTOR.start, PROJECTOR.start + 1, PROJECTOR.start + 2]
 
 
 def deviations(found: SelfCalibration, truth: Calibration) -> Floats:
-    """(21,): the truth's distance in sigmas along each of the `COLUMNS`, NaN where it was taken as known."""
+    """(21,): errors in sigmas along each of the `COLUMNS`, NaN for known parameters."""
     assert found.uncertainty is not None
     true = State(
         device_of(truth.camera),

@@ -1,4 +1,4 @@
-"""How far apart two balls of a room are, by all stations' points on them."""
+"""Distance of two balls in a room, by all stations' points on them."""
 
 from collections.abc import Sequence
 
@@ -12,9 +12,9 @@ _FEWEST = 50
 
 
 def centres_apart(stations: Sequence[Station], balls: Sequence[Sequence[Floats]], radius_m: float) -> float:
-    """Distance of the fitted centres of two balls, in metres; NaN where one was hardly seen.
+    """Distance of the fitted centres of two balls, in metres; NaN if one has too few points.
 
-    Of each ball, the points (N, 3) of each station's cloud on it, NaN where there are none.
+    `stations`: for each ball, the points (N, 3) of each station on it; NaN without any.
     """
     centres = []
     for seen in balls:

@@ -1,4 +1,4 @@
-"""How far points are from what the stations of a room truly see."""
+"""Distances of points from the true surfaces seen by the stations of a room."""
 
 from collections.abc import Sequence
 
@@ -7,13 +7,13 @@ from scipy.spatial import cKDTree
 
 from calib.numerics import Floats
 
-_EVERY = 2  # of the true points
+_EVERY = 2  # sampling of the true points
 
 
 def from_surfaces(points: Floats, seen: Sequence[Floats]) -> Floats:
-    """Distances (N,) of points (N, 3): along the normal of the nearest of all points that camera pixels see.
+    """Distances (N,) of points (N, 3) along the normal of the nearest point seen by a camera pixel.
 
-    `seen`: of each station (H, W, 3) in the same frame, NaN where nothing is known.
+    `seen`: for each station (H, W, 3) in the same frame, NaN where unknown.
     """
     surfaces, normals = [], []
     for world in seen:

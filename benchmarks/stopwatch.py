@@ -1,4 +1,4 @@
-"""Where the time of a scan goes: its steps, and functions within them, by the clock and by the processors."""
+"""Time of a scan by its steps and functions, by the clock and by the processors."""
 
 import time
 from collections import defaultdict
@@ -19,7 +19,7 @@ from scanner.ui import Terminal
 
 @dataclass
 class Duration:
-    """Seconds by the clock, and seconds that processors worked."""
+    """Seconds by the clock, and processor seconds."""
 
     clock_s: float = 0.0
     processors_s: float = 0.0
@@ -30,9 +30,9 @@ class Duration:
 
 @dataclass
 class Stopwatch(Terminal):
-    """A terminal that notes how long each step takes, and how long each of the functions in it that are `watched`.
+    """A terminal that records the time of each step, and of each `watched` function in it.
 
-    `matched`: how many matches there were.
+    `matched`: the number of matches.
     """
 
     steps: dict[str, Duration] = field(default_factory=dict)
@@ -57,11 +57,11 @@ class Stopwatch(Terminal):
         parts: MutableMapping[str, Callable[..., Any]],
         prefix: str,
     ) -> Iterator[None]:
-        """Note how long functions take, under names for people.
+        """Record the time of functions, under readable names.
 
-        `alone`: called while nothing else runs, as "module.name" of the module that calls them. `beside`: run in
-        threads beside others, so only the processor time of their own thread can be told; `parts`: likewise, the table
-        in which functions are looked up when they are called, whose names get a `prefix`.
+        `alone`: functions that run alone, as "module.name" of the calling module. `beside`: functions that run in
+        threads beside others, so that only the processor time of their own thread is known; `parts`: likewise, but
+        looked up in this table when they are called, whose names get a `prefix`.
         """
         with ExitStack() as patches:
             for targets, processors in ((alone, time.process_time), (beside, time.thread_time)):
@@ -74,7 +74,7 @@ class Stopwatch(Terminal):
             yield
 
     def rest(self, step: str) -> Duration:
-        """What a step takes besides the functions in it, none of which runs beside another."""
+        """Time of a step without the functions in it, none of which may run in parallel."""
         of_parts = self.parts[step].values()
         return Duration(
             self.steps[step].clock_s - sum(part.clock_s for part in of_parts),
@@ -94,7 +94,7 @@ class Stopwatch(Terminal):
 def measured(
     durations: dict[str, Duration], name: str, processors: Callable[[], float] = time.process_time
 ) -> Iterator[None]:
-    """Add what the block takes to one of the durations; `processors` tells the seconds that they have worked so far."""
+    """Add the time of the block to one of the durations; `processors` returns processor seconds."""
     clock, worked = time.perf_counter(), processors()
     yield
     duration = durations.setdefault(name, Duration())
@@ -104,12 +104,11 @@ def measured(
 
 @dataclass(frozen=True)
 class PlainCopy:
-    """Seconds by the clock that a copy of all frames takes, in two ways: the measures of other things.
+    """Seconds by the clock to copy all frames, in two ways: the reference of other times.
 
-    `in_one_piece_s`: into a single piece of new memory, which the system gives anew each time; the least of several
-    times, for other work only adds to it. `frame_by_frame_s`: each frame into memory of its own, the median of several
-    times, as it was measured when the limits were set; the allocator may or may not have kept that memory from before,
-    which makes it anything between half and four times the other.
+    `in_one_piece_s`: into one piece of new memory, which the system provides each time; the minimum of several runs,
+    because other work only adds to it. `frame_by_frame_s`: each frame into its own memory, the median of several runs,
+    as when the limits were set; it takes half to four times as long, because the allocator may have kept the memory.
     """
 
     in_one_piece_s: float
@@ -117,7 +116,7 @@ class PlainCopy:
 
 
 def plain_copy(frames: Sequence[Image], times: int = 5) -> PlainCopy:
-    """Both, one after the other, so many times."""
+    """Measure both, alternately, this many times."""
     in_one_piece_s, frame_by_frame_s = [], []
     for _ in range(times):
         begin_s = time.perf_counter()

@@ -33,8 +33,7 @@ def at_place(settings: RigSettings, step: int) -> RigSettings:
             last = settings.places - 1
             if settings.pose + step > last:
                 raise DeviceError(
-                    f"the simulated rig has places 0 to {last}; from pose {settings.pose} it cannot step aside "
-                    f"{step} times"
+                    f"the simulated rig has poses 0 to {last}; from pose {settings.pose} it cannot move {step} times"
                 )
             settings = settings.model_copy(update={"pose": settings.pose + step})
     return settings

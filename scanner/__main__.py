@@ -12,7 +12,7 @@ def run() -> int:
     from scanner.commands.main import main
 
     code = main()
-    on_ending(signal.SIG_IGN)  # everything has been said; a handler would be gone before the process is
+    on_ending(signal.SIG_IGN)  # everything is reported; a handler would disappear before the process does
     return code
 
 

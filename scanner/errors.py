@@ -2,7 +2,7 @@
 
 import errno
 
-# What an OSError says of the disk, whatever was being done there.
+# Advice for an OSError of the disk, for any operation.
 DISK_TROUBLE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO})
 _REMEDIES = {
     errno.EFBIG: "files of this size are not allowed (ulimit -f), or the file system cannot hold them",

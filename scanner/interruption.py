@@ -17,10 +17,10 @@ from types import FrameType
 
 EXIT_INTERRUPTED = 130
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# Where `threading` waits, for as long as it takes; elsewhere in it, it is for microseconds.
+# Functions of `threading` that may wait long; others hold a lock for microseconds.
 _WAITING = {"wait", "join", "_wait_for_tstate_lock"}
 _AGAIN_S, _MOST_PUT_OFF = 0.002, 100
-_put_off: list[tuple[str, int]] = []  # where the interruption that is to come has found the main thread so far
+_put_off: list[tuple[str, int]] = []  # places where the delayed interruption has found the main thread so far
 
 Handler = Callable[[int, FrameType | None], object]
 
@@ -32,13 +32,13 @@ def end_at_once(_number: int, _frame: FrameType | None) -> None:
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """A handler that raises KeyboardInterrupt, whichever signal it was.
+    """A handler that raises KeyboardInterrupt for any signal.
 
-    Not while `threading` takes a lock for the `with` of a condition, a semaphore, an event or a thread pool: that lock
-    would never be given back, and whoever wants it next waits for good. Then it comes a moment later.
+    It is delayed while `threading` acquires a lock for the `with` of a condition, a semaphore, an event or a thread
+    pool: otherwise the lock would never be released, and its next user would wait forever.
     """
     if _among_locks(frame):
-        _thread.start_new_thread(_come_again, (number,))  # which takes no lock of `threading`
+        _thread.start_new_thread(_come_again, (number,))  # takes no lock of `threading`
         return
     _put_off.clear()
     raise KeyboardInterrupt
@@ -49,7 +49,7 @@ def _among_locks(frame: FrameType | None) -> bool:
     if frame is None or frame.f_globals is not vars(threading):
         return False
     place = frame.f_code.co_name, frame.f_lasti
-    waits = frame.f_code.co_name in _WAITING and place in _put_off[-1:]  # it was there a moment ago
+    waits = frame.f_code.co_name in _WAITING and place in _put_off[-1:]  # it was already there at the last attempt
     _put_off.append(place)
     return not waits and len(_put_off) < _MOST_PUT_OFF
 

@@ -45,7 +45,7 @@ def scan(
     Ctrl-C, and what was captured is kept. `on_cloud` is called with the result, in a thread of its own, while it is
     being saved. Raises InputError, DeviceError, RefusalError.
     """
-    # Whatever could be refused after the capture is asked before it.
+    # Everything that could be refused is checked before the capture.
     config.principal_point(config.camera_size)
     if captures < 1:
         raise InputError(f"--captures: expected 1 or more, found {captures}")

@@ -55,8 +55,8 @@ from scanner.reconstruction import (
 from scanner.results import AS_SHOWN, CAPTURE_FOLDER, TRUTH_FILE, Decoded, GivenCalibration, Scan
 from scanner.ui import Operator, Progress, Terminal
 
-OnCloud = Callable[[Scan], object]  # told of the clouds as soon as they are there, while they are being saved
-# Of matches and cloud, for each pixel of the camera.
+OnCloud = Callable[[Scan], object]  # called with the clouds once they exist, while they are being saved
+# Bytes of matches and cloud per camera pixel.
 _RESULT_BYTES_PER_PIXEL = 75
 
 
@@ -71,9 +71,9 @@ def scan(
     earlier: Sequence[Decoded] = (),
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    """Capture with the configured rig, from one place or from several, then reconstruct. Raises DeviceError too.
+    """Capture with the configured rig, from one or several places, then reconstruct. Raises DeviceError too.
 
-    Between them the `operator` is told what they are worth by now, and asked to move the rig.
+    Between captures, the `operator` is told their accuracy so far, and asked to move the rig.
     """
     captures = [*earlier]
     enough = False
@@ -86,9 +86,9 @@ def scan(
         captures.append(take(rig, config, folder, progress, f"Capture {len(captures) + 1}"))
         if step + 1 < number:
             with progress.step("Working out where to go next"):
-                told, captures = guide(captures, config)
-            operator.tell(*told.sentences)
-            enough = told.enough
+                guidance, captures = guide(captures, config)
+            operator.tell(*guidance.sentences)
+            enough = guidance.enough
     return reconstruct(captures, config, folder, progress, masks=masks, on_cloud=on_cloud)
 
 
@@ -108,7 +108,7 @@ def resume(
 
 
 def _truth_beside(opened: OpenedRig) -> dict[str, Any]:
-    """What truth.yaml says beside the calibration: where the rig stood, and the thing's volume and area, in metres."""
+    """Additional entries of truth.yaml: the pose of the rig, and the thing's volume and area, in metres."""
     entries: dict[str, Any] = {}
     if opened.place is not None:
         place = opened.place
@@ -126,7 +126,7 @@ def take(
     name: str,
     begun: Recording | None = None,
 ) -> Decoded:
-    """One capture, recorded and decoded as it comes, or the rest of one that was `begun`.
+    """Record and decode a capture, or the rest of a `begun` one.
 
     Raises DeviceError, StorageError if there is no room for it.
     """

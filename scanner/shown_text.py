@@ -4,11 +4,11 @@ import re
 import reprlib
 
 _MARK = "\N{REPLACEMENT CHARACTER}"
-# Control characters but for line breaks and tabs; those that turn the direction of what follows; lone surrogates.
+# Control characters except line breaks and tabs; bidirectional controls; lone surrogates.
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 _MOST_CHARACTERS = 60
 NO_BREAK = "\N{NO-BREAK SPACE}"
-# What belongs to a number: a sign before it, a unit or the other end of a range behind it.
+# Parts of a quantity: a sign before a number; a unit or the end of a range after it.
 _WITHIN_NUMBERS = re.compile(
     r"(?<=[±<>=×−+]) (?=[\d−])|(?<=\d) (?=(?:[±×%°‰]|[mµk]?m\b|px\b|sigma|to \d))|(?<=\d to) (?=\d)"
 )
@@ -34,5 +34,5 @@ def shown(value: object) -> str:
 
 
 def unbroken(text: str) -> str:
-    """The text with spaces that no line is broken at within numbers and between them and their units."""
+    """The text with no-break spaces within numbers and between them and their units."""
     return _WITHIN_NUMBERS.sub(NO_BREAK, text)

@@ -1,4 +1,4 @@
-"""For all tests."""
+"""Fixtures of all tests."""
 
 import os
 import shutil
@@ -23,9 +23,11 @@ for ignored, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGH
     if signal.getsignal(ignored) == signal.SIG_IGN:
         signal.signal(ignored, usual)
 
-# No test is timed: the first example may wait for a compiler, any for a busy machine.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
+# No test is timed: the first example may wait for a compiler, any for a busy machine. Every run has the same examples,
+# so that a failure comes from a change; `pytest --hypothesis-profile random` looks for new ones.
+settings.register_profile("random", deadline=None, print_blob=True)
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.load_profile("same")
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # In software, and talking to nobody.
@@ -44,7 +46,7 @@ _FLAGS = (
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator["Browser"]:
-    """The system's Chromium without a window: one for all tests of pages, which form a group for that."""
+    """Chromium without a window, shared by all tests of pages, which run in one group for that."""
     driver = pytest.importorskip("playwright.sync_api", reason="pages are tested with Playwright")
     chromium = next(filter(None, map(shutil.which, _NAMES)), None)
     if chromium is None:

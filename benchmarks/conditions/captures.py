@@ -1,4 +1,4 @@
-"""A capture of a simulated room, and changes of its frames before they are written."""
+"""Captures of a simulated room, and changes of their frames before they are written."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,10 +37,10 @@ Inverses = Literal["after each bit", "last", "none"]
 
 @dataclass(frozen=True)
 class Capture:
-    """Patterns and the frames (H, W) that show them; the projector's size (width, height) as it will be stated.
+    """Patterns and their frames (H, W); the projector's size (width, height) as it will be stated.
 
-    `jpeg`: quality at which the frames are saved; None for PNG. `tint`: blue, green and red of a colour image, in parts
-    of the frames' levels; None for grey. `moved_px`: by how much all frames were moved, right and down.
+    `jpeg`: quality of the saved frames; None for PNG. `tint`: blue, green and red of a colour image, relative to the
+    frames' levels; None for grey. `moved_px`: common shift of all frames, right and down.
     """
 
     patterns: tuple[Pattern, ...]
@@ -55,7 +55,7 @@ class Capture:
         return replace(self, frames=tuple(frames.get(number, frame) for number, frame in enumerate(self.frames)))
 
     def write(self, folder: Path) -> None:
-        """A capture folder as `scan replay` takes it."""
+        """Write a capture folder for `scan replay`."""
         folder.mkdir(parents=True)
         files = self.write_frames(folder / "frames")
         height, width = self.frames[0].shape
@@ -66,7 +66,7 @@ class Capture:
         (folder / CAPTURE_FILE).write_text("".join(lines), encoding="utf-8")
 
     def write_frames(self, folder: Path) -> list[str]:
-        """The images alone, in a new folder; their names."""
+        """Write the images alone into a new folder; returns their names."""
         folder.mkdir()
         quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg] if self.jpeg is not None else []
         files = [f"{number:03d}.{'png' if self.jpeg is None else 'jpg'}" for number in range(len(self.frames))]
@@ -88,7 +88,7 @@ def patterns_of(sequence: str, projector_size: tuple[int, int]) -> tuple[Pattern
 
 
 def long_fringe(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
-    """A fringe along x that spans the projector, in three steps, and nothing else."""
+    """A fringe along x that spans the projector, in three steps."""
     return (*phase_sequence("x", float(projector_size[0]), 3),)
 
 
@@ -99,7 +99,7 @@ def long_fringes(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
 
 
 def xor_code(projector_size: tuple[int, int], *, above_finest: int) -> tuple[Pattern, ...]:
-    """White, black, and of each axis an XOR code down to a pixel, whose base is so many bits above the finest."""
+    """White, black, and for each axis an XOR code down to a pixel, whose base is this many bits above the finest."""
     width, height = projector_size
     of_x = xor_sequence("x", width, 1, above_finest=above_finest)
     return (White(), Black(), *of_x, *xor_sequence("y", height, 1, above_finest=above_finest))
@@ -115,7 +115,7 @@ def bits_alone(projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
 def bits_in_order(
     projector_size: tuple[int, int], *, axis: Axis, finest_first: bool, inverses: Inverses
 ) -> tuple[Pattern, ...]:
-    """Gray code along one axis down to a pixel; white and black come first, or not at all where bits have inverses."""
+    """Gray code along one axis down to a pixel. White and black come first; bits with inverses need none."""
     bits = [*gray_sequence(axis, projector_size[0 if axis == "x" else 1], 1, inverses=False)]
     bits = bits[::-1] if finest_first else bits
     inverted = [replace(bit, inverted=True) for bit in bits]
@@ -130,7 +130,7 @@ def xor_along_x(projector_size: tuple[int, int], *, above_finest: int) -> tuple[
 
 
 def take(room: SimulatedRoom, patterns: tuple[Pattern, ...], exposure: float) -> Capture:
-    """All frames, at a multiple of the exposure that suits the room."""
+    """Take all frames, at a multiple of the suitable exposure of the room."""
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
     camera.expose_for(exposure * room.sensor.exposure_us)
@@ -147,12 +147,12 @@ def blended(first: Image, second: Image, share: float) -> Image:
 
 
 def brightened(image: Image, factor: float) -> Image:
-    """An image that was exposed longer or shorter."""
+    """An image with its exposure scaled by a factor."""
     return cast(Image, np.rint(np.clip(factor * image.astype(float), 0, 255)).astype(image.dtype))
 
 
 def inverses(patterns: Sequence[Pattern]) -> list[tuple[int, int]]:
-    """Numbers of the frames that show a pattern and its inverse."""
+    """Numbers of the frames of each pattern and its inverse."""
     number = {pattern: index for index, pattern in enumerate(patterns)}
     pairs = [(p, replace(p, inverted=True)) for p in patterns if isinstance(p, Gray) and not p.inverted]
     return [(number[shown], number[inverse]) for shown, inverse in pairs if inverse in number]

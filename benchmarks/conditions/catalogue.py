@@ -1,4 +1,4 @@
-"""The catalogue of conditions, each at rising strength."""
+"""The catalogue of conditions, each with increasing strength."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,11 +39,12 @@ OfRig = Mapping[str, Any] | Callable[[Sequence[Pattern], Random], Mapping[str, A
 
 @dataclass(frozen=True)
 class Condition:
-    """`rig`: settings of the simulated rig, or how to draw them for a sequence; `exposure`: relative to the one that
-    suits the room; `frames`: what becomes of the frames. `moves`: devices move, which one of the axes sees and the
-    other does not. `fault`: nothing that a device does, but a mistake; refusing it is right whatever could be decoded.
-    `shown`: of a projector of (width, height), patterns in place of the sequence's; along one axis only, the rig is
-    calibrated. `imported`: the capture goes through `scan import`, as frames without a list.
+    """`rig`: settings of the simulated rig, or a function that draws them for a sequence; `exposure`: relative to the
+    suitable one of the room; `frames`: a change of the frames.
+
+    `moves`: devices move, which only one of the axes sees. `fault`: a mistake rather than a property of a device; it
+    may always be refused. `shown`: for a projector of (width, height), patterns that replace the sequence; along one
+    axis only, the calibration is given. `imported`: the capture goes through `scan import`, as frames without a list.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Condition:
     imported: bool = False
 
     def exposed(self, room: SimulatedRoom) -> float:
-        """The exposure relative to the one that suits the room."""
+        """The exposure relative to the suitable one of the room."""
         return self.exposure(room) if callable(self.exposure) else self.exposure
 
     def settings(self, patterns: Sequence[Pattern], rng: Random) -> dict[str, Any]:
@@ -66,7 +67,7 @@ class Condition:
 
 
 def conditions() -> Iterator[Condition]:
-    """All of them."""
+    """All conditions."""
     yield Condition("nothing")
     yield from _light()
     yield from _optics()
@@ -202,7 +203,7 @@ def _saturating(share: float) -> Callable[[SimulatedRoom], float]:
 
 
 def _switched(share: float, more: float) -> OfRig:
-    # White and black come first and are never between the two.
+    # White and black come first and are never between two other frames.
     return lambda patterns, _: {"light": {"frame": round(2 + share * (len(patterns) - 2)), "ambient": AMBIENT + more}}
 
 

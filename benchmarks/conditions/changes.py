@@ -19,7 +19,7 @@ OfFrames = Callable[[Capture, Random], Capture]
 
 
 def compressed(quality: int, tint: tuple[float, float, float] | None = None) -> OfFrames:
-    """Saved as JPEG; in colour, of so much blue, green and red, with half as many pixels of chroma either way."""
+    """Save as JPEG; in colour, with these shares of blue, green and red, and half the chroma resolution."""
 
     def frames(capture: Capture, _: Random) -> Capture:
         return replace(capture, jpeg=quality, tint=tint)
@@ -28,8 +28,10 @@ def compressed(quality: int, tint: tuple[float, float, float] | None = None) -> 
 
 
 def developed(contrast: float, quality: int) -> OfFrames:
-    """Frames of 16 bits as photographs: sRGB's curve (IEC 61966-2-1), by a share `contrast` an S-curve on top of it,
-    and beyond 1 another one on top of that; saved as JPEG.
+    """Frames of 16 bits as photographs: the sRGB transfer function (IEC 61966-2-1), with an S-curve by a share
+    `contrast`.
+
+    Beyond 1, another S-curve is added. Frames are saved as JPEG.
     """
     light = np.linspace(0, 1, 2**16)
     level = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
@@ -44,7 +46,7 @@ def developed(contrast: float, quality: int) -> OfFrames:
 
 
 def any_frame(capture: Capture, rng: Random) -> int:
-    """Not one of white and black, which are first."""
+    """A random frame other than white and black, which are first."""
     return int(rng.integers(3, len(capture.frames)))
 
 
@@ -89,14 +91,14 @@ def repeated(capture: Capture, rng: Random) -> Capture:
 def inverted(capture: Capture, rng: Random) -> Capture:
     pairs = inverses(capture.patterns)
     if not pairs:
-        frame = any_frame(capture, rng)  # a code without inverses: turned over by the camera's software
+        frame = any_frame(capture, rng)  # a code without inverses: inverted by the camera software
         return capture.replaced({frame: 255 - capture.frames[frame]})
     shown, inverse = pairs[int(rng.integers(len(pairs)))]
     return capture.replaced({shown: capture.frames[inverse], inverse: capture.frames[shown]})
 
 
 def each_exposed(factor: float) -> OfFrames:
-    """Each frame by chance up to so many times darker than as taken, white and black as well."""
+    """Each frame is randomly up to this many times darker, including white and black."""
 
     def changed(capture: Capture, rng: Random) -> Capture:
         factors = factor ** -rng.uniform(0, 1, len(capture.frames))
@@ -107,7 +109,7 @@ def each_exposed(factor: float) -> OfFrames:
 
 
 def late_rows(share: float, which: str) -> OfFrames:
-    """Rows that are read out while the picture changes: the 'lower' quarter, or 'every second' one, interlaced."""
+    """Rows that are read out while the picture changes: the 'lower' quarter, or 'every second' one (interlaced)."""
 
     def changed(capture: Capture, _: Random) -> Capture:
         height = len(capture.frames[0])
@@ -123,14 +125,14 @@ def late_rows(share: float, which: str) -> OfFrames:
 
 
 def finest_bit_twice(capture: Capture, _: Random) -> Capture:
-    """The frames of each axis's finest bit are those of the one before."""
+    """The frames of each axis's finest bit repeat those of the previous bit."""
     at = {pattern: number for number, pattern in enumerate(capture.patterns)}
     finest = [(n, p) for p, n in at.items() if isinstance(p, Gray) and p.bit == p.bits - 1]
     return capture.replaced({n: capture.frames[at[replace(p, bit=p.bit - 1)]] for n, p in finest})
 
 
 def phone(capture: Capture, _: Random) -> Capture:
-    """Noise is smoothed away where there are no edges, and edges are sharpened."""
+    """Noise is smoothed away except at edges, and edges are sharpened."""
     return _each(capture, _smoothed_and_sharpened)
 
 
@@ -152,7 +154,7 @@ def _mapped(frame: Image) -> Floats:
 
 
 def shaken(length_px: float) -> OfFrames:
-    """Moving to and fro while a frame is exposed, each in the same direction; noise is that of what is seen then."""
+    """Camera shake during each exposure, always in the same direction; noise is added afterwards."""
 
     def changed(capture: Capture, rng: Random) -> Capture:
         angle = rng.uniform(0, np.pi)
@@ -169,7 +171,7 @@ def shaken(length_px: float) -> OfFrames:
 
 
 def resampled(by_px: tuple[float, float] | float) -> OfFrames:
-    """All frames moved alike, or each by chance up to so far, by software that steadies pictures."""
+    """All frames are shifted equally, or each randomly up to this distance, as by video stabilisation."""
 
     def changed(capture: Capture, rng: Random) -> Capture:
         if not isinstance(by_px, tuple):

@@ -1,4 +1,4 @@
-"""Judges a capture against the truth: right, refused although it could be decoded, or confident and wrong."""
+"""Judges a capture by the truth: right, refused although decodable, or confident and wrong."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,8 @@ from scanner.quantities import intrinsic_errors_percent
 MOST_SIGMAS = 4.0
 MOST_PERCENT = 2.0
 MOST_MATCH_ERROR_PX = 0.5  # median
-# Median of those of a capture that is not calibrated; of normal errors it is 0.67 along a line, 1.2 in the plane.
+# Largest median error of an uncalibrated capture, in sigmas; for normal errors it is 0.67 along a line and 1.2 in the
+# plane.
 MOST_MATCH_SIGMAS = 2.0
 DISTURBED_PX = 2.0
 _NUMBERS = 4
@@ -25,11 +26,11 @@ _NUMBERS = 4
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth of a simulated capture: `projector_px` (H, W, 2), NaN where the picture does not reach; `calibration`.
+    """Ground truth of a simulated capture: `projector_px` (H, W, 2), NaN outside the picture; `calibration`.
 
-    `moved_px`: of the frames, against `projector_px`. `pinhole`: whether the projector is one, with square pixels. If
-    not, only the camera's focal length is held against the truth, and matches may as well be pixels of the panel, to
-    which `panel` (3, 3) takes those of the picture.
+    `moved_px`: shift of the frames relative to `projector_px`. `pinhole`: whether the projector is a pinhole with
+    square pixels. If not, only the camera's focal length is judged, and matches may also be pixels of the panel;
+    `panel` (3, 3) is the homography from the picture to it.
     """
 
     projector_px: Floats
@@ -39,7 +40,7 @@ class Truth:
     panel: Floats | None = None
 
     def moved(self, by_px: tuple[float, float]) -> "Truth":
-        """The calibration of shifted frames, whose principal point is shifted as well."""
+        """The calibration of shifted frames, with its principal point shifted."""
         camera = self.calibration.camera
         x, y = camera.principal_point_px
         there = replace(camera, principal_point_px=(x + by_px[0], y + by_px[1]))
@@ -47,7 +48,7 @@ class Truth:
 
     @property
     def lit(self) -> Bools:
-        """(H, W): pixels that the picture lights, with all pixels around them."""
+        """Mask (H, W) of pixels lit together with all pixels around them."""
         seen = np.isfinite(self.projector_px[..., 0]).astype(np.uint8)
         lit: Bools = cv2.erode(seen, np.ones((3, 3), np.uint8)) > 0
         return lit
@@ -76,7 +77,7 @@ class CalibrationError:
 
 
 def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
-    """How far a calibration is from the truth; no sigma is stated: no number of them."""
+    """Errors of a calibration. Without a stated sigma, the error is not counted in sigmas."""
     number = _NUMBERS if truth.pinhole else 1
     percent = intrinsic_errors_percent(found, truth.calibration)[:number]
     true = truth.calibration
@@ -90,8 +91,9 @@ def calibration_error(found: Calibration, truth: Truth) -> CalibrationError:
 
 
 def match_errors(matches: Matches, truth: Truth, *, in_sigmas: bool = False) -> Floats:
-    """Distances (k,) in projector px, or in sigmas of the matches, from what the camera pixels see; where they see an
-    edge or nothing is left out.
+    """Distances (k,) from the true projector pixels, in projector px or in sigmas of the matches.
+
+    Matches at edges, and where nothing is lit, are left out.
     """
     expected = _expected_px(matches, truth)
     seen = np.isfinite(expected[:, 0])
@@ -102,20 +104,20 @@ def match_errors(matches: Matches, truth: Truth, *, in_sigmas: bool = False) -> 
     if truth.panel is None or not len(errors):
         return errors
     off = found - mapped(truth.panel, expected)
-    # Where the panel begins cannot be told but for a part of a pixel.
+    # The origin of the panel is only determined to a part of a pixel.
     on_panel: Floats = np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1)
     return min(errors, on_panel, key=np.median)
 
 
 def _expected_px(matches: Matches, truth: Truth) -> Floats:
-    """What should have been matched, (N, 2), NaN at edges and where nothing is lit."""
+    """The true projector pixels of matches, (N, 2), NaN at edges and where nothing is lit."""
     places = (np.asarray(matches.camera_px, np.float64) - truth.moved_px).T[::-1]
     expected = [ndimage.map_coordinates(truth.projector_px[..., axis], places, order=1, cval=np.nan) for axis in (0, 1)]
     return np.stack(expected, axis=1)
 
 
 def matched_share(matches: Matches, truth: Truth) -> float:
-    """The share of the lit pixels that have a match, or a neighbour that has one."""
+    """Share of the lit pixels that have a match, or a neighbour with one."""
     matched = np.zeros(truth.lit.shape, np.uint8)
     x, y = np.rint(matches.camera_px).astype(int).T
     matched[y, x] = 1
@@ -124,9 +126,9 @@ def matched_share(matches: Matches, truth: Truth) -> float:
 
 
 def could_be_decoded(candidates: Sequence[Matches], truth: Truth, *, calibrated: bool = False) -> bool:
-    """Whether any of some plain decodings is right, and the calibration useful that follows from it, if one does.
+    """Whether any of the plain decodings is right, and the calibration from it useful, if there is one.
 
-    Where most of the matches are right, the others may be left out: what goes past a person would mask.
+    If most matches are right, the others may be masked, as where a person passes.
     """
     possible = [some for matches in candidates for some in (matches, _undisturbed(matches, truth))]
     return any(_is_right(some, truth) and (calibrated or _calibrates(some, truth)) for some in possible)

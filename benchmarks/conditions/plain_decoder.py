@@ -1,7 +1,7 @@
-"""A page of plain code that decodes Gray codes and fringes, with no checks and no corrections.
+"""A plain decoder of Gray codes and fringes, without checks and corrections.
 
-It tells whether the refusal of a capture was necessary. It shares nothing
-with the program's decoder but the definition of the patterns.
+It shows whether the refusal of a capture was necessary. It shares only the definition of the patterns with the
+program's decoder.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ def plain_matches(
     without_bits: int = 0,
     calibration: Calibration | None = None,
 ) -> Matches:
-    """Frames (H, W) → a match per lit pixel; without fringes one per cell, of which the finest bits may be left out.
+    """Frames (H, W) → a match per lit pixel, or per cell without fringes; the finest bits may be left out.
 
     The other coordinate of patterns along one axis comes from the `calibration`.
     """
@@ -60,7 +60,7 @@ def _coordinate(axis: str, shown: dict[Pattern, Floats], middle: Floats, without
 
 
 def _of_code(axis: str, shown: dict[Pattern, Floats], middle: Floats, without_bits: int) -> Floats | None:
-    """By the bits of an axis, of which those of an XOR code are relative to a plain one; None without any."""
+    """Coordinate from the bits of an axis; those of an XOR code are relative to a plain one. None without any."""
     bits = [p for p in shown if isinstance(p, Gray | Xor) and p.axis == axis and not p.inverted]
     if not bits:
         return None
@@ -79,7 +79,7 @@ def _of_code(axis: str, shown: dict[Pattern, Floats], middle: Floats, without_bi
 
 
 def _cycles(shifts: Floats, levels: Floats) -> Floats:
-    """Where in the fringe's cycle pixels are, (n,), by least squares over the steps (k,) of `levels` (k, n)."""
+    """Position of pixels in the cycle of the fringe, (n,), by least squares over the steps (k,) of `levels` (k, n)."""
     angle = 2 * np.pi * shifts
     design = np.stack([np.ones_like(angle), np.cos(angle), -np.sin(angle)], axis=1)
     _, cosine, sine = np.linalg.lstsq(design, levels, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Outcomes → a table with a row per condition and strength, and the two totals that matter."""
+"""Outcomes → a table with a row per condition and strength, and the two totals."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -27,21 +27,21 @@ _COLUMNS = (
 
 
 def refused_needlessly(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Captures that were refused though a plain decoder has what it takes; mistakes may always be refused."""
+    """Captures that were refused although a plain decoder decodes them; mistakes may always be refused."""
     faults = {(c.name, c.strength) for c in conditions() if c.fault}
     return [o for o in outcomes if o.exit_code != 0 and o.decodable and (o.name, o.strength) not in faults]
 
 
 def confident_and_wrong(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Captures with an answer that is too far from the truth, other than the `admitted` ones."""
+    """Captures with a wrong answer, except the `admitted` ones."""
     accepted = admitted(outcomes := list(outcomes))
     return [o for o in outcomes if o.wrong and o not in accepted]
 
 
 def admitted(outcomes: Iterable[Outcome]) -> list[Outcome]:
-    """Answers that are more than 2 % off, but say so: within 4 sigma of the truth, and graded as a first look only.
+    """Answers more than 2 % off with a sufficient sigma: within 4 sigma of the truth, and graded as a first look only.
 
-    An uncertainty that is stated truly, together with the advice to capture again, is not confidence.
+    A correctly stated uncertainty, with the advice to capture again, is not confidence.
     """
     return [
         o for o in outcomes if o.wrong and o.grade == "fair" and o.sigmas and _worst(np.array(o.sigmas)) <= MOST_SIGMAS
@@ -62,7 +62,7 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
 
 
 def write_into(page: Path, text: str, *, rows_alone: bool = False) -> None:
-    """Put a text between the marks of a page; or only the rows of its table into the table that is there."""
+    """Insert a text between the marks of a page, or only the rows of its table into the existing table."""
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     there, _, after = rest.partition(END)
     text = _with_rows(there.strip(), text) if rows_alone else text
@@ -70,7 +70,7 @@ def write_into(page: Path, text: str, *, rows_alone: bool = False) -> None:
 
 
 def _with_rows(there: str, text: str) -> str:
-    """A text with a table, with the rows of another one, which has its rows of its own captures."""
+    """A text with a table, whose rows of the same captures are replaced by those of another table."""
     table, _, totals = there.partition("\n\n")
     rows = {_key(line): line for part in (table, text.partition("\n\n")[0]) for line in part.splitlines()[2:]}
     known = [row for c in conditions() if (row := rows.get((c.name, c.strength)))]

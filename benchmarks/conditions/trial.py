@@ -25,14 +25,14 @@ from conditions.judging import (
 )
 from conditions.plain_decoder import plain_matches
 from hw.settings import PanelSettings, SimulatedRigSettings
-from hw.simulated.picture import panel_shape
+from hw.simulated.picture import panel_homography
 from hw.simulated.simulation import SimulatedRoom
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, write_calibration
 from scanner.patterns import Phase
 from scanner.results import CALIBRATION_FILE, read_verdict
 
-_UNRESOLVED_BITS = 3  # as many of the finest bits a plain decoder may leave out
+_UNRESOLVED_BITS = 3  # number of finest bits that a plain decoder may leave out
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a trial. Shares and errors are None where the program gave no matches or no calibration.
+    """The outcome of a trial. Shares and errors are None without matches or a calibration.
 
-    `decodable`: whether a refused capture could have been decoded; None for one that was not refused. `match_sigmas`:
-    errors of matches in their sigmas, the median and 90 %.
+    `decodable`: whether a refused capture could have been decoded; None if it was not refused. `match_sigmas`: errors
+    of matches in their sigmas, the median and the 90 % quantile.
     """
 
     name: str
@@ -71,9 +71,9 @@ class Outcome:
 
 
 def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome:
-    """Take the capture, replay it, and hold what comes out against the truth.
+    """Take the capture, replay it, and judge the result.
 
-    `keep`: a folder in which capture, configuration and result then stay, in one of their own; else they are deleted.
+    `keep`: a folder where capture, configuration and result are kept; None deletes them.
     """
     capture, truth = captured(condition, setup)
     with contextlib.ExitStack() as temporary:
@@ -99,7 +99,7 @@ def run(condition: Condition, setup: Setup, keep: Path | None = None) -> Outcome
 
 
 def captured(condition: Condition, setup: Setup) -> tuple[Capture, Truth]:
-    """The capture of a condition, the same whenever it is asked for, and what is true of its first frame."""
+    """The reproducible capture of a condition, and the ground truth of its first frame."""
     shown = condition.shown or partial(patterns_of, setup.sequence)
     patterns = shown(setup.projector_size)
     rng = np.random.default_rng([setup.seed, crc32(f"{condition.name} {condition.strength} {setup.sequence}".encode())])
@@ -134,13 +134,13 @@ def _truth(
     projector_px = shown.ground_truth().projector_px.astype(np.float64)
     true = shown.calibration
     if true is None or np.ptp(true.projector.focal_px) > 1e-6 * true.projector.focal_px[0]:
-        shape = panel_shape(PanelSettings.model_validate(dict(panel)), *projector_size)
+        shape = panel_homography(PanelSettings.model_validate(dict(panel)), *projector_size)
         return Truth(projector_px, room.calibration, pinhole=False, panel=shape)
     return Truth(projector_px, true)
 
 
 def plain_decodings(capture: Capture, truth: Truth) -> list[Matches]:
-    """Decodings by plain code; of a Gray code alone also without its finest bits."""
+    """Decodings by the plain decoder; for a Gray code alone, also without its finest bits."""
     alone = not any(isinstance(pattern, Phase) for pattern in capture.patterns)
     unresolved = range(_UNRESOLVED_BITS + 1 if alone else 1)
     plain = partial(plain_matches, capture.patterns, capture.frames, calibration=truth.calibration)
@@ -148,7 +148,7 @@ def plain_decodings(capture: Capture, truth: Truth) -> list[Matches]:
 
 
 def _replayed(place: Path, truth: Truth, *, calibrated: bool) -> tuple[int, str]:
-    """The exit code of `scan replay`, and what it said on stderr; of one axis with the rig's true calibration."""
+    """Exit code and stderr of `scan replay`; one axis is replayed with the true calibration."""
     known = {"known": [float(value) for value in truth.calibration.camera.principal_point_px]}
     configuration = {"camera": {"principal_point": known}, "corner": {"squareness_deg": 0}}
     (place / "rig.yaml").write_text(yaml.safe_dump(configuration), encoding="utf-8")
@@ -160,7 +160,7 @@ def _replayed(place: Path, truth: Truth, *, calibrated: bool) -> tuple[int, str]
 
 
 def _scan(command: str, place: Path, folder: str, *options: str | Path) -> tuple[int, str]:
-    """The exit code of a command on a folder, and what it said on stderr."""
+    """Exit code and stderr of a command on a folder."""
     said = io.StringIO()
     with contextlib.redirect_stderr(said):
         code = scan([command, str(place / folder), *map(str, options), "--quiet"])

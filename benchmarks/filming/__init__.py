@@ -1,1 +1,1 @@
-"""Films a simulated room with a camera that nothing synchronises: the player, the projector, a phone, its encoder."""
+"""Films of a simulated room by an unsynchronised camera: player, projector, phone, encoder."""

@@ -1,7 +1,8 @@
-"""A phone before a projector: rolling shutter, exposure, noise, tone curve, sharpening, encoder, clocks of their own.
+"""A phone in front of a projector: rolling shutter, exposure, noise, tone curve, sharpening, encoder, independent
+clocks.
 
-Nothing here knows how recordings are read. Light goes through a projector that answers with a delay and scans out its
-picture from top to bottom, at refreshes of its own clock; the camera integrates it exactly, row by row.
+Nothing here depends on the reader of recordings. The projector responds with a delay and scans out its picture from top
+to bottom, at refreshes of its own clock. The camera integrates the light exactly, row by row.
 """
 
 from collections.abc import Callable
@@ -18,9 +19,9 @@ from calib.numerics import Floats, Image
 from filming.player import Played
 from hw.simulated.arrays import Light
 
-_STEPS = 60_000  # of light, as pictures are kept
+_STEPS = 60_000  # codes of light in stored pictures
 _TICKS = 90_000
-_CODES = 65_535  # of light, of which a tone curve is a table
+_CODES = 65_535  # codes of light in the table of a tone curve
 # Light 0 … 1 → level 0 … 1.
 _TONES: dict[str, Callable[[Floats], Floats]] = {
     "linear": lambda light: light,
@@ -41,16 +42,16 @@ def _hable(x: Floats) -> Floats:
 
 @cache
 def _curve(tone: str) -> Light:
-    """(codes,): the level 0 … 1 of each code of light."""
+    """Level 0 … 1 for each code of light, (codes,)."""
     return np.asarray(_TONES[tone]((np.arange(_CODES + 1) + 0.5) / (_CODES + 1)), np.float32)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera and what it films. Times in seconds; `fast`: how much faster than the player its clock runs.
+    """A camera and its conditions. Times in seconds; `fast`: relative speed of its clock over the player's.
 
-    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `motion`: the picture's,
-    in px along x and y and degrees about its centre.
+    `repeated` and `dropped`: numbers of frames. `gain`: brightness over the film's time; `motion`: of the picture, in
+    px along x and y and degrees about its centre.
     """
 
     rate: float = 30.0
@@ -72,20 +73,20 @@ class Camera:
     dropped: tuple[int, ...] = ()
     gain: Callable[[float], float] | None = None
     motion: Callable[[float], tuple[float, float, float]] | None = None
-    pause: tuple[float, float] | None = None  # of the player: at which second of the video, for how long
+    pause: tuple[float, float] | None = None  # pause of the player: start in the video, and duration
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Clip:
-    """From which second of the video on, and for how long, a film is made."""
+    """Start in the video and duration of a film."""
 
     start_s: float
     length_s: float
 
 
 def film(path: Path, played: Played, light_of: Callable[[Image], Light], camera: Camera, clip: Clip) -> None:
-    """Write a recording. `light_of`: what the camera sees of a picture, (H, W), 1 being a full pixel."""
+    """Write a recording. `light_of`: what the camera sees of a picture, (H, W); 1 is full scale."""
     lights = _Lights(played, light_of)
     height, width = lights.of(0).shape
     changes, which = _timetable(played, camera)
@@ -112,7 +113,7 @@ def film(path: Path, played: Played, light_of: Callable[[Image], Light], camera:
 
 
 class _Lights:
-    """What the camera sees of each picture, computed once and kept small."""
+    """The view of each picture, computed once and stored compactly."""
 
     def __init__(self, played: Played, light_of: Callable[[Image], Light]) -> None:
         self._of = partial(self._seen, played, light_of)
@@ -129,7 +130,7 @@ class _Lights:
 
 
 def _timetable(played: Played, camera: Camera) -> tuple[Floats, list[int]]:
-    """When pictures begin, in the player's time, at the projector's refreshes; the first was there before."""
+    """Start times of pictures by the player's clock, at the projector's refreshes; the first was shown before."""
     times = np.array([time for time, _ in played.shown])
     if camera.pause:
         times = times + np.where(times > camera.pause[0], camera.pause[1], 0.0)
@@ -139,7 +140,7 @@ def _timetable(played: Played, camera: Camera) -> tuple[Floats, list[int]]:
 
 
 def _integrated(lights: _Lights, changes: Floats, which: list[int], begins: float, camera: Camera) -> Light:
-    """Mean light (H, W) over each row's exposure; a frame's time is when its first row begins."""
+    """Mean light (H, W) over each row's exposure; the time of a frame is the start of its first row."""
     height = lights.of(which[0]).shape[0]
     down = np.arange(height) / height
     since = begins + down * (camera.readout_s - camera.scan_out_s)
@@ -157,7 +158,7 @@ def _integrated(lights: _Lights, changes: Floats, which: list[int], begins: floa
 
 
 def _lit(since: Floats, change: float, camera: Camera) -> Floats:
-    """(H,): how much of an exposure a picture lights that comes at `change`, with an exponential answer."""
+    """Share of an exposure (H,) lit by a picture that comes at `change`, with an exponential response."""
 
     def light_until(time: Floats) -> Floats:
         after = np.maximum(time - change, 0)
@@ -188,7 +189,7 @@ def _levels(light: Light, time_s: float, camera: Camera, rng: np.random.Generato
 
 
 def _frame(level: Light, camera: Camera, pts: int) -> av.VideoFrame:
-    """Luma in the limited range, and no colour."""
+    """Luma in the limited range, without colour."""
     scale = 4 if camera.ten_bit else 1
     kind = np.uint16 if camera.ten_bit else np.uint8
     height, width = level.shape

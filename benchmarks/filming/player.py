@@ -1,4 +1,4 @@
-"""A player and a projector: which picture is shown from when on, as the video file has it."""
+"""A player and a projector: which picture is shown from when on, from the video file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.numerics import Image
 
-_SAME = 1.0  # mean difference of grey levels below which a frame shows the picture before
+_SAME = 1.0  # mean difference of grey levels below which a frame repeats the previous picture
 
 
 @dataclass(frozen=True)
 class Played:
-    """`pictures`: 8-bit images as the projector gets them; `shown`: which of them from which second on, in order."""
+    """`pictures`: 8-bit images as sent to the projector; `shown`: their indices and start times, in order."""
 
     pictures: list[Image]
     shown: list[tuple[float, int]]
@@ -22,7 +22,7 @@ class Played:
 
 
 def play(video: Path) -> Played:
-    """Decode all of a video; pictures that come again are kept once."""
+    """Decode a whole video; repeated pictures are kept once."""
     pictures: list[Image] = []
     shown: list[tuple[float, int]] = []
     rate = 30.0

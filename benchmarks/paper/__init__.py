@@ -1,1 +1,1 @@
-"""The tables and figures of the paper, from simulated captures; `bench_paper.py` starts it."""
+"""The paper's tables and figures from simulated captures; `bench_paper.py` runs it."""

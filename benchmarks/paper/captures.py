@@ -1,4 +1,4 @@
-"""Captures of simulated rooms with the paper's rig, decoded once and kept for all experiments."""
+"""Captures of simulated rooms with the paper's rig, decoded once for all experiments."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ FULL, QUICK = Size(2448, 2048), Size(612, 512)
 
 @dataclass(frozen=True)
 class Setup:
-    """What an experiment is given. `scratch`: where decoded captures are kept, to be shared by experiments."""
+    """Settings of an experiment. `scratch`: folder of decoded captures, shared by experiments."""
 
     rooms: tuple[int, ...]
     camera_size: Size
@@ -31,7 +31,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Captured:
-    """`matches` have the faces that were found; `true_label` (N,): the `Label` of what each match's pixel sees."""
+    """`matches` with the faces found; `true_label` (N,): the true `Label` of each match's pixel."""
 
     matches: Matches
     true_label: np.ndarray
@@ -39,25 +39,25 @@ class Captured:
 
     @property
     def with_true_faces(self) -> Matches:
-        """As masks drawn by a perfect hand would label them."""
+        """The matches with their true faces, as from perfect masks."""
         on_face = self.true_label <= Label.FLOOR
         return self.matches.with_faces(np.where(on_face, self.true_label, NO_FACE).astype(np.int32))
 
 
 def settings_of(room: int, pose: int = 0) -> SimulatedRigSettings:
-    """All light transport, gamma, noise and lens distortion are on: the simulated rig's defaults; walls are square."""
+    """The simulated rig's defaults: all light transport, gamma, noise and lens distortion are on; walls are square."""
     return SimulatedRigSettings(seed=room, pose=pose)
 
 
 def captured(setup: Setup, room: int, pose: int = 0) -> Captured:
-    """Render and decode a capture, or read what was decoded before."""
+    """Render and decode a capture, or read it from an earlier run."""
     width, height = setup.camera_size
     path = setup.scratch / f"room-{room}-{pose}-{width}x{height}.npz"
     if not path.exists():
         setup.scratch.mkdir(parents=True, exist_ok=True)
         _keep(path, SimulatedRoom(settings_of(room, pose), setup.camera_size, setup.projector_size))
     truth = true_calibration(place_room(settings_of(room, pose), setup.camera_size, setup.projector_size))
-    assert truth is not None  # its projector throws what a pinhole would
+    assert truth is not None  # its projector is a pinhole
     with np.load(path) as kept:
         matches = Matches(kept["camera_px"], kept["projector_px"], kept["face"], kept["sigma_px"])
         return Captured(matches, kept["true_label"], truth)
@@ -81,7 +81,7 @@ def _keep(path: Path, room: SimulatedRoom) -> None:
 
 
 def thinned(matches: Matches, count: int, seed: int) -> Matches:
-    """So many of the faces' matches, drawn at random; all if there are no more."""
+    """A random sample of the faces' matches; all if there are no more."""
     on_face = np.flatnonzero(matches.labels != NO_FACE)
     if len(on_face) <= count:
         return matches[on_face]
@@ -89,7 +89,7 @@ def thinned(matches: Matches, count: int, seed: int) -> Matches:
 
 
 def without_distortion(matches: Matches, truth: Calibration) -> Matches:
-    """The matches as ideal lenses would have them: what the paper means by 'corrected in advance'."""
+    """The matches of ideal lenses: the paper's 'corrected in advance'."""
     return replace(
         matches,
         camera_px=_straightened(matches.camera_px, truth.camera),

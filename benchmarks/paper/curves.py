@@ -1,4 +1,4 @@
-"""Beyond the paper: errors on random synthetic corners over what makes calibrating hard, with the Cramér–Rao bound."""
+"""Beyond the paper: errors on random synthetic corners over the difficulty, with the Cramér–Rao bound."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,14 +24,15 @@ _CENTRE = PrincipalPoint(
 )
 _BASE = CaptureOptions(distance=(2.5, 2.5), baseline=(0.5, 0.5))
 _MILD = (-0.02, -0.01)  # k1 of camera and projector
-_DRAWS = 1000  # of errors with the bound's covariance
+_DRAWS = 1000  # random errors with the covariance of the bound
 
 
 @dataclass(frozen=True)
 class Case:
-    """A point of a curve. `area`: share of the picture that is used, around the vertex; `point_off_px`: how far the
-    principal point that the methods are told is from the true one. `off_deg`: standard deviation of the angles
-    between the walls, which the refined method is told.
+    """A point of a curve. `area`: share of the picture that is used, around the vertex.
+
+    `point_off_px`: error of the principal point given to the methods. `off_deg`: standard deviation of the angles
+    between the walls, which the refined method knows.
     """
 
     options: CaptureOptions = _BASE
@@ -45,9 +46,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Curve:
-    """`label` of the horizontal axis; `case` makes the point at each of `values`; `log`: of that axis.
+    """`label` of the horizontal axis; `case` gives the point at each of `values`; `log`: a logarithmic axis.
 
-    `corrected`: the paper's method is given matches of ideal lenses, as it assumes.
+    `corrected`: the paper's method gets matches of ideal lenses, as it assumes.
     """
 
     label: str
@@ -114,7 +115,7 @@ def _measure(setup: Setup, part: str) -> Figures:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A corner's captures, and what the methods are told of the principal point."""
+    """A corner's captures, and the principal point given to the methods."""
 
     captures: list[SyntheticCapture]
     told: PrincipalPoint
@@ -141,7 +142,7 @@ def _told(truth: Calibration, case: Case, rng: np.random.Generator) -> Principal
 
 
 def _doubted(case: Case, told: PrincipalPoint) -> PrincipalPoint:
-    """With the sigma of each coordinate, of an error of that length in any direction."""
+    """With a sigma of each coordinate, for an error of this length in any direction."""
     return replace(told, sigma_px=case.point_off_px / np.sqrt(2)) if case.point_known else told
 
 
@@ -160,7 +161,7 @@ def _outcome(curve: Curve, case: Case, drawn: Drawn) -> dict[str, float | None]:
 
 
 def _least_errors(case: Case, drawn: Drawn) -> np.ndarray:
-    """Mean absolute errors (draws,) in per cent of an estimate that reaches the Cramér–Rao bound."""
+    """Mean absolute errors (draws,) in per cent of an estimate at the Cramér–Rao bound."""
     point = _doubted(case, drawn.told)
     knowledge = Knowledge(_CAMERA_SIZE, _PROJECTOR_SIZE, point.px, point.sigma_px, case.off_deg)
     covariance = bound_covariance(drawn.captures, knowledge, case.options.noise_px)
@@ -169,20 +170,20 @@ def _least_errors(case: Case, drawn: Drawn) -> np.ndarray:
 
 
 def _cut(capture: SyntheticCapture, area: float) -> SyntheticCapture:
-    """Only what falls into a part of the picture around the vertex, of the picture's shape."""
+    """The matches in a part of the picture around the vertex, of the same aspect."""
     if area == 1.0:
         return capture
     rig, matches = capture.calibration, capture.matches
     vertex = rig.projector.project(capture.corner.vertex @ rig.rotation.T + rig.translation)
     half = np.sqrt(area) * np.array(rig.projector.size) / 2
-    # As far towards the vertex as the window stays in the picture.
+    # As close to the vertex as the window stays in the picture.
     middle = np.clip(vertex, half, np.array(rig.projector.size) - half)
     inside = np.all(np.abs(matches.projector_px - middle) <= half, axis=1)
     return replace(capture, matches=matches[inside])
 
 
 def _summary(outcomes: list[dict[str, float | None]]) -> Figures:
-    """Medians over the corners, and how many were refused."""
+    """Medians over the corners, and the number of refusals."""
     figures: Figures = {}
     for name in dict.fromkeys(name for outcome in outcomes for name in outcome):
         answers = [value for outcome in outcomes if (value := outcome.get(name)) is not None]

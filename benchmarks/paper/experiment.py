@@ -1,4 +1,4 @@
-"""An experiment's parts, and the files in which what came of them is kept."""
+"""An experiment's parts, and the files of their results."""
 
 import importlib.metadata
 import json
@@ -10,15 +10,15 @@ from typing import Any
 
 from paper.captures import Setup
 
-Figures = dict[str, Any]  # of one part: what JSON holds
+Figures = dict[str, Any]  # the JSON values of one part
 PACKAGES = ("numpy", "scipy", "opencv-python-headless", "pycolmap")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """`parts`: the keys of what is measured one after the other; `measure` gives the figures of one.
+    """`parts`: keys of the parts, measured in sequence; `measure` returns the values of one.
 
-    `needs_colmap`: without pycolmap it is left out, and the page says so.
+    `needs_colmap`: it is left out without pycolmap, and the page says so.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Results:
     folder: Path
 
     def read(self, name: str) -> dict[str, Figures]:
-        """The parts of an experiment that were measured; none if it was not."""
+        """The measured parts of an experiment; empty if it was not run."""
         return dict(self._document(name)["parts"])
 
     def made_with(self, name: str) -> Figures:
@@ -42,7 +42,7 @@ class Results:
         return dict(self._document(name)["made_with"])
 
     def keep(self, name: str, part: str, figures: Figures, made_with: Figures) -> None:
-        """Add or replace a part; parts that were made with anything else are dropped."""
+        """Add or replace a part; parts made with other settings are dropped."""
         document = self._document(name)
         parts = document["parts"] if document["made_with"] == made_with else {}
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ class Results:
 
 
 def rooms(setup: Setup) -> list[str]:
-    """Parts that are rooms, by their seeds."""
+    """Parts by rooms, named by their seeds."""
     return [f"room {room}" for room in setup.rooms]
 
 
@@ -85,7 +85,7 @@ def made_with(setup: Setup) -> Figures:
 
 
 def run(experiment: Experiment, setup: Setup, results: Results, *, only_missing: bool) -> None:
-    """Measure all parts, or those that are missing, and keep each as it comes."""
+    """Measure all parts, or the missing ones, and save each once it is measured."""
     with_these = made_with(setup)
     for part in experiment.parts(setup):
         there = results.made_with(experiment.name) == with_these and part in results.read(experiment.name)

@@ -1,4 +1,4 @@
-"""COLMAP from many photographs of a room with textured walls: the well-posed task that the paper compares with."""
+"""COLMAP on many photographs of a room with textured walls: the well-posed task that the paper compares with."""
 
 import tempfile
 from pathlib import Path
@@ -14,22 +14,22 @@ from hw.simulated.simulation import SimulatedRoom
 from paper.captures import settings_of
 
 VIEWS = 20
-_STREAM = 900  # of random numbers, apart from the rooms' own
+_STREAM = 900  # stream of random numbers; the rooms use others
 _LIT_BY_THE_CEILING = 10.0
 _DARK = Size(64, 36)  # the projector's picture
 _MOST_FEATURES = 4000
-_HALF_PX = 0.5  # COLMAP has the centre of the first pixel at (0.5, 0.5)
+_HALF_PX = 0.5  # COLMAP's first pixel centre is at (0.5, 0.5)
 
 
 def room_of_photos(room: int, camera_size: Size) -> SimulatedRoom:
-    """The room of a capture with patterned walls and floor, lit by its ceiling alone."""
+    """The room of a capture with patterned walls and floor, lit by its ceiling only."""
     plain = settings_of(room).model_dump()
     settings = SimulatedRigSettings.model_validate(plain | {"ambient": _LIT_BY_THE_CEILING, "wallpaper": True})
     return SimulatedRoom(settings, camera_size, _DARK)
 
 
 def photograph(room: SimulatedRoom, folder: Path, count: int = VIEWS) -> Optics:
-    """Write so many photos as PNG, from places where one would put a camera; the optics that took them."""
+    """Write this many photos as PNG, from ordinary camera poses; returns the optics."""
     rng = np.random.default_rng([room.settings.seed, _STREAM])
     scene, optics = room.room.scene, room.room.camera.optics
     black = np.zeros(_DARK[::-1], np.uint8)
@@ -44,9 +44,9 @@ def photograph(room: SimulatedRoom, folder: Path, count: int = VIEWS) -> Optics:
 
 
 def focal_error_percent(room: int, camera_size: Size, count: int = VIEWS) -> tuple[float, int] | None:
-    """COLMAP's focal length against the truth, and how many photos it placed; None where it placed none.
+    """Error of COLMAP's focal length, and the number of registered photos; None if it registered none.
 
-    The principal point is known and held, the lens has two radial terms, as the truth has. Needs pycolmap.
+    The principal point is known and fixed, the lens has two radial terms, as the truth has. Needs pycolmap.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

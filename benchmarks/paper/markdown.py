@@ -1,4 +1,4 @@
-"""Small pieces of the page: tables, numbers, means."""
+"""Helpers of the page: tables, numbers, means."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,12 +10,12 @@ NONE = "–"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    first, *others = ("| " + " | ".join(line) + " |" for line in (head, *rows))
+    return "\n".join([first, "|---" * len(head) + "|", *others])
 
 
 def number(value: float | None, *, signed: bool = False) -> str:
-    """With about two significant digits, or all before the point."""
+    """Format with about two significant digits, and all before the point."""
     if value is None:
         return NONE
     size = abs(value)
@@ -24,18 +24,18 @@ def number(value: float | None, *, signed: bool = False) -> str:
 
 
 def mean_size(errors: Sequence[float] | None) -> float | None:
-    """Mean absolute error; None for no answer."""
+    """Mean absolute error; None without an answer."""
     return None if errors is None else float(np.abs(errors).mean())
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Over those that there are; None for none."""
+    """Mean of the existing values; None without any."""
     there = [value for value in values if value is not None]
     return float(np.mean(there)) if there else None
 
 
 def answered(values: Sequence[object]) -> str:
-    """A note on how many there are not; empty if none."""
+    """A note on the number of missing values; empty if none."""
     missing = sum(value is None for value in values)
     return f" ({missing} of {len(values)} refused)" if missing else ""
 
@@ -45,5 +45,5 @@ def image(path: str, alt: str) -> str:
 
 
 def method_name(key: str) -> str:
-    """A method as the page calls it: 'paper' alone is the text, not what it does."""
+    """A method's name on the page; 'paper' alone would be the text itself."""
     return f"the paper's method{key.removeprefix('paper')}" if key.startswith("paper") else key

@@ -1,4 +1,4 @@
-"""The methods of the first table that are this project's: the paper's search as published, and the refined one."""
+"""This project's methods of the first table: the paper's search as published, and the refined one."""
 
 from collections.abc import Callable
 
@@ -11,10 +11,10 @@ from calib.self_calibration import PrincipalPoint, paper_trials, self_calibrate,
 from paper.captures import FULL, Setup
 from scanner.quantities import intrinsic_errors_percent
 
-CENTRE_SIGMA_OF_WIDTH = 0.03  # the configuration's prior on a principal point of which nothing is known
+CENTRE_SIGMA_OF_WIDTH = 0.03  # prior of the configuration on an unknown principal point
 ORDINARY_WALLS_DEG = 0.3
 CONFIGURATIONS = (*((i,) for i in range(7)), (0, 1), (2, 3, 4, 5, 6), tuple(range(7)))
-_STEP_PX = 1.0  # of the exact search in the camera's full image, as the paper suggests
+_STEP_PX = 1.0  # step of the exact search in the camera's full image, as in the paper
 _AT_ONCE = 2000
 
 Errors = list[float] | None
@@ -30,7 +30,7 @@ def unknown_point(setup: Setup) -> PrincipalPoint:
 
 
 def errors_of(calibrate: Callable[[], Calibration], truth: Calibration) -> Errors:
-    """Signed errors of (f_c, f_p, x_p, y_p) in per cent, None where the method gives no answer."""
+    """Signed errors of (f_c, f_p, x_p, y_p) in per cent; None for a refusal."""
     try:
         found = calibrate()
     except RefusalError as refusal:
@@ -40,7 +40,7 @@ def errors_of(calibrate: Callable[[], Calibration], truth: Calibration) -> Error
 
 
 def by_paper(matches: Matches, truth: Calibration) -> Calibration:
-    """The published method, its principal point known; raises RefusalError."""
+    """The published method with a known principal point; raises RefusalError."""
     sizes = truth.camera.size, truth.projector.size
     return self_calibrate(matches, *sizes, principal_point=known_point(truth), method="paper").calibration
 
@@ -55,9 +55,9 @@ def refined(
 
 
 def by_configurations(matches: Matches, truth: Calibration) -> list[Errors]:
-    """What each of the paper's ten objectives says: the terms 1 … 7, the two sums of some, the sum of all.
+    """Solutions of the paper's ten objectives: the terms 1 … 7, two partial sums, and the total.
 
-    The exact search of section 4.1, in steps of a pixel; None where no focal length gives a real corner.
+    The exact search of section 4.1, in steps of a pixel; None if no focal length gives a real corner.
     """
     objective = objective_for(matches, truth.camera.principal_point_px)
     shortest, longest = paper_trials(truth.camera.size)[[0, -1]]
@@ -72,7 +72,7 @@ def by_configurations(matches: Matches, truth: Calibration) -> list[Errors]:
 
 
 def _search(objective: Objective, focals: np.ndarray, best: list[tuple[float, np.ndarray]]) -> None:
-    """Replace each configuration's lowest value and what it found, (f_c, f_p, x_p, y_p), where these go lower."""
+    """Replace each configuration's lowest value and its solution, (f_c, f_p, x_p, y_p), where these are lower."""
     forward, in_front = objective.forward(focals)
     terms = objective.terms(focals, forward)
     usable = in_front & np.isfinite(terms).all(axis=0)

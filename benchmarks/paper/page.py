@@ -1,4 +1,4 @@
-"""docs/results.md: everything that was measured, with the paper's figures beside it. No number in it is typed."""
+"""docs/results.md: all results beside the paper's. Every number comes from the results."""
 
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,8 @@ from paper.comparison import where_peers_are_better
 from paper.experiment import Results
 from paper.markdown import number
 from paper.page_figures import beyond, figure_7, figure_8, ratios_to_bound
-from paper.page_tables import Parts, Pictures, paper_by_room, table_1, table_2, table_3
+from paper.page_tables import Parts, Pictures, table_1, table_1_two_views, table_2, table_3
 from paper.photographs import CUT_OFF
-from paper.sphere import FACING_DEG
 from paper.two_views import MATCHES
 
 EXPERIMENTS = (
@@ -27,7 +26,7 @@ _TEMPLATES = Environment(
 
 
 def write_page(page: Path, images: Path, results: Results) -> None:
-    """Write the page and its pictures of what was measured; what was not is named. Raises OSError."""
+    """Write the page and its pictures; missing results are named. Raises OSError."""
     text, pictures = render(results)
     images.mkdir(parents=True, exist_ok=True)
     for name, svg in pictures.items():
@@ -37,7 +36,7 @@ def write_page(page: Path, images: Path, results: Results) -> None:
 
 
 def render(results: Results) -> tuple[str, Pictures]:
-    """The page as Markdown, and its pictures by file name. Raises ValueError if nothing was measured."""
+    """The page as Markdown, and its pictures by file name. Raises ValueError without results."""
     parts = {name: results.read(name) for name in EXPERIMENTS}
     absent = [name for name, found in parts.items() if not found]
     if len(absent) == len(EXPERIMENTS):
@@ -60,17 +59,16 @@ def render(results: Results) -> tuple[str, Pictures]:
 
 
 def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
-    """What the template is given of each experiment; adds to the pictures."""
+    """Values of the template for each experiment; adds to the pictures."""
     own, many_views = parts["table1"], parts["table1-many-views"]
     context: dict[str, Any] = {
-        "table_1": table_1(own, parts["table1-two-views"], many_views) if own else "",
-        "paper_by_room": paper_by_room(),
+        "table_1": table_1(own, many_views) if own else "",
+        "two_views": table_1_two_views(parts["table1-two-views"]) if parts["table1-two-views"] else "",
         "views": next(iter(many_views.values()), None),
         "colmap_matches": MATCHES,
         "start": [number(100 * share) for share in published.RANDOM_START_SHORT_BY],
         "all_matches": published.MATCHES,
         "ball_mm": published.SPHERE_MM,
-        "facing_deg": f"{FACING_DEG:g}",
         "cut_off": [f"{100 * share:g}" for share in CUT_OFF],
         "figure_8": figure_8(parts["figure8"]) if parts["figure8"] else "",
     }
@@ -82,8 +80,6 @@ def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
     ):
         context[key], drawn = write(parts[name]) if parts[name] else ("", {})
         pictures |= drawn
-    if ball := parts["figure7"]:
-        context["metre_mm"] = f"{ball[min(ball)]['metres_to_mm']:.0f}"
     if curves := parts["beyond"]:
         context["to_bound"] = f"{np.median(ratios_to_bound(curves)):.2f}"
         context["corners"] = next(iter(curves.values()))["points"][0]["corners"]

@@ -1,4 +1,4 @@
-"""Figure 8: two photographs of a corner, original and cropped, through `scan photos`; COLMAP beside it."""
+"""Figure 8: two photographs of a corner, original and cropped, by `scan photos` and by COLMAP."""
 
 import tempfile
 from pathlib import Path
@@ -35,7 +35,7 @@ def _measure(_: Setup, part: str) -> Figures:
 
 
 def _answers(folder: Path, camera: Intrinsics) -> Figures:
-    """Truth, and the errors of (f, x_0, y_0) in px; None for a refusal. The corner is known to be square, as it is."""
+    """The truth, and the errors of (f, x_0, y_0) in px; None for a refusal. The corner is square, and known to be."""
     figures: Figures = {"size": list(camera.size), "truth_px": [camera.focal_px[0], *camera.principal_point_px]}
     truth, out = np.array(figures["truth_px"]), folder / "result"
     photos = [str(folder / f"{pose}.png") for pose in range(2)]

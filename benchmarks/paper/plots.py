@@ -1,4 +1,4 @@
-"""Curves and heat maps of the page, as SVG files that need no page around them."""
+"""Curves and heat maps of the page, as standalone SVG files."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,10 @@ from scanner.reporting.svg import HEIGHT, WIDTH, Plot, Scale
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY_BLUE, ORANGE)
 _LEGEND_PX, _PER_LETTER_PX, _SAMPLE_PX = 24, 7.0, 22
-_MARGIN = 16  # at the right, for half of the last tick's number
+_MARGIN = 16  # right margin, for half of the last tick's label
 _PANEL, _GAP, _HEAD, _FOOT = 150, 14, 40, 46
 _SHADES = between((59, 76, 192), (221, 221, 221), (180, 4, 38))  # Moreland 2009
-NO_POINT = "."  # in a row of a heat map
+NO_POINT = "."  # a missing value of a heat map
 _FONT = "font-family: system-ui, sans-serif; font-size: 13px; fill: #222;"
 _STYLE = (
     f"text {{ {_FONT} }} polyline {{ fill: none; stroke-width: 2; stroke-linejoin: round; }} "
@@ -43,7 +43,7 @@ _STYLE = (
 
 @dataclass(frozen=True)
 class Axis:
-    """What a plot's horizontal axis says, and whether it is logarithmic."""
+    """Label of a plot's horizontal axis, and whether it is logarithmic."""
 
     label: str
     log: bool = False
@@ -53,9 +53,9 @@ Points = Sequence[tuple[float, float | None]]
 
 
 def curves(axis: Axis, vertical: str, lines: Mapping[str, Points], alt: str, kinds: Mapping[str, str]) -> str:
-    """Lines by name over a logarithmic vertical axis; those of `kinds` ('bound', 'published', 's0' …) in that style.
+    """Lines by name over a logarithmic vertical axis; `kinds` gives styles ('bound', 'published', 's0' …).
 
-    A point whose value is None, and a value that is not positive, is left out and breaks the line.
+    A missing or non-positive value leaves a gap in the line.
     """
     known = [(x, y) for points in lines.values() for x, y in points if y is not None and y > 0]
     horizontal = _spanning([x for x, _ in known], axis.label, log=axis.log)
@@ -110,7 +110,7 @@ def _standalone(svg: str, legend: list[tuple[str, str]]) -> str:
 
 
 def heat_maps(panels: Mapping[str, Sequence[str]], titles: Mapping[str, str], alt: str) -> str:
-    """Maps of signed µm, rows of numbers, all in one scale of colours, each below its name and title."""
+    """Maps of signed µm, rows of numbers, with a common colour scale, each below its name and title."""
     maps = {name: _grid(panel) for name, panel in panels.items()}
     limit = max(1.0, float(np.nanpercentile(np.abs(np.concatenate([grid.ravel() for grid in maps.values()])), 98)))
     width = _GAP + len(maps) * (_PANEL + _GAP)
@@ -158,7 +158,7 @@ def _framed(width: int, height: int, inside: str, alt: str) -> str:
 
 
 def _sized(inside: str) -> str:
-    """An inline plot takes its size from its page; within another picture it needs one."""
+    """An inline plot takes its size from its page; inside another picture it needs one."""
     return inside.replace(
         '<svg class="plot"', f'<svg class="plot" overflow="visible" width="{WIDTH}" height="{HEIGHT}"', 1
     )

@@ -1,7 +1,7 @@
-"""Figure 7: a ball beside a corner that calibrated the rig, fitted in the clouds of several calibrations.
+"""Figure 7: a ball beside the corner that calibrated the rig, fitted in the clouds of several calibrations.
 
-The ball is the one that stands in the simulated room. A scene of another size gives the same images, so lengths are
-scaled such that it has the diameter of the paper's. It takes no part in any calibration.
+It is the ball of the simulated room. A scaled scene gives the same images, so lengths are scaled to the diameter of the
+paper's ball. The ball takes no part in any calibration.
 """
 
 from collections.abc import Callable
@@ -23,10 +23,10 @@ from paper.plots import NO_POINT
 from paper.published import SPHERE_MM
 from paper.two_views import MATCHES, centre_start, paper_start, variants
 
-CELLS = 40  # of a heat map, across the ball
-# At the rim a pixel sees what is behind, too.
+CELLS = 40  # cells of a heat map across the ball
+# At the rim, a pixel also sees the background.
 FACING_DEG = 70.0
-_STRAY = 0.2  # of the radius: a match of something else
+_STRAY = 0.2  # share of the radius: farther matches are on something else
 
 
 def _measure(setup: Setup, part: str) -> Figures:
@@ -34,7 +34,7 @@ def _measure(setup: Setup, part: str) -> Figures:
     capture = captured(setup, room)
     ball = place_room(settings_of(room), setup.camera_size, setup.projector_size).scene.sphere
     assert ball is not None
-    mm = SPHERE_MM / 2 / ball.radius  # for a metre of the simulated room
+    mm = SPHERE_MM / 2 / ball.radius  # per metre of the simulated room
     on_ball = _facing(capture, setup, room)
     figures: Figures = {"points": len(on_ball), "metres_to_mm": mm, "methods": {}}
     for name, calibrate in _calibrations(capture, room).items():
@@ -50,7 +50,7 @@ def _measure(setup: Setup, part: str) -> Figures:
 
 
 def _facing(capture: Captured, setup: Setup, room: int) -> Matches:
-    """Matches on the ball where it faces the camera."""
+    """Matches on the part of the ball that faces the camera."""
     placed = place_room(settings_of(room), setup.camera_size, setup.projector_size)
     assert placed.scene.sphere is not None
     centre = placed.camera.rotation @ (placed.scene.sphere.centre - placed.camera.centre)
@@ -78,7 +78,7 @@ def _calibrations(capture: Captured, room: int) -> dict[str, Callable[[], Calibr
 
 
 def _with_lenses(found: Calibration, truth: Calibration) -> Calibration:
-    """A calibration from corrected matches, for matches that are not: with the lenses that the correction took."""
+    """A calibration from corrected matches, for uncorrected ones: with the lenses of the correction."""
     return replace(
         found,
         camera=replace(found.camera, distortion=truth.camera.distortion),
@@ -87,9 +87,9 @@ def _with_lenses(found: Calibration, truth: Calibration) -> Calibration:
 
 
 def _fit(on_ball: Matches, calibration: Calibration, baseline_mm: float) -> Figures | None:
-    """Errors of the fit in mm with the true baseline given; None where the points are no ball at all.
+    """Errors of the fit in mm with the true baseline; None if the points are no ball.
 
-    `mean_absolute_mm` is of the shape alone: the cloud is scaled so that its ball has the true diameter.
+    `mean_absolute_mm` concerns the shape only: the cloud is scaled so that its ball has the true diameter.
     """
     met = intersect(on_ball, calibration)
     ahead = met.in_front
@@ -123,7 +123,7 @@ def _start(points: Floats) -> tuple[Floats, float]:
 
 
 def _heat_map(pixels: Floats, residual_mm: Floats) -> list[str]:
-    """Means of the signed distances in µm over the cells of the ball's image, row by row; NO_POINT where none is."""
+    """Means of the signed distances in µm over the cells of the ball's image, row by row; NO_POINT for empty cells."""
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     cell = np.minimum((CELLS * (pixels - low) / (high - low).max()).astype(int), CELLS - 1)
     index = cell[:, 1] * CELLS + cell[:, 0]

@@ -1,4 +1,4 @@
-"""Tables 1 to 3 of the paper: what is measured in each room."""
+"""The paper's tables 1 to 3, measured in each room."""
 
 from functools import partial
 
@@ -71,7 +71,7 @@ def _errors(found: Calibration | None, truth: Calibration) -> Errors:
 
 
 def _many_views(setup: Setup, part: str) -> Figures:
-    # At full size twenty views cost an hour a room; what is left of the error here leaves nothing to gain.
+    # At full size, twenty views cost an hour per room, and the remaining error is negligible.
     size, count = QUICK, VIEWS // 2 if setup.quick else VIEWS
     found = focal_error_percent(room_of(part), size, count)
     error, placed = (None, 0) if found is None else found

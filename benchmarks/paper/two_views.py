@@ -6,7 +6,7 @@ from colmap_two_view import two_views, unknown_focal
 from calib.geometry import Calibration, Matches
 from paper.published import RANDOM_START_SHORT_BY
 
-MATCHES = 10_000  # drawn of each capture for COLMAP, whose time grows with them and whose error does not depend on them
+MATCHES = 10_000  # matches per capture for COLMAP: its time grows with them, its error does not depend on them
 
 
 def centre_start(truth: Calibration) -> tuple[float, float]:
@@ -15,13 +15,13 @@ def centre_start(truth: Calibration) -> tuple[float, float]:
 
 
 def paper_start(truth: Calibration) -> tuple[float, float]:
-    """R: where the paper's own draw put it, which its table tells."""
+    """R: the paper's own random start, from its table."""
     x, y = np.array(truth.projector.principal_point_px) * (1 - np.array(RANDOM_START_SHORT_BY))
     return float(x), float(y)
 
 
 def drawn_start(truth: Calibration, rng: np.random.Generator) -> tuple[float, float]:
-    """R: anywhere in the projector's image."""
+    """R: a random point in the projector's image."""
     x, y = rng.uniform(0, truth.projector.size)
     return float(x), float(y)
 
@@ -29,10 +29,10 @@ def drawn_start(truth: Calibration, rng: np.random.Generator) -> tuple[float, fl
 def variants(
     matches: Matches, truth: Calibration, start_px: tuple[float, float]
 ) -> tuple[Calibration | None, Calibration | None]:
-    """Without and with the additional bundle adjustment; None where COLMAP finds nothing.
+    """Errors without and with the additional bundle adjustment; None where COLMAP finds no solution.
 
-    The camera's principal point is the true one. Focal lengths start as COLMAP starts them and are adjusted with both
-    principal points held; then, on top of that, both are freed, as COLMAP frees them: together.
+    The camera's principal point is the true one. Focal lengths start at COLMAP's default and are adjusted with fixed
+    principal points; the additional adjustment frees both principal points together, as COLMAP does.
     """
     camera = unknown_focal(*truth.camera.size, truth.camera.principal_point_px)
     found = two_views(matches, camera, unknown_focal(*truth.projector.size, start_px))

@@ -1,4 +1,4 @@
-"""Rooms rendered by Mitsuba 3: the scene and its textures and intersections are Mitsuba's, light is traced here."""
+"""Rooms rendered with Mitsuba 3: it has scene, textures and intersections; light is traced here."""
 
 import mitsuba as mi
 

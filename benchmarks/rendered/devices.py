@@ -1,4 +1,4 @@
-"""A camera and a projector with lenses, fixed to each other, and where they stand."""
+"""A camera and a projector with lenses, fixed to each other, and their poses."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ _CAMERA, _PROJECTOR = (640, 512), (854, 480)
 
 @dataclass(frozen=True)
 class Device:
-    """A pinhole with a lens: width, height; f, x_0, y_0; k1, k2, p1, p2, k3 in OpenCV's order."""
+    """A pinhole with distortion: width, height; f, x_0, y_0; k1, k2, p1, p2, k3 in OpenCV's order."""
 
     size: tuple[int, int]
     focal: float

@@ -1,4 +1,4 @@
-"""A furnished room for Mitsuba, with two balls in it, and places in it from which to scan."""
+"""A furnished room for Mitsuba, with two balls, and stations in it."""
 
 import mitsuba as mi
 import numpy as np
@@ -11,7 +11,7 @@ BALLS_M, RADIUS_M = 3.0, 0.12
 
 
 def room(rng: np.random.Generator, size: Array) -> tuple[dict[str, object], list[tuple[Array, Array, float]], Array]:
-    """A furnished room for `mi.load_dict`; its boxes (centre, half size, yaw); and both balls' centres."""
+    """A furnished room for `mi.load_dict`; its boxes (centre, half size, yaw); and the centres of both balls."""
     scene: dict[str, object] = {"type": "scene"}
     for wall in range(6):
         axis, side = wall % 3, wall // 3
@@ -27,7 +27,7 @@ def room(rng: np.random.Generator, size: Array) -> tuple[dict[str, object], list
         out = across / 2 - half[1] - rng.uniform(0.05, 0.2)
         aside = rng.uniform(-0.5, 0.5) * (along - 2 * half[0])
         turned = Rotation.from_euler("z", np.pi / 2 * wall).as_matrix() @ np.array([aside, -out, 0.0])
-        high = rng.uniform(1.4, 1.7) if piece >= 7 else half[2]  # a served_files on the wall
+        high = rng.uniform(1.4, 1.7) if piece >= 7 else half[2]  # a shelf on the wall
         half[2] = 0.2 if piece >= 7 else half[2]
         centre = turned + np.array([size[0] / 2, size[1] / 2, high])
         boxes.append((centre, half, yaw))
@@ -70,7 +70,7 @@ def _rectangle(normal: Array, at: Array, half: float, bsdf: dict[str, object]) -
 
 
 def ring(rng: np.random.Generator, size: Array, boxes: list[tuple[Array, Array, float]], count: int) -> list[Place]:
-    """Stations that look across the room, each a sixth of a turn on."""
+    """Stations that look across the room, at steps of a sixth of a turn."""
     first, places = rng.uniform(0, 2 * np.pi), []
     for k in range(count):
         for _ in range(500):

@@ -1,4 +1,4 @@
-"""The light of a projector in a scene of Mitsuba: directly, and by one or two bounces, for all pictures at once."""
+"""The light of a projector in a scene of Mitsuba: direct, and after one or two bounces, for all pictures at once."""
 
 from dataclasses import dataclass
 
@@ -9,15 +9,15 @@ from scipy.sparse import csr_array
 
 from rendered.devices import Array, Place, Rig, world_rays
 
-_GRID = 4  # camera pixels from one pixel of the bounced light to the next
+_GRID = 4  # camera pixels per pixel of the bounced light
 _CHUNK = 4_000_000
 _EPSILON = 1e-4
-_SIDE = 3  # sub-pixels along a camera pixel
+_SIDE = 3  # sub-pixels per camera pixel, along each side
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays (N) met the scene: points and normals (N, 3), facing the ray; albedo (N,); found (N,)."""
+    """Hits of rays (N): points and normals (N, 3) facing the ray; albedo (N,); found (N,)."""
 
     points: Array
     normals: Array
@@ -26,7 +26,7 @@ class Hits:
 
 
 def trace(scene: "mi.Scene", origins: Array, directions: Array) -> Hits:
-    """Rays (N, 3) into the scene."""
+    """Trace rays (N, 3) into the scene."""
     parts = []
     for start in range(0, len(origins), _CHUNK):
         o, d = origins[start : start + _CHUNK], directions[start : start + _CHUNK]
@@ -41,7 +41,7 @@ def trace(scene: "mi.Scene", origins: Array, directions: Array) -> Hits:
 
 
 def lit(scene: "mi.Scene", hits: Hits, rig: Rig, place: Place) -> tuple[Array, Array]:
-    """Where in the projector's picture hits are, pixels (N, 2), and how bright white is there, (N,), without albedo."""
+    """Projector pixels (N, 2) of hits, and the irradiance of white there, (N,), without albedo."""
     in_camera = (hits.points - place.translation) @ place.rotation
     seen = in_camera @ rig.rotation.T + rig.translation
     ahead = hits.found & (seen[:, 2] > 0.05)
@@ -50,7 +50,7 @@ def lit(scene: "mi.Scene", hits: Hits, rig: Rig, place: Place) -> tuple[Array, A
     width, height = rig.projector.size
     with np.errstate(invalid="ignore"):
         inside = np.all((pixels > -0.5) & (pixels < [width - 0.5, height - 0.5]), axis=1)
-        # What the lens model folds back into the picture is not in it.
+        # Exclude points that the lens model folds back into the picture.
         inside &= np.hypot(seen[:, 0], seen[:, 1]) < 1.5 * seen[:, 2]
     eye = place.translation + place.rotation @ (-rig.rotation.T @ rig.translation)
     bright, chosen = np.zeros(len(seen)), np.flatnonzero(inside)
@@ -64,16 +64,16 @@ def lit(scene: "mi.Scene", hits: Hits, rig: Rig, place: Place) -> tuple[Array, A
         ray = mi.Ray3f(mi.Point3f(at[part].T), mi.Vector3f((to_eye / distance[:, None])[part].T))
         ray.maxt = mi.Float(((1 - 1e-3) * distance[part]).astype(np.float32))
         free[part] = ~np.array(scene.ray_test(ray))
-    # A picture that is evenly bright on a screen: the intensity goes with 1 / cos³ of the angle to the axis.
+    # A uniform picture on a screen: intensity increases with 1 / cos³ of the angle to the axis.
     off_axis = seen[chosen, 2] / distance
     bright[chosen] = np.where(free & (cosine > 0), cosine / distance**2 / off_axis**3, 0.0)
     return pixels, bright
 
 
 def direct_light(scene: "mi.Scene", rig: Rig, place: Place, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Of sub-pixels: picture's pixels (H, W, 9, 2) and brightness (H, W, 9).
+    """Sub-pixels: pixels of the picture (H, W, 9, 2) and brightness (H, W, 9).
 
-    They are random within their ninths, as renderers' samples are: so few shift a pixel by 0.05 of the picture's.
+    They are random within their ninths, as in renderers: this shifts a pixel by 0.05 of the picture's pixels.
     """
     width, height = rig.camera.size
     x, y = np.meshgrid(np.arange(width), np.arange(height))
@@ -88,8 +88,10 @@ def direct_light(scene: "mi.Scene", rig: Rig, place: Place, rng: np.random.Gener
 def bounced_light(
     scene: "mi.Scene", rig: Rig, place: Place, rng: np.random.Generator, paths: int
 ) -> tuple[list[Array], Hits]:
-    """Of a coarser grid of camera pixels (n): by columns (n, width) and by rows (n, height) of the picture, what they
-    receive by one and by two bounces, without their own albedo; and where they are.
+    """Light after one and two bounces at a coarser grid of camera pixels (n), by columns (n, width) and by rows (n,
+    height) of the picture.
+
+    It excludes the own albedo of the pixels. Also returns where they are.
     """
     width, height = rig.camera.size
     x, y = np.meshgrid(np.arange(0, width, _GRID), np.arange(0, height, _GRID))
@@ -103,7 +105,7 @@ def bounced_light(
         at = Hits(seen.points[pixel], seen.normals[pixel], seen.albedo[pixel], seen.found[pixel])
         weight = np.full(len(pixel), 1 / paths)
         for _ in range(2):
-            # The estimator of the irradiance over π: radiance along cosine-weighted directions.
+            # Estimator of irradiance over π: radiance along cosine-weighted directions.
             at = trace(scene, at.points + _EPSILON * at.normals, _cosine_weighted(at.normals, rng))
             weight = weight * at.albedo
             where, bright = lit(scene, at, rig, place)
@@ -124,7 +126,7 @@ def _cosine_weighted(normals: Array, rng: np.random.Generator) -> Array:
 
 
 def spread(coarse: Hits, fine: Hits, size: tuple[int, int]) -> csr_array:
-    """From the coarse pixels (n) to the camera's (H W), each being a mean of those around it on its own surface."""
+    """From the coarse pixels (n) to the camera's (H W): means over neighbours on the same surface."""
     width, height = size
     across, down = -(-width // _GRID), -(-height // _GRID)
     x, y = (each.reshape(-1) for each in np.meshgrid(np.arange(width) / _GRID, np.arange(height) / _GRID))

@@ -27,12 +27,12 @@ from calib.numerics import Bools, Floats
 from calib.refusal import RefusalError
 
 FEWEST_VIEWS = 3
-_USEFUL_SIGMA = 0.03  # of a focal length
-_HOPELESSLY_PARALLEL_DEG = 5.0  # what is not quite right with a print or a lens then tells more than the perspective
-_USEFUL_RAY = 0.0025  # of a picture's longer side, anywhere that both devices see
+_USEFUL_SIGMA = 0.03  # sigma of a log focal length
+_HOPELESSLY_PARALLEL_DEG = 5.0  # defects of print or lens then outweigh the perspective
+_USEFUL_RAY = 0.0025  # share of a picture's longer side, anywhere in the common view
 _CLEARLY_WORSE = 9.0  # in cost
 _WALK_SIGMAS, _NEARLY_PARABOLIC = 2.0, 1.2
-# What a spread must fall below to be named as a reason.
+# Spreads below these limits are named as reasons.
 _PARALLEL_DEG = 15.0
 _SAME_DISTANCE = 1.15
 _SMALL_COVERAGE = 0.3
@@ -90,7 +90,7 @@ def _hull_share(pixels: Sequence[Floats], size: Size) -> float:
 def too_few(count: int) -> RefusalError:
     """The refusal of fewer views than determine anything."""
     return RefusalError(
-        f"{count} usable {'view' if count == 1 else 'views'} of the board, where three are the least.", _ADVICE
+        f"{count} usable {'view' if count == 1 else 'views'} of the board; at least three are needed.", _ADVICE
     )
 
 
@@ -115,7 +115,7 @@ def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: Cover
         worst = float(np.nanmax(sigmas, initial=0.0))
         if not worst < _USEFUL_RAY * max(size):
             raise RefusalError(
-                f"These boards do not determine the {name}'s lens wherever both devices see: the sigma of a ray is "
+                f"These boards do not determine the {name}'s lens over the whole common view: the sigma of a ray is "
                 f"up to {worst:.2g} px" + _because(coverage),
                 _ADVICE,
             )
@@ -130,10 +130,10 @@ def refuse_untrustworthy(found: Estimate, others: Sequence[Fit], coverage: Cover
 
 
 def ray_sigmas(found: Estimate, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
-    """Standard deviations (13, 13) of where camera and projector have their rays, in px over either picture.
+    """Standard deviations (13, 13) of the rays of camera and projector, in px over either picture.
 
-    NaN where the other device does not see, at the boards' distance, what this one does. What a rotation of the device
-    would do is no error of its lens: the motion between the devices makes up for it.
+    NaN where the other device does not see the same, at the boards' distance. A rotation of the device is no error of
+    its lens, because the motion between the devices compensates for it.
     """
     every, state = (_grid(sizes[0]), _grid(sizes[1])), found.state
     seen = _seen_by_both(state, every, sizes)

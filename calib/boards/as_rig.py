@@ -1,8 +1,8 @@
-"""What boards say of a rig, in the columns that every corner determines.
+"""The estimate from boards, in the columns that every corner determines.
 
-Boards also determine the pixels' shape. It is part of the calibration, but how unsure it is has to be said by the
-columns that corners have: to first order an error of it is what a change of the columns, and a turn of the device, come
-nearest to, by least squares over what both devices see.
+Boards also determine the aspect of pixels. It is part of the calibration, but its uncertainty must be expressed by the
+columns of corners. To first order, an error of it is replaced by the change of the columns, and rotation of the device,
+that approximates it best, by least squares over the common view.
 """
 
 import numpy as np
@@ -68,7 +68,7 @@ def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
     for (columns, block, device), pixels in zip(devices, rays_seen(found.state, sizes), strict=True):
         own, turn = _in_place_of_aspect(device, pixels)
         to_columns[columns, block] = own
-        # X_projector = R X_camera + t stays true of the turned device's own frame.
+        # In the rotated device's own frame, X_projector = R X_camera + t is unchanged.
         if block == CAMERA:
             to_columns[ROTATION_COLUMNS, block] -= motion.rotation @ turn
         else:

@@ -23,7 +23,7 @@ _EVIDENT = 3.0  # nats
 def turned_alike(
     views: Sequence[View], state: State, prior: Prior, levels: Levels, turns: int
 ) -> tuple[tuple[View, ...], State]:
-    """Views and state with each board turned as the first one, of so many ways that look the same."""
+    """Views and state with each board oriented like the first one, among this many symmetric orientations."""
     views, current = list(views), minimise(views, state, prior, levels, tolerance=_ROUGH)
     for _ in range(_PASSES if turns > 1 else 0):
         changed = False

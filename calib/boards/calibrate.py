@@ -37,9 +37,9 @@ from calib.refusal import RefusalError
 
 _BEND_TERMS = 7
 _ODD_SIGMAS, _ODD_TIMES, _ODD_PX = 4.0, 4.0, 0.2
-_MOST_ODD = 0.34  # of the views; more of them are no exceptions
+_MOST_ODD = 0.34  # largest share of the views that are left out
 _STEPS = 20
-_SURPRISING = 1.3  # of errors of prediction over what was promised
+_SURPRISING = 1.3  # ratio of prediction errors to the expected ones
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def calibrate_boards(
         return _estimated(some, start, prior, board)
 
     sizes = camera_size, projector_size
-    # What all boards together do not determine, they do not without one of them: that need not be estimated for each.
+    # Parameters that all boards together do not determine stay undetermined without one of them.
     refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
     found, predictions, left_out = _without_odd(found, anew)
     coverage = coverage_of(found.views, found.state, *sizes)
@@ -141,7 +141,7 @@ def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) 
 def _without_odd(
     found: Estimate, anew: Callable[[Sequence[View]], Estimate]
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OddView, ...]]:
-    """The estimate without views that the others mispredict by far: a board that moved, a view of something else."""
+    """The estimate without views that the others predict badly: a board that moved, or another board."""
     left_out: list[OddView] = []
     most = int(_MOST_ODD * len(found.views))
     while True:
@@ -155,9 +155,9 @@ def _without_odd(
         if len(left_out) == most or len(errors) == FEWEST_VIEWS:
             raise RefusalError(
                 f"The boards contradict each other: {predictions[worst].name} is {errors[worst]:.2g} projector px from "
-                f"where the others put it, {usual:.2g} px is usual, and {len(left_out)} like it were left out already.",
-                "The rig, its zoom or its focus may have changed between the captures, or the board have moved during "
-                "them.",
+                f"where the others predict it, {usual:.2g} px is usual, and {len(left_out)} were already left out.",
+                "The rig, its zoom or its focus may have changed between the captures, or the board may have moved "
+                "during one.",
             )
         left_out.append(OddView(predictions[worst].name, float(errors[worst]), usual))
         found = anew([*found.views[:worst], *found.views[worst + 1 :]])
@@ -212,7 +212,7 @@ def _device_sigmas(found: Estimate, columns: slice) -> DeviceSigmas:
 
 def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested: Halves | None) -> list[str]:
     notes = [
-        f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards put "
+        f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards predict "
         f"them, {odd.usual_px:.2g} px is usual. The board may have moved during that capture."
         for odd in left_out
     ]
@@ -224,13 +224,13 @@ def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested
     if blurred:
         notes.append(
             f"Corners were found poorly in {', '.join(blurred)}, where {np.median(found.corner_px):.2g} px is usual: "
-            "they count for less. Blur, or light that is uneven over the board, does that."
+            "they have less weight. The cause is blur, or uneven light on the board."
         )
     if found.state.bend.any():
         bend = 1000 * float(np.abs(found.state.bend[:3]).max())
         notes.append(f"The board is bent by {bend:.2g} thousandths of half its length, which was taken into account.")
     if found.prior.flex:
-        notes.append(f"It bends otherwise from pose to pose, by some {1000 * found.prior.flex:.2g} thousandths.")
+        notes.append(f"Its bend varies between poses by about {1000 * found.prior.flex:.2g} thousandths.")
     if enlarged > 1:
         notes.append(
             f"All sigmas are {enlarged:.2g} times those of the residuals: the boards predict each other "

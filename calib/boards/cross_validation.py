@@ -24,8 +24,8 @@ from calib.boards.parameters import (
 from calib.numerics import Floats
 
 _FEWEST_OF_A_HALF = 2
-_EXCUSED = 9.0  # variances so many times as large as usual ones
-_USEFUL_HALF = 0.15  # sigma of a focal's logarithm, beyond which a half by itself says nothing
+_EXCUSED = 9.0  # variances this many times the usual are down-weighted
+_USEFUL_HALF = 0.15  # sigma of a log focal length beyond which a half by itself is not compared
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class Halves:
 
 
 def leave_one_out(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
-    """Each view predicted by the others; none for fewer than three.
+    """Each view predicted by the others; empty for fewer than three.
 
-    `anew`: the estimate from some views alone, from its starts on.
+    `anew`: estimates from some of the views, from the starts on.
     """
     count = len(found.views)
     if count < 3:
@@ -89,21 +89,21 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     residual = predicted - view.cells.projector_px
     pose = slice(SHARED, SHARED + PER_POSE)
     of_pose = np.asarray(np.linalg.inv(posed.information[pose, pose]), np.float64)
-    # The pose follows what all views share: its corners stay where they were seen.
+    # The pose follows the common parameters, so that its corners stay at their observed pixels.
     by_shared = jacobian[:, :, :SHARED] - jacobian[:, :, pose] @ (of_pose @ posed.information[pose, :SHARED])
     variance = _variance(by_shared, rest.covariance) + _variance(jacobian[:, :, pose], of_pose)
     if found.prior.flex:
         variance += _variance(jacobian[:, :, -PER_FLEX:], found.prior.flex**2 * np.eye(PER_FLEX))
     variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, _usual_px(found)) ** 2
-    # Huber's loss lets go of strays among the cells; so does this.
+    # Outliers among the cells are down-weighted, as by Huber's loss.
     square = np.minimum(np.sum(residual**2, axis=1), 9 * np.maximum(variance, np.median(np.sum(residual**2, axis=1))))
     return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
 
 
 def _usual_levels(found: Estimate, view: int) -> Levels:
-    """A view's own levels, its smooth misfit left aside, unless they are far above those of the others.
+    """A view's own levels without its smooth misfit, unless they are far above those of the others.
 
-    A board that moved looks noisy, and would excuse itself.
+    Otherwise a board that moved would look noisy, and be excused.
     """
     independent = [cells / noise.inflation for cells, noise in zip(found.levels.cells, found.noise, strict=True)]
     usual = float(np.median([np.median(variances) for variances in independent]))
@@ -113,7 +113,7 @@ def _usual_levels(found: Estimate, view: int) -> Levels:
 
 
 def _usual_px(found: Estimate) -> float:
-    """The smooth misfit of a usual view: a larger one is the view's own fault, and none of the noise."""
+    """The smooth misfit of a usual view; a larger one is an error of the view, not noise."""
     return float(np.median([noise.smooth_px for noise in found.noise]))
 
 
@@ -124,8 +124,9 @@ def _variance(jacobian: Floats, covariance: Floats) -> Floats:
 
 
 def halves(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> Halves | None:
-    """Every second view against the others, each estimated `anew` as in `leave_one_out`; None if a half is too few
-    views, or would determine nothing by itself.
+    """Every second view compared with the others, each half estimated `anew` as in `leave_one_out`.
+
+    None if a half has too few views, or determines nothing.
     """
     count = len(found.views)
     parts = [list(range(start, count, 2)) for start in (0, 1)]

@@ -9,8 +9,8 @@ from calib.boards.parameters import SHARED, State
 from calib.numerics import Floats
 from calib.refinement import Noise, covariance_of
 
-_ROUNDS = 60  # at most; a dozen are usual
-_SETTLED = 0.01  # of a variance, from round to round
+_ROUNDS = 60  # rounds; a dozen are usual
+_SETTLED = 0.01  # relative change of a variance between rounds
 
 
 @dataclass(frozen=True)

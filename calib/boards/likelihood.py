@@ -31,7 +31,7 @@ _TAILED = np.array(
     [[device.start + term] for device in (CAMERA, PROJECTOR) for term in (ASPECT, *range(LENS.start, LENS.stop))]
 )
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
-# One sigma of what devices and boards are like, before any is seen: enough to hold what a set of views leaves open.
+# Prior sigmas of devices and boards: they determine what a set of views leaves open.
 _ASPECT_SIGMA = 0.002
 _LOG_FOCAL_SIGMA = 1.0
 _BEND_SIGMA = (0.01, 0.01, 0.01, 0.003, 0.003, 0.003, 0.003)
@@ -88,7 +88,7 @@ class Prior:
         return free
 
     def knowing(self, columns: Sequence[int] | Ints) -> "Prior":
-        """The same with some columns held where they are."""
+        """The prior with some columns fixed."""
         sigma = self.sigma.copy()
         sigma[list(columns)] = 0.0
         return replace(self, sigma=sigma)
@@ -100,7 +100,7 @@ def device_prior(
     bend_terms: int,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
 ) -> Prior:
-    """What holds for devices of these sizes (width, height) and a board with so many terms of bend."""
+    """Prior for devices of these sizes (width, height) and a board with this number of terms of its bend."""
     mean, sigma = np.zeros(SHARED), np.full(SHARED, np.inf)
     sizes = camera_size, projector_size
     for device, (width, height), lens in zip((CAMERA, PROJECTOR), sizes, lenses, strict=True):
@@ -125,9 +125,9 @@ class Fit(Quadratic):
 
 
 def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, *, matches: bool = True) -> Fit:
-    """The cost of a state with its derivatives; infinite where more than strays fall behind a device.
+    """The cost of a state with its derivatives; infinite if more than outliers fall behind a device.
 
-    Without `matches` the camera alone is looked at.
+    Without `matches`, only the camera is evaluated.
     """
     z = (state.additive() - prior.mean) * prior.root_precision
     of_columns, slope, curvature = z**2, z.copy(), np.ones(SHARED)

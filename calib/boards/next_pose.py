@@ -22,12 +22,12 @@ from calib.geometry import Size, rotation_about
 from calib.numerics import Floats
 from calib.refinement import inverse_of
 
-_PLACES = (0.25, 0.5, 0.75)  # across and down the projector's picture
+_PLACES = (0.25, 0.5, 0.75)  # positions across and down the projector's picture
 _DISTANCES = {"nearer than most so far": 0.8, "as far away as most so far": 1.0, "farther away than most so far": 1.25}
 _TILT = np.radians(30.0)
 _SIDES = ("right", "lower right", "lower", "lower left", "left", "upper left", "upper", "upper right")
 _GRID = 7
-_CELLS = 250.0  # of matches, that a view has
+_CELLS = 250.0  # cells per view
 
 _ACROSS, _DOWN = ("left", "middle", "right"), ("top", "middle", "bottom")
 
@@ -89,7 +89,7 @@ def _turns() -> Iterator[tuple[str, Floats]]:
     yield "facing the camera", np.eye(3)
     for k, side in enumerate(_SIDES):
         towards = np.pi / 4 * k
-        # About the axis across that direction: its side comes nearer.
+        # Rotated about the perpendicular axis, so that its side comes nearer.
         yield (
             f"tilted with its {side} side towards the rig",
             rotation_about(_TILT * np.array([-np.sin(towards), np.cos(towards), 0.0])),
@@ -114,7 +114,7 @@ def _is_whole(found: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
 
 
 def _information(found: Estimate, state: State) -> Floats:
-    """What a view of this board would tell of what all views share, its pose being unknown, (SHARED, SHARED)."""
+    """Information of a view of this board on the common parameters, with an unknown pose, (SHARED, SHARED)."""
     corners, grid = _points(found)
     _, by_corners, _ = predict_corners(state, corners, 0)
     camera_px, _, _ = predict_corners(state, grid, 0)

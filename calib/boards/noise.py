@@ -12,15 +12,15 @@ from calib.numerics import MEDIAN_LENGTH, Floats
 from calib.refinement import CUBIC, Cells, Noise, joined, long_waves, noise_of
 
 _LEAST_CORNER_PX = 1e-3
-_PRIOR_FREEDOM = 20.0  # of a view's own noise, around that of all views
+_PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views
 
 
 def measured(views: Sequence[View], fit: Fit, prior: Prior) -> tuple[Levels, Floats, tuple[Noise, ...]]:
     """Levels for the likelihood, corner noise (V,) in camera px, and the noise of each view's matches.
 
-    Each view's residuals are fitted by its pose and its part in what all share: half by its corners, half by its cells.
-    What the model lacks is alike in all views of one board. Left free, the view that the fit happens to follow best
-    would gain weight, be followed better still, and end with all of it: a likelihood of variances has no bound.
+    Each view's residuals are fitted by its pose and its part of the common parameters: half by its corners, half by its
+    cells. Model errors are equal in all views of one board. If noise were estimated freely, the view with the best fit
+    would gain weight, be fitted better still, and end with all of it, because a likelihood of variances has no bound.
     """
     absorbed = (np.count_nonzero(prior.free(fit.state)[:SHARED]) / len(views) + PER_POSE) / 2
     cells = [view.cells for view in views]
@@ -75,7 +75,7 @@ def _drawn_together(squares: Floats, freedom: Floats) -> Floats:
 
 
 def _as_cells(view: View, sigma_px: float) -> Cells:
-    """A view's corners, for what is asked of cells: whether neighbours err alike."""
+    """A view's corners as cells, to test whether errors of neighbours correlate."""
     count = len(view.points)
     one, label = np.ones(count), np.zeros(count, np.int32)
     return Cells(view.corners_px, view.corners_px, label, sigma_px * one, one, float(sigma_px), 0.0)

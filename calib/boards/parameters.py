@@ -1,13 +1,13 @@
-"""Parameters of a rig before boards, what they predict of corners and of matches, and the exact derivatives.
+"""Parameters of a rig and boards, predicted corners and matches, and their exact derivatives.
 
-A board's point (a, b), in lengths from its middle, is at (a, b, h(a, b)), h being its bend. The camera sees its
-corners. A camera pixel's ray meets the board, and the point where it does is projected into the projector: so every
-match on the board is predicted, whether or not there is a corner.
+A board's point (a, b), in lengths from its middle, is at (a, b, h(a, b)), with h its bend. The camera sees its corners.
+The ray of a camera pixel intersects the board, and the intersection is projected into the projector. So every match on
+the board is predicted, with or without a corner.
 
 Columns of every step, gradient and Hessian: of the camera log f_x, log (f_y / f_x), x_0, y_0, k1, k2, p1, p2, k3; the
 same of the projector; rotation (3), direction (2) and logarithm of the length of the motion between them; the bend (7);
-then for each view the board's rotation (3), its place (3, as a share of its distance), and by how much it is bent
-otherwise than usual (3): held by hand, or leaning against something, a board is not quite rigid.
+then for each view the board's rotation (3), its position (3, relative to its distance), and the deviation of its bend
+(3), because a board that is held or leans is not quite rigid.
 """
 
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
 ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
 MOTION, BEND = slice(18, 24), slice(24, 31)
 SHARED = 31
-FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # of a device
-# Of camera and projector: the focal's logarithm and the principal point.
+FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # columns of a device
+# Columns of log focal length and principal point of camera and projector.
 INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
 
 _MEETING_STEPS = 4
-_SPARE = 3.0  # of the board's reach: where a bend is of no meaning any more
+_SPARE = 3.0  # in units of the board's reach: farther out, a bend has no meaning
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     rotation = state.boards[view].rotation
     along = rotation[:, :2] + slopes[:, None, :] * rotation[:, 2:]  # (N, 3, 2): how the point moves along the board
     by_point = _by_point(seen)
-    # The point stays on its ray while everything else moves: d(X/Z) = dr.
+    # The point stays on its ray while the rest moves: d(X/Z) = dr.
     off_ray = -by_point @ by_columns
     off_ray[:, :, CAMERA] += rays_by_camera
     by_columns = by_columns + along @ _solved(by_point @ along, off_ray)
@@ -185,7 +185,7 @@ def meet(state: State, rays: Floats, view: int) -> Floats:
     """Where rays (N, 2), at z = 1 in the camera's frame, meet a board: its points (N, 2), by Newton's method."""
     board = state.boards[view]
     directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ board.rotation
-    start = -board.middle @ board.rotation  # the camera's centre on the board's axes
+    start = -board.middle @ board.rotation  # the camera's centre in the board's axes
     points: Floats = start[:2] - directions[:, :2] * (start[2] / directions[:, 2])[:, None]
     if not state.bend_of(view).any():
         return points
@@ -215,7 +215,7 @@ def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
     pixels = np.full((len(points), 2), np.nan)
     ahead = points[:, 2] > 0
     pixels[ahead] = _project(device, points[ahead])[0]
-    # A lens model that folds back brings what is far outside into the picture again: its rays are none.
+    # A lens model that folds back maps points far outside into the picture; their rays are invalid.
     rays = rays_of(device, pixels)
     same = np.linalg.norm(rays - points[:, :2] / points[:, 2:], axis=1) < 1e-6
     seen: Bools = same & np.all((pixels >= 0) & (pixels <= np.array(size) - 1), axis=1)

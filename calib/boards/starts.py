@@ -31,8 +31,8 @@ from calib.numerics import Bools, Floats, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
 _FINALISTS = 3
-_ROUGH_PX = 1.0  # before anything is known of the noise
-_SAMPLE = 60  # cells of each view
+_ROUGH_PX = 1.0  # assumed noise before it is estimated
+_SAMPLE = 60  # cells per view
 _ROUGH, _STEPS = 0.1, 20  # tolerance in cost
 _DIFFERENT = 0.02  # of log f
 
@@ -65,7 +65,7 @@ def _distinct(fits: list[Fit]) -> list[Fit]:
 
 
 def rough_levels(views: Sequence[View]) -> Levels:
-    """One pixel, whatever it is of."""
+    """Noise of one pixel everywhere."""
     return Levels(np.full(len(views), _ROUGH_PX), tuple(np.full(len(view.cells), _ROUGH_PX) for view in views))
 
 
@@ -78,7 +78,7 @@ def _all_but(*free: int) -> list[int]:
 def _cameras(
     views: Sequence[View], size: tuple[int, int], reach: float, prior: Prior, levels: Levels
 ) -> Iterator[State]:
-    """States whose camera and poses fit the corners; nothing is said of the projector."""
+    """States whose camera and poses fit the corners; the projector is undetermined."""
     trials = []
     for focal in np.geomspace(_SHORTEST, _LONGEST, _TRIALS) * max(size):
         camera = np.array([focal, 1.0, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -168,7 +168,7 @@ def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
 
 
 def _resected(points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """K, R, t of the pinhole that takes points (N, 3) to pixels (N, 2), without its skew; None if there is none."""
+    """K, R, t of the pinhole that projects points (N, 3) to pixels (N, 2), without skew; None if there is none."""
     after = normalisation(pixels)
     middle, length = points.mean(axis=0), float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
     before = np.diag([1 / length, 1 / length, 1 / length, 1.0])

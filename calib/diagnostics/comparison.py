@@ -16,8 +16,8 @@ from calib.numerics import Bools, Floats
 _SIGNIFICANT = 0.999
 _FEWEST = 8
 _ROUNDING = 1e-9
-_HARDLY_COUNTS = 0.02  # of the sigmas, root mean square
-_SAME_RAY = 1e-6  # in focals
+_HARDLY_COUNTS = 0.02  # relative to the sigmas, root mean square
+_SAME_RAY = 1e-6  # in focal lengths
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from calib.refinement import (
 from calib.refusal import RefusalError
 
 _SIGNIFICANT = 0.9999
-_TOLD = 1e-3  # of a variance: corners that reduce it by less carry no information along that direction
+_INFORMATIVE = 1e-3  # relative reduction of a variance: below it, corners carry no information along that direction
 _NAMED = 3
 _ROWS = (
     ("the camera's focal length", (CAMERA.start,), "%"),
@@ -50,8 +50,8 @@ def refuse_contradiction(refinement: Refinement, rig: KnownRig, systematic: Floa
     limit = _limit(refinement, rig, systematic[:SHARED, :SHARED])
     if raised > limit:
         raise ContradictionError(
-            f"These captures and the boards are not of one unchanged rig: together they fit worse by {raised:.0f} in "
-            f"−2 log likelihood, where {limit:.0f} is the most that chance explains. Apart they differ in "
+            f"The rig changed between these captures and the boards: fitted together, −2 log likelihood is higher by "
+            f"{raised:.0f}, where chance explains at most {limit:.0f}. Fitted separately, they differ in "
             f"{_differences(apart, refinement.prior.free, rig)}.",
             "Something was refocused, zoomed or moved between the two: calibrate from either alone, or capture both "
             "again without a change.",
@@ -64,12 +64,12 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     root = np.linalg.cholesky(rig.safe_covariance / np.outer(scale, scale)) * scale[:, None]
     inverse = np.linalg.inv(root)
     joint = covariance_of(refinement.fit.information, refinement.prior.free)[:SHARED, :SHARED]
-    told, directions = np.linalg.eigh(np.eye(SHARED) - inverse @ joint @ inverse.T)
-    both = told > _TOLD
+    reduction, directions = np.linalg.eigh(np.eye(SHARED) - inverse @ joint @ inverse.T)
+    both = reduction > _INFORMATIVE
     if not both.any():
         return np.inf
-    # The joint solution's deviation from the known rig has the covariance `told` plus `systematic`.
-    white = (directions[:, both] / np.sqrt(told[both])).T @ inverse
+    # The joint solution deviates from the known rig with the covariance of the corners plus `systematic`.
+    white = (directions[:, both] / np.sqrt(reduction[both])).T @ inverse
     widths = np.linalg.eigvalsh(np.eye(int(both.sum())) + white @ systematic @ white.T)
     factor = float(np.sum(widths**2) / np.sum(widths))
     return factor * float(chi2.ppf(_SIGNIFICANT, float(np.sum(widths)) ** 2 / float(np.sum(widths**2))))

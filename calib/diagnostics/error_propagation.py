@@ -18,9 +18,9 @@ from calib.numerics import Floats, Ints
 from calib.pointcloud import Plane, by_projector_px
 from calib.refusal import NoMeasurementError
 
-_STEP_PX = 0.01  # of a projector pixel, for derivatives
-_MOST_FOLLOWED = 2048  # about how many points errors of a calibration are evaluated at; sigmas are right to 0.2 %
-_RULER = 0.03  # half its length, as a share of its distance
+_STEP_PX = 0.01  # step in projector pixels, for derivatives
+_MOST_EVALUATED = 2048  # points where calibration errors are evaluated; sigmas are accurate to 0.2 %
+_RULER = 0.03  # half the length of the ruler over its distance
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ def _thinned(influence: Floats, cluster: Ints) -> tuple[Ints, Floats]:
     Systematic effects vary smoothly over a surface, and hardly within a cluster.
     """
     count = influence.shape[1]
-    together = -(-count // _MOST_FOLLOWED)
+    together = -(-count // _MOST_EVALUATED)
     order = np.argsort(cluster, kind="stable")
     ordered = cluster[order]
     begins = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 1))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnostics.acceptance import far_from_square, on_repeats, sigma_if, signed
+from calib.diagnostics.acceptance import far_from_square, on_picture_scale, on_repeats, sigma_if, signed
 from calib.diagnostics.next_best_view import NextView
 from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
 
@@ -12,8 +12,8 @@ FURTHER_CAPTURE = "A further capture of this corner"
 # Begin of the note on walls that are farther from square than expected.
 FAR_FROM_SQUARE = "This corner is farther from square"
 
-_LOPSIDED = 0.15  # of the interval's length
-_MOST, _WORTH_TELLING = 0.7, 0.002  # of the sigma; of the focal length
+_LOPSIDED = 0.15  # asymmetry relative to the interval's length
+_MOST, _WORTH_TELLING = 0.7, 0.002  # largest share of the sigma; least share of the focal length
 _EXACTLY = 1e-7  # standard deviation of a lens term that is known
 WORTH_A_CAPTURE = 0.7  # of the sigma without it
 
@@ -23,6 +23,7 @@ def notes_on(refinement: Refinement, knowledge: Knowledge, further: NextView | N
     return (
         *_on_squareness(refinement, knowledge),
         *on_repeats(refinement),
+        *on_picture_scale(refinement),
         *_on_interval(refinement),
         *_on_lenses(refinement),
         *_on_next_view(refinement, further),
@@ -44,14 +45,14 @@ def _on_squareness(refinement: Refinement, knowledge: Knowledge) -> list[str]:
     ]
     if far_from_square(refinement, knowledge):
         notes.append(
-            f"{FAR_FROM_SQUARE} than was expected. The matches tell its angles, so they were taken as measured; if its "
-            "walls are square, suspect the camera's principal point, or a picture that the projector reshapes."
+            f"{FAR_FROM_SQUARE} than expected. The matches determine its angles, so they were used as measured. If its "
+            "walls are square, check the camera's principal point and the projector's keystone correction."
         )
     sameness = refinement.sameness
     if sameness and not sameness.same:
         notes.append(
-            f"These captures do not show the same corner: with shared angles they fit worse by {sameness.cost:.0f} in "
-            f"−2 log likelihood, where {sameness.limit:.0f} is the most that chance explains. Each was given its own."
+            f"These captures do not show the same corner: with shared angles, −2 log likelihood is higher by "
+            f"{sameness.cost:.0f}, where chance explains at most {sameness.limit:.0f}. Each was given its own angles."
         )
     return notes
 

@@ -76,11 +76,11 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
 def depths_on_stripes(
     camera_ideal: Floats, known_px: Floats, axis: int, calibration: Calibration
 ) -> tuple[Floats, Floats]:
-    """How far away (N,) camera rays meet the planes of light of projector pixels whose coordinate `axis` is `known_px`,
-    and how that changes with the coordinate, per pixel (N,). NaN where they do not meet in front of both devices.
+    """Depths (N,) where camera rays meet the planes of light of projector pixels whose coordinate `axis` is `known_px`.
 
-    `camera_ideal` (2, N): where the rays meet z = 1. Of an ideal lens z = (t_a − ξ t_z) / (ξ u_z − u_a), with u the ray
-    in the projector's frame, a the axis, and ξ the plane at z = 1; Newton's method does the rest for one that bends.
+    Also returns their derivative by the coordinate, per pixel (N,). NaN where they do not meet in front of both
+    devices. `camera_ideal` (2, N): where the rays meet z = 1. For an ideal lens z = (t_a − ξ t_z) / (ξ u_z − u_a), with
+    u the ray in the projector's frame, a the axis, and ξ the plane at z = 1; Newton's method corrects for distortion.
     """
     projector, pose, count = calibration.projector, _pose(calibration), len(known_px)
     focal, centre = projector.focal_px[axis], projector.principal_point_px[axis]

@@ -36,7 +36,7 @@ def compiled(function: Function) -> Function:
 
 
 def when_compiling(tell: Callable[[], None]) -> None:
-    """Call `tell`, once, as soon as something has to be compiled because its machine code is not there yet."""
+    """Call `tell` once, when something has to be compiled because its machine code is not cached."""
     event.register("numba:compile", _First(tell))  # type: ignore[no-untyped-call]
 
 

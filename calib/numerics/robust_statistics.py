@@ -22,7 +22,7 @@ def median(values: NDArray[np.floating[Any]]) -> float:
 
 
 def robust_sigma(residual: Floats) -> float:
-    """Standard deviation of residuals (N,) around zero, outliers left aside; 0 for none."""
+    """Standard deviation of residuals (N,) around zero, without outliers; 0 for none."""
     return SIGMA_PER_MEDIAN * median(np.abs(residual)) if len(residual) else 0.0
 
 
@@ -59,11 +59,11 @@ def _relative(residual: Floats) -> Floats:
 
 
 def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
-    """Covariance (P, P) of a fit with Tukey's weights whose errors are alike within a cluster.
+    """Covariance (P, P) of a fit with Tukey's weights whose errors are equal within a cluster.
 
     `jacobian` (N, P), `residual` (N,), `cluster` (N,) labels from 0. That of Huber's M-estimators (1981, section 6.3)
-    with the scores summed over each cluster, as Liang and Zeger (1986) do: points that err alike, as neighbouring
-    pixels do, count as what they are worth together. It needs some ten clusters; with two or fewer it is infinite.
+    with the scores summed over each cluster, as in Liang and Zeger (1986): points with a common error, such as
+    neighbouring pixels, count as one. It needs about ten clusters; with two or fewer it is infinite.
     """
     weight = biweight(residual)
     scores = (weight * residual)[:, None] * jacobian
@@ -79,7 +79,7 @@ def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floa
 
 
 def blocks(pixel: Ints, side_px: int) -> Ints:
-    """The square of so many pixels that each pixel (N, 2) is in, as labels (N,) from 0 without gaps."""
+    """The square block of `side_px` pixels of each pixel (N, 2), as labels (N,) from 0 without gaps."""
     column, row = np.moveaxis(pixel // side_px, -1, 0)
     labels: Ints = np.unique(row * (int(column.max()) + 1) + column, return_inverse=True)[1].astype(np.int64)
     return labels

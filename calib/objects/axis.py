@@ -1,4 +1,4 @@
-"""Whether the places are those of a turntable: turns about one axis. Found, not configured; it makes them surer."""
+"""Detection of a turntable: whether the poses are rotations about one axis. It then reduces their sigmas."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from calib.geometry import Motion, rotation_about, tangent_basis
 from calib.numerics import Floats
 from calib.rooms.alignment import composed, inverse
 
-_FEWEST = 4  # places; fewer lie on some axis nearly always
+_FEWEST = 4  # poses; fewer nearly always share an axis
 _ROUNDS = 6
 _STEP = 1e-6
-_DOUBT, _CALM = 1e-4, 1.5  # sigmas are estimates themselves
+_DOUBT, _CALM = 1e-4, 1.5  # the sigmas are estimates themselves
 _LEAST_TURN = np.radians(0.3)
 
 
@@ -69,7 +69,8 @@ def find_turntable(
         solver = np.linalg.pinv(slopes.T @ weight @ slopes, rcond=1e-14, hermitian=True) @ slopes.T @ weight
         state = state - solver @ off
     off = _deviations(state, direction, point, basis, places, middle)
-    # Satterthwaite's: the weighted square of what is left is that of χ² of a freedom that gives its mean and variance.
+    # Satterthwaite: the weighted square of the residuals follows the χ² distribution whose degrees of freedom give its
+    # mean and variance.
     left = np.eye(len(off)) - slopes @ solver
     expected = weight @ left @ allowed @ left.T
     mean = float(np.trace(expected))

@@ -1,7 +1,8 @@
-"""What rests while a thing is turned before a rig that rests, too: table, cloth, wall, and what is round like a plate.
+"""The static background of a thing that moves in front of a static rig: table, cloth, wall, and rotationally symmetric
+plates.
 
-What rests is behind, and is seen at one depth in many of the stations. Where the thing hides it from most of them, few
-see it; so what lies in the plane of a table or a wall rests as well.
+The background is behind the thing, and has the same depth in many stations. Where the thing hides it from most of them,
+points in the plane of a table or a wall count as background as well.
 """
 
 from collections.abc import Sequence
@@ -12,20 +13,20 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats
 
-FEWEST = 4  # stations, below which chance agrees as well, but not over planes
-_SHARE = 0.3  # of the stations that see anything at a pixel
-_QUANTILE = 0.85  # of their depths: within the farthest third
-_WITHIN, _SIGMAS = 3e-4, 5.0  # of the depth, and of the noise, that depths are apart for being one
-_OPENED = 5  # pixels
-# Planes: how many are looked for, by how many points of each station, the least share of what is left, and trials for
-# each; how many times as far as above depths are apart, for calibrations bend planes a little.
+FEWEST = 4  # stations; fewer agree by chance, except on planes
+_SHARE = 0.3  # share of the stations that see anything at a pixel
+_QUANTILE = 0.85  # quantile of their depths: within the farthest third
+_WITHIN, _SIGMAS = 3e-4, 5.0  # largest difference of equal depths, relative, and in sigmas of the noise
+_OPENED = 5  # size of the morphological opening, in pixels
+# Planes: number to find, sampled points per station, least share of the remaining points, trials per plane; and a
+# factor on the depth tolerance, because calibration errors bend planes.
 _PLANES, _POINTS, _OF_PLANE, _TRIALS, _LOOSELY = 3, 400, 0.25, 300, 3.0
 
 
 def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float]) -> NDArray[np.float32]:
-    """Depths (H, W) of what rests, 0 elsewhere, from the stations' (H, W), NaN where there is nothing.
+    """Depths (H, W) of the background, 0 elsewhere, from the stations' (H, W), NaN for none.
 
-    `noise`: standard deviation of a depth z is `noise` · z². Of fewer than FEWEST stations, where all agree.
+    `noise`: standard deviation of a depth z is `noise` · z². With fewer than FEWEST stations, all must agree.
     """
     stack = np.stack(depths)
     seen = np.count_nonzero(np.isfinite(stack), axis=0)
@@ -44,14 +45,14 @@ def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float])
 def within(
     depth: NDArray[np.float32], rest: NDArray[np.float32], noise: float, loosely: float = 1.0
 ) -> NDArray[np.bool_]:
-    """Where a depth is that of what rests, and not of something before it."""
+    """Whether a depth is that of the background, and not of something in front of it."""
     with np.errstate(invalid="ignore"):
         found: NDArray[np.bool_] = np.abs(depth - rest) < loosely * rest * (_WITHIN + _SIGMAS * noise * rest)
     return found
 
 
 def resting_planes(resting: Sequence[NDArray[np.float32]], noise: float) -> list[Floats]:
-    """Planes n (3,), n · X = 1, that hold a good part of the `resting` points (N, 3) of all stations, by RANSAC."""
+    """Planes n (3,), n · X = 1, with a large share of the `resting` points (N, 3) of all stations, by RANSAC."""
     rng = np.random.default_rng(0)
     left = np.concatenate([rng.permutation(points)[:_POINTS] for points in resting]).astype(np.float64)
     planes: list[Floats] = []
@@ -71,7 +72,7 @@ def resting_planes(resting: Sequence[NDArray[np.float32]], noise: float) -> list
 
 
 def in_planes(points: NDArray[np.float32], planes: Sequence[Floats], noise: float) -> NDArray[np.bool_]:
-    """Which points (H, W, 3), NaN where there are none, lie in one of the planes, (H, W)."""
+    """Which points (H, W, 3), NaN for none, lie in one of the planes, (H, W)."""
     found = np.zeros(points.shape[:2], np.bool_)
     for plane in planes:
         found |= _on(points.reshape(-1, 3), plane[None], noise)[0].reshape(found.shape)

@@ -1,8 +1,9 @@
-"""Supposed poses of two views without a first guess: by their surfaces from every turn, and by marks of the pictures.
+"""Suggested poses of two views without an initial guess: from their surfaces at every rotation, and from marks in the
+pictures.
 
-Most pairs of marks that look alike (SIFT: Lowe 2004) are wrong. A turn and a shift keep distances, so right pairs are
-compatible with each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a
-second order spatial compatibility for efficient and robust point cloud registration", 2022).
+Most matching marks (SIFT: Lowe 2004) are wrong. A rigid motion preserves distances, so right pairs are compatible with
+each other; pairs that are compatible with the same others vote for one pose (Chen et al., "SC²-PCR: a second order
+spatial compatibility for efficient and robust point cloud registration", 2022).
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ from calib.objects.view import View
 
 _SEARCHED = 8
 _SOME = 250  # patches
-_COMPATIBLE, _FAR = 1.5, 5.0  # grains: how much distances may differ, and how far apart points are at least
+_COMPATIBLE, _FAR = 1.5, 5.0  # grains: largest difference of distances, and least distance of points
 _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 

@@ -1,4 +1,4 @@
-"""What of each view other views confirm, once their places are known: the rest rested, or was never there."""
+"""Which pixels of each view other views confirm, once poses are known: the rest is background, or an error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from calib.objects.meeting import LOOKED_THROUGH, meet_points
 from calib.objects.view import View, without_crumbs
 from calib.rooms.alignment import composed, inverse
 
-_FEWEST = 4  # views, from which on a point has to be seen by another one, too
+_FEWEST = 4  # number of views from which a point must be seen by another view as well
 
 
 @dataclass(frozen=True, eq=False)
 class Confirmation:
-    """Of one view: `of_thing` (H, W), which pixels others see where they should be; `apart` (H, W), how far these are
-    before the others' surfaces on average, in the points' unit, NaN where nothing tells.
+    """Of one view: `of_thing` (H, W), the pixels confirmed by others; `apart` (H, W), their mean distance in front of
+    the others' surfaces, in the points' unit, NaN where unknown.
     """
 
     of_thing: Bools

@@ -1,9 +1,10 @@
-"""All views' places at once: point to plane over every pair that overlaps, marks of the pictures, and the covariance.
+"""All poses of the views together: point to plane over every overlapping pair, marks of the pictures, and the
+covariance.
 
-The normal is the mean of both views', with which the curvature between the two points cancels (Rusinkiewicz, "A
-symmetric objective function for ICP", 2019). Errors of a view are alike over parts of its picture and count in every
-pair that it is in; so the covariance is a sandwich whose filling is summed over such parts, not over points (Liang and
-Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+The normal is the mean of both views', which cancels the curvature between the two points (Rusinkiewicz, "A symmetric
+objective function for ICP", 2019). Errors of a view correlate within parts of its picture and affect all its pairs. So
+the covariance is a sandwich whose scores are summed over such parts, not over points (Liang and Zeger, "Longitudinal
+data analysis using generalized linear models", 1986).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +22,8 @@ from calib.rooms.alignment import composed, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
-_STEPS = 4  # in each round
-_FEWEST = 60  # patches of a pair
+_STEPS = 4  # steps per round
+_FEWEST = 60  # patches per pair
 _DAMPING = 1e-9
 _MARK_GRAINS, _FEWEST_MARKS = 0.5, 6
 _CONVERGED = 1e-7
@@ -115,7 +116,7 @@ def residuals_of(
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
         pixel = meet(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
-        # Half a pixel is a long way along a slanted surface; normals at the rim err, all of them one way.
+        # Half a pixel is a long way along an oblique surface; normals at the rim have a common bias.
         met = met[(seen_by.facing(pixel[met]) > STEEPEST) & seen_by.inner[pixel[met]]]
         own, other = patches_of.patches[met], pixel[met]
         parts.append((own, other) if back > 0 else (other, own))
@@ -191,7 +192,7 @@ def _normal(found: Sequence[Residuals], count: int) -> tuple[Floats, Floats]:
 
 
 def _step(found: Sequence[Residuals], count: int) -> Floats:
-    """Twists (n, 6) about the origin; the first view's is none."""
+    """Twists (n, 6) about the origin; zero for the first view."""
     matrix, gradient = _normal(found, count)
     free = matrix[6:, 6:]
     scale = np.sqrt(np.maximum(np.diag(free), 1e-30))

@@ -13,14 +13,15 @@ from calib.rooms.projection import pixel_under, rotated
 
 UNSEEN, HIDDEN, LOOKED_THROUGH, BESIDE = -1, -2, -3, -4
 _LIKE = float(np.cos(np.radians(40.0)))
-_SIGMAS, _BENT = 4.0, 0.12  # the latter in grains
-_FREE = 1.5  # grains: before a surface by more than that, the other camera would have seen it
+_SIGMAS, _BENT = 4.0, 0.12  # the second in grains
+_FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
 def meet(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
-    """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or why there is none.
+    """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or the reason why there is
+    none.
 
-    `pose`: X_seen_by = R X_patches + t. `within`: how far off the surface it may be, in the points' unit.
+    `pose`: X_seen_by = R X_patches + t. `within`: tolerance of the distance from the surface, in the points' unit.
     """
     return meet_points(patches_of.patch_points[:count], patches_of.patch_normals[:count], seen_by, pose, within)
 
@@ -69,7 +70,7 @@ def _meet(
         if i < 0:
             continue
         n0, n1, n2 = rotated(r, patch_normals[m])
-        if n0 * x + n1 * y + n2 * z >= 0:  # it faces away, and is the thing's back
+        if n0 * x + n1 * y + n2 * z >= 0:  # it faces away from the camera, so it is the back of the thing
             continue
         if points[i, j, 2] > 0:
             k0, k1, k2 = normals[i, j, 0], normals[i, j, 1], normals[i, j, 2]
@@ -90,8 +91,8 @@ def _meet(
 
 @dataclass(frozen=True)
 class Evidence:
-    """Counts over both views' patches: `agreeing`, `against` (looked through, or beside what is there), and `marks`
-    of the pictures that come to lie on each other.
+    """Counts over the patches of both views: `agreeing`, `against` (violating free space, or off the surface), and
+    matching `marks` of the pictures that coincide.
     """
 
     agreeing: int
@@ -136,5 +137,5 @@ def evidence(first: View, second: View, pose: Motion, within: float, count: int 
 
 
 def mark_pairs(first: View, second: View) -> tuple[Ints, Ints]:
-    """Marks that look alike, (M,) of either."""
+    """Matching marks, (M,) of either view."""
     return alike(first.marks, second.marks)

@@ -15,16 +15,16 @@ from calib.numerics import Bools, Floats, compiled
 from calib.objects.view import View
 from calib.rooms.projection import pixel_under, rotated
 
-_TURNS = 1200  # about 17° from any turn to the nearest of them
-# Patches that look, and how far apart what meets may be, in grains: of all descents, and of those that came farthest.
+_TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
+# Numbers of patches, and distances in grains within which they match: for all descents, and for the best.
 _WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0])
 _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
 _DISTINCT = 60
-THOROUGHLY = 600  # distinct descents to follow where the best few by what they meet leave a view out
+THOROUGHLY = 600  # distinct descents that are refined if the best few leave a view out
 _SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
 _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
-_TOWARDS_MIDDLE = 0.1  # of a patch's weight, that a centre is drawn to a point behind the middle of what was seen
+_TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
 _BEHIND = 20.0  # grains
 # Radicals of super-Fibonacci spirals: φ² = 2, ψ⁴ = ψ + 4.
 _PHI, _PSI = 2**0.5, 1.533751168755204288118041

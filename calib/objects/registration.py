@@ -1,9 +1,9 @@
-"""Where views belong, without order or first guess: pairs suggest, all of them judge; doubts are told, never decided.
+"""Registration of views without order or initial guess. Pairs suggest poses, and all members of a group judge them.
 
-A group grows from the surest pair, another one from what it leaves, and the largest counts. A view is tried wherever a
-supposed pose puts it beside a member, and is judged by all members: by what agrees and by what any of them looked
-through. Where a second place is almost as good, the view is ambiguous. Views that are missing are searched for once
-more, longer, for they share little with others.
+A group grows from the most certain pair, another one from the remaining views, and the largest is used. A view is tried
+at every suggested pose relative to a member, and judged by all members: by agreement, and by violations of free space.
+If a second pose is nearly as good, the view is ambiguous, which is reported. Missing views are searched once more,
+longer, because they overlap little.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,12 +21,12 @@ from calib.objects.pose_search import near_each_other
 from calib.objects.view import View
 from calib.rooms.alignment import composed, inverse
 
-_SOME, _MORE = 250, 800  # patches: to look at many poses, and at the few best
+_SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
-_LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # of what could agree; and of all patches
-_SURE_SHARE = 0.88  # where the pose is one of hundreds, of which some hold by chance
-_FEWEST_AGREEING = 0.08  # of all patches, before a pose has settled
-_AS_GOOD = 0.93  # of what the best place is worth
+_LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # share of the patches that could agree; share of all patches
+_SURE_SHARE = 0.88  # for one of hundreds of poses, some of which agree by chance
+_FEWEST_AGREEING = 0.08  # share of all patches, before a pose is refined
+_AS_GOOD = 0.93  # relative to the best pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +70,10 @@ def register_views(views: Sequence[View | None]) -> Registered:
     edges = {(i, j): _supposed(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
-        LeftOut(k, "nothing seen", "it shows nothing but what rests") for k in range(len(views)) if k not in seen
+        LeftOut(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
     ]
     if not sure:
-        left_out += [LeftOut(k, "no overlap", "its surface lies on that of no other station") for k in seen]
+        left_out += [LeftOut(k, "no overlap", "its surface fits that of no other station") for k in seen]
         return Registered({}, (), tuple(left_out))
     places, alternatives = _largest_group(seen, sure)
     if missing := [k for k in seen if k not in places]:
@@ -85,9 +85,9 @@ def register_views(views: Sequence[View | None]) -> Registered:
     for k in missing:
         any_edge = any(k in pair for pair in sure)
         why = (
-            LeftOut(k, "does not fit", "wherever it fits one station, others looked through what it shows, or past it")
+            LeftOut(k, "does not fit", "wherever it fits one station, others see through or past its surface")
             if any_edge
-            else LeftOut(k, "no overlap", "its surface lies on that of no other station")
+            else LeftOut(k, "no overlap", "its surface fits that of no other station")
         )
         left_out.append(why)
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
@@ -111,7 +111,7 @@ def _largest_group(
 def _grown(
     views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
 ) -> tuple[dict[int, Motion], list[Alternative]]:
-    """Grow a group from the surest pair, by all views that its members can judge."""
+    """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
     places = {first: Motion(np.eye(3), np.zeros(3))}
     alternatives: list[Alternative] = []
@@ -148,13 +148,13 @@ def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supp
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
-def _meets_closely(said: Evidence) -> float:
+def _meets_closely(found: Evidence) -> float:
     """The share of what could agree that does, if that is not just a few patches."""
-    return said.share if said.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
+    return found.share if found.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 
 
-def _holds(said: Evidence, patches: int, least_share: float) -> bool:
-    return said.share > least_share and said.agreeing > _LEAST_AGREEING * patches
+def _holds(found: Evidence, patches: int, least_share: float) -> bool:
+    return found.share > least_share and found.agreeing > _LEAST_AGREEING * patches
 
 
 def _tried(
@@ -163,7 +163,7 @@ def _tried(
     places: Mapping[int, Motion],
     k: int,
 ) -> list[Supposed]:
-    """Where a view may be beside the members, best first; `pose` is its place. Empty where it cannot be anywhere."""
+    """Possible poses of a view relative to the members, best first. Empty if there are none."""
     found: list[Supposed] = []
     for member, place in places.items():
         for each in edges.get((min(member, k), max(member, k)), ()):
@@ -178,14 +178,14 @@ def _tried(
 
 def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
     """What all members say of a place; None if what they say against it outweighs."""
-    said = [
+    evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()
     ]
-    agreeing, against = sum(each.agreeing for each in said), sum(each.against for each in said)
+    agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
     if agreeing < _LEAST_SHARE * (agreeing + against):
         return None
-    return sum(each.worth for each in said)
+    return sum(each.worth for each in evidences)
 
 
 def _rivals(k: int, tried: Sequence[Supposed], grain: float) -> list[Alternative]:

@@ -14,13 +14,13 @@ from calib.rooms.marks import Marks, no_marks
 from calib.rooms.segments import relative_noise
 
 _PATCHES = 3000
-STEEPEST = 0.35  # cosine of the slant beyond which a patch's area means little
+STEEPEST = 0.35  # cosine of the slant beyond which a patch's area is unreliable
 _PARTS_ACROSS = 6
 PARTS = _PARTS_ACROSS**2
-_WINDOW = 7  # pixels: that normals are fitted in, unless noise asks for more
-_AROUND = 5  # pixels: edges of things are uncertain by about so many
+_WINDOW = 7  # window of the normals in pixels; larger with noise
+_AROUND = 5  # uncertainty of the edges of things, in pixels
 _MARKS, _CONTRAST = 500, 0.015
-_OF_SIZE = 1 / 60  # the grain: how far apart points are that features and coarse alignment look at
+_OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and coarse alignment
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +113,9 @@ def view_of(
     resting: NDArray[np.float32] | None = None,
     picture: Image | None = None,
 ) -> View | None:
-    """Of a cloud (H, W, 3) as `calib.pointcloud` makes it; `resting` (H, W): the depth of what did not move.
+    """The view of a cloud (H, W, 3) of `calib.pointcloud`; `resting` (H, W): the depth of the background.
 
-    `picture` (H, W) or (H, W, 3): of the lit scene. None if nothing of the thing is seen.
+    `picture` (H, W) or (H, W, 3): of the lit scene. None if the thing is not visible.
     """
     depth = np.where(np.isfinite(points[..., 2]), points[..., 2], np.float32(0))
     there = (depth > 0) & np.isfinite(normals[..., 2])
@@ -137,7 +137,7 @@ def view_of(
 
 
 def without_crumbs(there: Bools) -> Bools:
-    """Only the pieces (H, W) that are not small beside the largest."""
+    """The pieces (H, W) that are not small compared with the largest."""
     count, label, statistics, _ = cv2.connectedComponentsWithStats(there.astype(np.uint8), connectivity=4)
     if count < 2:
         return there

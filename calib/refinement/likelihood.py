@@ -172,8 +172,8 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     of_columns, gradient, curvature = prior.misfit(state)
     cost, information = float(of_columns.sum()), np.diag(curvature)
     if prior.rig is not None:
-        told, slope, of_rig = prior.rig.misfit(state)
-        cost += told
+        misfit_of_rig, slope, of_rig = prior.rig.misfit(state)
+        cost += misfit_of_rig
         gradient[:SHARED] += slope
         information[:SHARED, :SHARED] += of_rig
     residuals = []

@@ -3,9 +3,9 @@
 from calib.rooms.changed_extrinsics import TurnedRig, changed_extrinsics
 from calib.rooms.dense_check import Disagreement, disagreements
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
-from calib.rooms.followed import Sight
 from calib.rooms.marks import Marks, marks_of
 from calib.rooms.planes import RoomPlane
+from calib.rooms.point_tracking import Sight
 from calib.rooms.priors import RigPrior
 from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registration, register
 from calib.rooms.room import Room

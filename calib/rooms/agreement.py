@@ -1,14 +1,14 @@
-"""How two stations' surfaces agree, and contradict each other, at a supposed relative pose.
+"""Agreement and contradiction of the surfaces of two stations at a suggested relative pose.
 
-A patch of one station, seen from the other one's camera, lies on the surface that was measured there and slopes like
-it: it agrees. Or it lies well in front of that surface, where the other camera looked through: it contradicts. Or it is
-hidden behind, or out of sight, and says nothing.
+A patch of one station is seen from the other one's camera. If it lies on the measured surface with the same slope, it
+agrees. If it lies well in front of that surface, it violates free space that the other camera saw, and contradicts. If
+it is hidden or out of sight, it is neutral.
 
-What that is worth is counted in nats. Surfaces are described by fewer numbers if they are the same: a plane that need
-not be described again saves about log(size of a room / tolerance), however large it is, and a little more for every
-patch of it, each of which could have been contradicted; a patch of no plane saves little, for it resembles its
-neighbours. The pose has to be described instead. A patch that contradicts needs an excuse each time. Marks of the
-pictures that look alike and come to lie on each other say the same of places along the planes.
+The evidence is in nats, as a description length. Common surfaces need fewer numbers: a plane that need not be described
+again saves about log(size of a room / tolerance), however large it is, and slightly more for every patch, because each
+could have contradicted. A patch on no plane saves little, because it resembles its neighbours. The pose has to be
+described instead. Each contradicting patch has a cost. Matching marks of the pictures that coincide count likewise
+along the planes.
 """
 
 from collections.abc import Sequence
@@ -22,16 +22,15 @@ from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
-# Of the depth, beyond three sigmas of noise: by what a calibration is off, and a pose before it is refined.
+# Relative depth, beyond three sigmas of noise: error of a calibration, and of a pose before refinement.
 FINE, COARSE = 0.012, 0.03
-_FREE = 0.015  # a patch in front of a surface by so much more than that is one the other camera saw through
+_FREE = 0.015  # a patch farther than this in front of a surface violates free space of the other camera
 NATS_PER_PLANE, _PATCHES_PER_PLANE = 6.0, 10.0
 _NATS_PER_PLANE_PATCH, NATS_PER_PATCH, NATS_PER_CONTRADICTION = 0.008, 0.1, 1.0
 NATS_OF_POSE = 17.0
-# Marks of one pattern that is repeated come to lie on each other by the dozen: the first few say nothing, and there is
-# a limit to what they can say.
+# Marks of a repeated pattern match by the dozen: the first few have no weight, and the total is limited.
 _NATS_PER_MARK, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
-# One answer has to be 1000 times as likely as the next.
+# The best solution must be 1000 times as likely as the next.
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
 _LIKE = float(np.cos(np.radians(35.0)))
@@ -64,10 +63,10 @@ class Agreement:
 
 
 def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
-    """What a station is worth in nats, (K,), beside several others, in K poses: `seen` as second station with each.
+    """Evidence for a station in nats, (K,), given several others, in K poses: `seen` as second station with each.
 
-    A plane of it that several others share needs not be described once, not several times; whoever looked through it
-    contradicts. Of marks, those count that it shares with one of them.
+    A plane that several others share counts once; any of them can contradict it. Marks count that it shares with one of
+    them.
     """
     on_planes = sum(each.matched[:, :-1, :-1].sum(axis=1) for each in seen) * thinned
     planes = NATS_PER_PLANE * np.sum(1 - np.exp(-on_planes / _PATCHES_PER_PLANE), axis=1)
@@ -112,7 +111,7 @@ def compare(
 
 
 def _marks(first: Surfaces, second: Surfaces, rotations: Floats, translations: Floats, tolerance: float) -> Ints:
-    """How many marks that look alike lie on each other, (K,)."""
+    """Number of matching marks that coincide, (K,)."""
     own, other = alike(first.marks, second.marks)
     if len(own) <= _MARKS_BY_CHANCE:
         return np.zeros(len(rotations), np.int64)

@@ -1,8 +1,9 @@
-"""Point-to-plane registration by projection: each patch meets the surface that the other camera saw in its direction.
+"""Point-to-plane registration by projection: each patch is compared with the surface in the same direction of the other
+camera.
 
-Chen and Medioni, "Object modelling by registration of multiple range images", 1992; the closest point is looked for
-along the other camera's ray (Blais and Levine 1995), which needs no search tree. Marks of the pictures that look alike
-meet, too. Poses move by twists of the room's frame: a turn ω and a shift v take X to X + ω × X + v.
+Chen and Medioni, "Object modelling by registration of multiple range images", 1992; the closest point is searched along
+the other camera's ray (Blais and Levine 1995), without a search tree. Matching marks of the pictures are included.
+Poses move by twists of the room's frame: a rotation ω and a translation v take X to X + ω × X + v.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from calib.rooms.projection import pixel_under, rotated
 from calib.rooms.surfaces import Surfaces
 
 _LIKE = float(np.cos(np.radians(35.0)))
-# Directions in which nothing holds a station stay as they are: the damping, relative to what the others hold.
+# Undetermined directions of a station do not move: damping relative to the determined ones.
 _DAMPING = 1e-3
 _STEPS = 12
 _CONVERGED = 1e-6
@@ -94,7 +95,7 @@ def normal_equations(
 
 
 def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Motion, tolerance: float) -> Floats:
-    """Normal matrix and gradient (6, 7) of marks that look alike and should be at one point, with Tukey's weights."""
+    """Normal matrix and gradient (6, 7) of matching marks that should coincide, with Tukey's weights."""
     own, other = alike(moving.marks, still.marks)
     points = moving.marks.points[own] @ place.rotation.T + place.translation
     off = points - still.marks.points[other] @ still_place.rotation.T - still_place.translation
@@ -117,7 +118,7 @@ def settled(
     tolerances: Sequence[float],
     patches: int | None = None,
 ) -> Motion:
-    """The place of one station that fits the others, which stay where they are, best: tolerance after tolerance."""
+    """The pose of one station that best fits the others, which are fixed, with one tolerance after the other."""
     for tolerance in tolerances:
         for _ in range(_STEPS):
             matrix, gradient = np.zeros((6, 6)), np.zeros(6)

@@ -1,8 +1,7 @@
-"""Supposed relative poses of pairs → the places of whole groups of stations: loops decide together.
+"""Suggested relative poses of pairs → poses of whole groups of stations, decided by all loops together.
 
-Groups grow station by station, several of them side by side (beam search). A station is tried wherever a supposed pose
-puts it beside a member, settles against all members, and is then judged by all of them: by what agrees, and by what
-any of them looked through.
+Several groups grow in parallel, station by station (beam search). A station is tried at every suggested pose relative
+to a member, refined against all members, and judged by all of them: by agreement, and by violations of free space.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,9 +54,10 @@ class Assembly:
 
 
 def assemble(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int]) -> list[Assembly]:
-    """Groups among some stations, first those of the stations that are worth most together with the group that the
-    rest of them form: who is missed elsewhere does not belong here. That there is another room has to be decided, too.
-    Empty if no two belong together.
+    """Groups among some stations, first those with the largest total evidence, together with that of the group of the
+    rest.
+
+    So a station stays where it is needed, and separate rooms are recognised. Empty if no two stations belong together.
     """
     found = _groups(surfaces, edges, stations)
     total: dict[frozenset[int], float] = {}
@@ -140,7 +140,7 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
 
 
 def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], k: int, place: Motion) -> float:
-    """How much likelier it is, in nats, that a station is at a place beside others than that it is elsewhere."""
+    """Evidence in nats for a station at a pose relative to others."""
     poses = [composed(inverse(at), place) for at in places.values()]
     seen = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
     tilt = min(float(nats_of_tilt(pose.rotation[None])[0]) for pose in poses)
@@ -154,7 +154,7 @@ def _near(one: Motion, other: Motion, distance: float) -> bool:
 
 
 def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Motion) -> float:
-    """What a station at a place is worth beside a group, from some of the patches and before it has settled."""
+    """Evidence for a station at a pose relative to a group, from some of the patches, before refinement."""
     seen = []
     for member, at in group.places.items():
         pose = composed(inverse(at), place)

@@ -1,7 +1,7 @@
-"""Stations whose rig was not that of the others, by what they saw of the room: too little for surfaces to tell.
+"""Stations whose rig differs from the others' by too little for the surfaces, found by all planes together.
 
-A projector that turns by a fortieth of a degree moves what it lights by a tenth of a pixel. That passes for a part of
-the room; and a station's place is then off by a centimetre, for distances are off by several millimetres.
+A projector that rotates by a fortieth of a degree moves its light by a tenth of a pixel. The room then explains it
+partly, but the station's pose is off by a centimetre, because distances are off by several millimetres.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ _LEAST_PX = 0.01
 
 @dataclass(frozen=True)
 class TurnedRig:
-    """By how much the projector turned against the camera before a `station`; `px`: by how much that moved its light,
-    root mean square in projector px, where no place of the station makes up for it.
+    """Rotation of the projector against the camera before a `station`; `px`: the displacement of its light, root mean
+    square in projector px, that no pose of the station compensates.
     """
 
     station: int
@@ -34,7 +34,7 @@ class TurnedRig:
 
 
 def changed_extrinsics(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
-    """Stations that a rig of their own would explain far better, as measured by those that it explains least."""
+    """Stations that a separate rig would explain far better, relative to those that it explains least."""
     patches, fit = estimate.patches, estimate.fit
     stations = sorted({patch.station for patch in patches})
     if len(stations) < _FEWEST:

@@ -19,15 +19,15 @@ from calib.refinement.further_planes import depths
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.room import PER_PLACE, Room
 
-_DENSE, _MOST = 60_000, 4000  # points of a station, and how many of them look for others
+_DENSE, _MOST = 60_000, 4000  # points of a station, and number of them that search for neighbours
 _NEIGHBOURS = 12
-# Where nothing but surfaces holds stations: normals that are mostly noise pull together what is near by chance. So many
-# neighbours blur the edges of furniture, which planes hold better anyhow.
-SMOOTH, _SHARE = 60, 1 / 1000  # the latter of a station's points: fewer neighbours where these are sparse
-_FLAT = 0.2  # least over middle spread of a point's neighbours; rougher places have no normal
-_ALIKE = 0.94  # of two normals' product
+# If only surfaces constrain the stations, noisy normals attract points that are close by chance. This many neighbours
+# blur the edges of furniture, which planes constrain better.
+SMOOTH, _SHARE = 60, 1 / 1000  # the second as a share of a station's points: fewer neighbours where points are sparse
+_FLAT = 0.2  # least over middle spread of a point's neighbours; a rougher place has no normal
+_ALIKE = 0.94  # least scalar product of two normals
 _FEWEST = 30
-_BLOCKS = 5  # along either side of what a camera saw, over which errors are alike
+_BLOCKS = 5  # blocks along either side of a view, within which errors correlate
 _FEWEST_IN_BLOCK = 5
 
 
@@ -93,9 +93,9 @@ class Contact:
 def find_contacts(
     loose: Sequence[Matches], room: Room, match_px: Sequence[float], radius: float, neighbours: int = _NEIGHBOURS
 ) -> tuple[Contact, ...]:
-    """Between all stations' matches that are on no plane, no further apart than `radius` in baselines.
+    """Contacts between the matches of all stations that are on no plane, up to `radius` apart, in baselines.
 
-    `match_px`: each station's noise, where its matches state none. `neighbours`: how many tell a point's normal.
+    `match_px`: each station's noise, if its matches state none. `neighbours`: number of neighbours for a normal.
     """
     matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
     points = [
@@ -110,7 +110,8 @@ def find_contacts(
             continue
         some = evenly(np.isfinite(normals[first][:, 0]), _MOST)
         apart, nearest = trees[second].query(points[first][some], distance_upper_bound=radius)
-        # Each point once, with the nearest that looks for it: what it errs by must not count for many.
+        # Each point counts once, for the nearest point that searched it, so that its error is not counted several
+        # times.
         order = np.argsort(apart)[: np.count_nonzero(np.isfinite(apart))]
         there, once = np.unique(np.asarray(nearest, np.int64)[order], return_index=True)
         near = some[order[once]]
@@ -134,7 +135,7 @@ def _seen(room: Room, matches: Matches) -> Floats:
 
 
 def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
-    """Of the surface at each point (N, 3) by its neighbours; NaN where they tell none."""
+    """Normals of the surface at each point (N, 3) from its neighbours; NaN where undetermined."""
     count = int(np.clip(_SHARE * len(points), _NEIGHBOURS, most))
     if len(points) < count:
         return np.full_like(points, np.nan)
@@ -147,7 +148,9 @@ def _normals(points: Floats, tree: "cKDTree[None]", most: int) -> Floats:
 
 
 def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Floats:
-    """By the matches' noise, as much larger as the distances show, and as errors that are alike over blocks show."""
+    """Variances from the noise of matches, enlarged for the observed distances and for errors that correlate within
+    blocks.
+    """
     distances, _, by_pixels = contact.distances(room)
     noise = contact.noise_px(match_px)
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
@@ -157,7 +160,7 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
 
 
 def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
-    """By what factor variances are larger because errors (N,), in sigmas, are alike in blocks of pixels (N, 2)."""
+    """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
     block = blocks_of(pixel)
     count, total = np.bincount(block), np.bincount(block, relative)
     full = count >= _FEWEST_IN_BLOCK

@@ -1,9 +1,8 @@
-"""What holds two parts of a group together, each part taken as one rigid piece.
+"""The evidence that connects two parts of a group, each taken as rigid.
 
-Stations of one room hold each other, and so each of them seems well held even where half of a group is of another room:
-bare corners are all alike. A group is as sure as the weakest of its joints. Those that could be the weakest are found
-by taking apart the maximum spanning tree of all pairs, edge by edge (Gower and Ross, "Minimum spanning trees and single
-linkage cluster analysis", 1969).
+Every station of a room is connected to some others, even if half of the group is of another room, because bare corners
+look alike. A group is as certain as its weakest connection. Candidates are found by removing each edge of the maximum
+spanning tree of all pairs (Gower and Ross, "Minimum spanning trees and single linkage cluster analysis", 1969).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -23,9 +22,7 @@ from calib.rooms.surfaces import Surfaces
 
 @dataclass(frozen=True)
 class Cut:
-    """`part`: stations, at most half of a group; `nats`: how much likelier it is that they are where they are beside
-    the others than that they do not belong to them.
-    """
+    """`part`: stations, at most half of a group; `nats`: evidence that they belong to the others at their poses."""
 
     part: tuple[int, ...]
     nats: float
@@ -63,7 +60,7 @@ def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], part: 
 
 
 def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreement:
-    """With the second station's labels replaced by the planes they are on, of which there are so many."""
+    """The view with the second station's labels replaced by their planes, of which there are this many."""
     is_on: Ints = np.eye(planes + 1, dtype=np.int64)[[*plane_of, -1]]
     matched: Ints = seen.matched @ is_on
     return replace(seen, matched=matched)
@@ -77,7 +74,7 @@ def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> It
     for i, j in combinations(range(len(names)), 2):
         a, b = int(names[i]), int(names[j])
         worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b]))])[0]
-    cost = np.triu(1 + worth.max() - worth, 1)  # a zero would be no edge at all
+    cost = np.triu(1 + worth.max() - worth, 1)  # zero would mean no edge
     tree = minimum_spanning_tree(cost).toarray()
     for edge in np.argwhere(tree):
         rest = tree.copy()

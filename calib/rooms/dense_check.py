@@ -1,8 +1,8 @@
-"""Do the dense surfaces lie on each other as an estimate says? Asked of every pair of stations after any registration.
+"""Whether the dense surfaces coincide at the estimated poses, tested for every pair of stations after any registration.
 
-Planes that were none, or the same part of a wall taken for another, may leave small residuals and small sigmas, and
-places that are wrong by many of these. The distances between two clouds, which no such choice has passed through, tell:
-the twist that would bring one onto the other has to be what the covariance allows.
+Wrong planes, or mistaken parts of a wall, may leave small residuals and small sigmas, with poses off by many of these.
+The distances between two clouds do not depend on such choices: the twist that would align them must be within the
+covariance.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from calib.rooms.contacts import SMOOTH, Contact, alike_in_blocks, blocks_of, fi
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.room import PER_PLACE
 
-_RADIUS = 0.01  # of the reach, as of the contacts
+_RADIUS = 0.01  # relative to the reach, as for the contacts
 _ROUNDS = 5
 _TURNING, _SHIFTING = slice(0, 3), slice(3, 6)
-# Smooth errors of real decoders are known roughly, so that sigmas count for less than those of normal numbers.
+# Smooth errors of real decoders are known roughly, so sigmas are less reliable than for normal deviates.
 _CALM = 1.5
 _DOUBT = float(chi2.isf(1e-3, PER_PLACE))
-_FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas and share of blocks that are apart, and points in each
+_FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced blocks; points of a full block
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     distances, by_room, by_pixels = contact.distances(estimate.room)
     noise = contact.noise_px(match_px)
     alone: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
-    # The twist is that of the second station about the middle of what both saw.
+    # Twist of the second station about the middle of the common view.
     columns = by_room[:, SHARED + PER_PLACE :]
     middle = _middle(columns)
     by_twist = columns.copy()

@@ -1,4 +1,4 @@
-"""A plane as from its front, drawn from a station's picture: what is on it looks alike from wherever it is seen."""
+"""A plane rectified from a station's picture: its texture looks the same from every station."""
 
 import cv2
 import numpy as np
@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image
 
-_DARKEST = 0.02  # of the brightest: logarithms of less are noise
+_DARKEST = 0.02  # share of the brightest level; logarithms of less are noise
 _BORDER_PX = 5
 
 
@@ -23,8 +23,8 @@ def logarithmic(picture: Image) -> NDArray[np.uint8]:
 def drawn(
     light: NDArray[np.uint8], on_plane: NDArray[np.bool_], pixels: Floats
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The drawing (h, w) of what camera `pixels` (h, w, 2) show, NaN where there are none; and where it is, 255, a
-    little inside the border of what is `on_plane` (H, W).
+    """The drawing (h, w) of camera `pixels` (h, w, 2), NaN for none; and its mask, 255 slightly inside the border of
+    `on_plane` (H, W).
     """
     at = np.where(np.isfinite(pixels), pixels, -1e4).astype(np.float32)
     column, row = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])

@@ -1,7 +1,7 @@
-"""One maximum-likelihood estimate of a rig, its places in a room and the room's planes, from all stations' matches.
+"""One maximum-likelihood estimate of a rig, its poses in a room and the room's planes, from all stations' matches.
 
-Planes that several stations see tie these together; walls seen from several places have their angles measured, where a
-corner alone has to take them for square. A plane that one station sees counts, too: that it is flat tells of the rig.
+Planes that several stations see connect them. Walls seen from several places determine their angles, which a single
+corner has to assume. A plane that one station sees contributes, too: its flatness constrains the rig.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
 from calib.rooms.flatness import covariance_of_waves
-from calib.rooms.followed import Sight, find_tracks
 from calib.rooms.likelihood import Fit, minimise
 from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
 from calib.rooms.planes import RoomPlane
+from calib.rooms.point_tracking import Sight, find_tracks
 from calib.rooms.priors import RigPrior, RoomPrior, rig_of
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
@@ -28,11 +28,16 @@ from calib.rooms.tracks import Track
 
 _ROUGH = 0.01  # tolerance in cost while noise is measured
 _ROUNDS = 3
-_FOLLOWED = 2  # rounds: what is drawn from nearer the truth is followed better
-_ANY_TURN = 1.0  # radians
-_FAR_OFF = 0.1  # radians, and of the reach: a direction that is less sure than that is not determined
-NEAR = (0.02, 0.01, 0.005, 0.005)  # of the reach: points of two stations that may be on one surface
-_SAME_PLACE = 0.01  # of the reach, and radians
+_TRACKING_ROUNDS = 2  # rounds; tracks from better poses are more accurate
+_FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
+_UNDETERMINED = 0.1  # radians, and relative to the reach: a less certain direction is undetermined
+NEAR = (
+    0.02,
+    0.01,
+    0.005,
+    0.005,
+)  # over the reach: distance of points of two stations that may be on one surface
+_SAME_PLACE = 0.01  # relative to the reach, and radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +54,15 @@ class Undetermined:
 
 @dataclass(frozen=True, eq=False)
 class RoomEstimate:
-    """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for what was held.
+    """`covariance` (size, size): of the room's columns; NaN for planes without a cell, 0 for fixed parameters.
 
-    `patches`: on which of the room's planes each station's cells turned out to be; planes behind those of the start are
-    of stations that see another one than they were said to.
+    `patches`: the room's plane of each station's cells; planes after those of the start belong to stations that see
+    another plane than the one assigned.
 
-    `residual_px` (S,): root mean square of each coordinate of a station's cells, robustly; NaN without cells. `reach`:
-    median distance of what was seen from the camera, in baselines. `waves` (P,): by how much each plane is not flat,
-    root mean square, in baselines; 0 where nothing shows it. `contacts`: of surfaces that are no planes.
-    `tracks`: of points on planes that two pictures show.
+    `residual_px` (S,): robust root mean square of each coordinate of a station's cells; NaN without cells. `reach`:
+    median distance of surfaces from the camera, in baselines. `waves` (P,): unevenness of each plane, root mean square,
+    in baselines; 0 if undetected. `contacts`: of surfaces that are no planes. `tracks`: of points on planes in two
+    pictures.
     """
 
     fit: Fit[Room]
@@ -125,25 +130,27 @@ def estimate_room(
     loose: Sequence[Matches] = (),
     sights: Sequence[Sight | None] = (),
 ) -> RoomEstimate:
-    """From a start: the rig's as calibrated, `places` of stations and `planes` as registered, in baselines.
+    """Estimate from a start: the calibrated rig, `places` of stations and `planes` as registered, in baselines.
 
-    `stations`: the cells of each, whose labels `plane_of` translates to the room's planes (−1: of none). `square`:
-    pairs of planes that are perpendicular but for `squareness_deg` (standard deviation); what else is, is measured.
-    `shifts`: for each station by what its matches may be shifted, for the covariance. `place_sigma`: how well the
-    registration has places, as standard deviations of a turn in radians and a shift in baselines, where it knows more
-    than these planes tell; by default a radian and the reach: nothing. `loose`: for each station matches that are on
-    no plane; where two stations saw one surface, it ties them. `sights`: of each station that has a picture;
-    what two of them show on a plane ties them along it.
+    `stations`: the cells of each, whose labels `plane_of` maps to the room's planes (−1: none). `square`: pairs of
+    perpendicular planes, with `squareness_deg` as standard deviation; other angles are free. `shifts`: for each station
+    the possible shifts of its matches, for the covariance. `place_sigma`: standard deviations of the registered poses,
+    of a rotation in radians and a translation in baselines, if the registration determines more than these planes; the
+    default is a radian and the reach, which is no constraint. `loose`: for each station matches on no plane; a common
+    surface connects two stations. `sights`: of each station with a picture; common points of a plane connect stations
+    along it.
 
-    Raises RefusalError if the start puts cells behind a device, ValueError if the sequences do not fit each other.
+    Raises RefusalError if the start puts cells behind a device, ValueError if the sequences have different lengths.
     """
     if not len(stations) == len(plane_of) == len(places):
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
     room = Room(rig_of(start), tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
-    # Lens terms of which matches tell little would make up for ties that are wrong.
-    known = RoomPrior.of(prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_ANY_TURN, reach))
+    # Weakly determined lens terms would compensate for wrong ties.
+    known = RoomPrior.of(
+        prior.holding(WEAK_TERMS), square, squareness_deg, room, place_sigma or (_FREE_ROTATION, reach)
+    )
     patches, known, fit, variances = without_wrong_ties(*fit_roughly(patches, room, known))
     known = replace(known, rig=prior)
     free = known.free(seen(fit.layout, patches))
@@ -153,7 +160,7 @@ def estimate_room(
         fit = minimise(patches, fit.layout, known, variances, free, tolerance=_ROUGH)
     fit = minimise(patches, fit.layout, known, variances, free)
     tracks: tuple[Track, ...] = ()
-    for _ in range(_FOLLOWED) if sights else ():
+    for _ in range(_TRACKING_ROUNDS) if sights else ():
         tracks = find_tracks(sights, _planes_of_labels(patches, plane_of), fit.layout)
         fit = minimise(patches, fit.layout, known, variances, free, joints=tracks)
     contacts: tuple[Contact, ...] = ()
@@ -204,7 +211,7 @@ def undetermined_in(room: Room, covariance: Floats, reach: float) -> tuple[Undet
     found = []
     for station in range(1, len(room.places)):
         columns = room.place_columns(station)
-        for turning, limit, first in ((True, _FAR_OFF, 0), (False, _FAR_OFF * reach, 3)):
+        for turning, limit, first in ((True, _UNDETERMINED, 0), (False, _UNDETERMINED * reach, 3)):
             block = slice(columns.start + first, columns.start + first + 3)
             variances, directions = np.linalg.eigh(covariance[block, block])
             found += [

@@ -1,8 +1,8 @@
-"""What planes that are not flat do to a room: plaster and floors are off by millimetres, many times what matches err.
+"""The effect of uneven planes on a room: plaster and floors deviate by millimetres, far beyond the noise of matches.
 
-A plane whose residuals show it is taken to have heights of random waves over what was seen of it, the long ones higher.
-How high is told by the residuals, of which the fit has absorbed a known part; the waves then move the room, to first
-order, as shifts of the matches do. Stations that see one wall see the same waves.
+A plane with such residuals is modelled with heights of random waves over its visible part, longer waves being higher.
+Their amplitude follows from the residuals, of which the fit has absorbed a known part. To first order, the waves move
+the room like shifts of the matches. Stations that see one wall see the same waves.
 """
 
 from collections.abc import Sequence
@@ -16,8 +16,8 @@ from calib.refinement import CUBIC, monomials
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
 
-_ORDERS = 6  # half-waves along either side of what was seen of a plane
-_LEAST_LEFT = 1e-3  # of the waves, by the fit; less than that in the residuals tells nothing of their heights
+_ORDERS = 6  # half-waves along either side of the visible part of a plane
+_LEAST_LEFT = 1e-3  # share of the waves left by the fit; with less, residuals do not determine their heights
 
 
 def covariance_of_waves(
@@ -46,7 +46,7 @@ def covariance_of_waves(
         if left < _LEAST_LEFT * whole:
             continue
         seen = sum(waves.energy() for waves in on_plane)
-        # Variances on the plane were enlarged by what the waves do; without them this is what noise would show.
+        # Variances on the plane were enlarged by the waves; this is the noise without them.
         noise = len(on_plane) * CUBIC / levels.planes[plane]
         variance = max(seen - noise, 0.0) / left
         covariance += variance * moved @ moved.T
@@ -88,10 +88,12 @@ class _Waves(Generic[AnyLayout]):
 
 
 def _modes(points: Sequence[Floats], normal: Floats) -> list[Floats]:
-    """Cosines over the rectangle around the points (M, 3) of each patch on a plane, as high as they are long."""
+    """Cosines over the bounding rectangle of the points (M, 3) of each patch on a plane, with heights proportional to
+    their lengths.
+    """
     places = [each @ tangent_basis(normal) for each in points]
     every = np.concatenate(places)
     low, sides = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-12)
     orders = np.stack(np.meshgrid(*[np.arange(_ORDERS + 1)] * 2), axis=-1).reshape(-1, 2)[1:]
-    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # over the wave's number, its length
+    height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # relative to the wave's number: its length
     return [np.cos(np.pi * ((place - low) / sides)[:, None, :] * orders).prod(axis=2) * height for place in places]

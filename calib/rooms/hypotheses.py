@@ -23,12 +23,14 @@ _MOST_PLANES = 14
 _LIKE_ANGLES = np.radians(4.0)
 _LIKE_NORMALS = float(np.cos(np.radians(6.0)))
 _LEAST_SINE = 0.4
-_SAME_ROTATION, _SAME_PLACE = np.radians(5.0), 0.04  # radians; of the distance
+_SAME_ROTATION, _SAME_PLACE = np.radians(5.0), 0.04  # radians; relative to the distance
 _MOST_ROTATIONS, _MOST_PAIRS_OF_PLANES, _MOST_TRIPLES, _MOST_LINES, _LINE_STEPS = 16, 40, 1500, 12, 100
 _COARSE_PATCHES, _SETTLING_PATCHES = 150, 500
 _REFINED, _KEPT = 40, 12
 _LEAST_NATS = 3.0
-_SLIDES = np.array([0.0, -0.04, -0.03, -0.02, -0.01, 0.01, 0.02, 0.03, 0.04])  # of the distance; the first is to stay
+_SLIDES = np.array(
+    [0.0, -0.04, -0.03, -0.02, -0.01, 0.01, 0.02, 0.03, 0.04]
+)  # over the distance; the first is no shift
 _HOLDING_PATCHES = 20
 
 
@@ -56,7 +58,7 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     coarse = compare(first, second, rotations, translations, COARSE, _COARSE_PATCHES)
     thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
     worth = gain([coarse], thinned) - nats_of_tilt(rotations)
-    worth[len(worth) - len(others) :] += 1e6  # they are few, and each is worth a look
+    worth[len(worth) - len(others) :] += 1e6  # they are few, and each is evaluated
     size = _SAME_PLACE * (first.distance + second.distance) / 2
     found = []
     for k in _distinct(rotations, translations, worth, size, _REFINED):
@@ -179,7 +181,7 @@ def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
 
 
 def _translations(a: Floats, b: Floats, alike: Bools, area: Ints, reach: float) -> Floats:
-    """Translations (K, 3) by which planes b (Q, 4), turned already, come to lie on planes a (P, 4)."""
+    """Translations (K, 3) that move planes b (Q, 4), already rotated, onto planes a (P, 4)."""
     p, q = np.nonzero(alike)
     order = np.argsort(-area[p, q], kind="stable")[:_MOST_PAIRS_OF_PLANES]
     p, q = p[order], q[order]

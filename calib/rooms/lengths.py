@@ -43,7 +43,7 @@ def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
     gradient = np.zeros(estimate.room.size)
     for plane, own, other in ((first, a, b), (second, b, a)):
         start = estimate.room.plane_columns(plane).start
-        # Parallel planes open in whatever direction they move: one is taken.
+        # Parallel planes open in any direction that they move; choose one.
         slope = tangent_basis(own).T @ other / sine if sine > _PARALLEL else np.array([1.0, 0.0])
         gradient[start : start + 2] = slope
     angle = np.pi - np.arctan2(sine, cosine)

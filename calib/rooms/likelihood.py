@@ -16,8 +16,8 @@ from calib.rooms.planes import PER_PLANE, RoomPlane
 CONVERGED = 1e-4  # in cost: a hundredth of a sigma
 _STEPS = 60
 DAMPING = Damping(first=1e-6, least=1e-13, most=1e4, growth=10.0, relief=0.05, by_gain=True)
-PLANE = slice(-PER_PLANE, None)  # of a part's own columns
-_BEHIND = 100.0  # the cost of a cell of a part behind a device, like one ten sigmas off
+PLANE = slice(-PER_PLANE, None)  # within a part's own columns
+_BEHIND = 100.0  # cost of a cell of a part behind a device, as for a deviation of ten sigmas
 
 
 class Layout(Protocol):
@@ -51,8 +51,8 @@ Seen = TypeVar("Seen", bound=Layout, contravariant=True)
 class Part(Protocol[Seen]):
     """The `cells` of one `plane`, by number in the layout, that one `capture` shows.
 
-    Derivatives are by P own columns, the last three of them tilts and offset of the plane as it is seen, or by the
-    layout's `columns` (Q,), which the own ones follow by `carried` (P, Q).
+    Derivatives are by P own columns, the last three of them tilts and offset of the plane in the camera's frame, or by
+    the layout's `columns` (Q,), with `carried` (P, Q) the derivatives of the own ones by them.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -132,8 +132,8 @@ def evaluate(
 ) -> Fit[AnyLayout]:
     """The cost of a layout with its derivatives.
 
-    `variances`: (M,) for each part, of each coordinate of each cell. A part of which more than strays fall behind a
-    device costs the same wherever it is, and pulls at nothing.
+    `variances`: (M,) for each part, of each coordinate of each cell. A part with many cells behind a device has a
+    constant cost, and no gradient.
     """
     cost, gradient, information = prior.cost(layout)
     residuals = []

@@ -1,4 +1,4 @@
-"""Supposed relative poses from marks of two pictures that look alike: three of them, drawn at random, fix one.
+"""Suggested relative poses from matching marks of two pictures: three random ones determine a pose.
 
 Fischler and Bolles, "Random sample consensus", 1981; the pose through three points is Kabsch's (1976).
 """
@@ -13,13 +13,13 @@ from calib.rooms.surfaces import Surfaces
 
 _DRAWN = 2000
 _FEWEST = 5
-_WIDEST = 0.1  # of the depth: three marks nearer to each other than that turn with every millimetre
+_WIDEST = 0.1  # relative to the depth: closer marks do not determine a rotation
 _ROUNDS = 3
 _MOST = 3
 
 
 def marked_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
-    """X_first = R X_second + t at which most marks lie on those that they look like; none if fewer than five do."""
+    """Poses X_first = R X_second + t with the most coinciding marks; none with fewer than five."""
     own, other = alike(first.marks, second.marks)
     here, there = first.marks.points[own], second.marks.points[other]
     found: list[Motion] = []

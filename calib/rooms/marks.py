@@ -18,11 +18,11 @@ from calib.rooms.drawings import drawn, logarithmic
 from calib.rooms.planes import RoomPlane
 
 _MOST_ON_A_PLANE = 300
-_LARGEST_PX = 800  # along a side of a plane's drawing
-_LEAST_PIXELS = 400  # of a plane in the picture
+_LARGEST_PX = 800  # pixels along a side of a plane's drawing
+_LEAST_PIXELS = 400  # visible pixels of a plane
 _CONTRAST = 0.015
-_RATIO = 0.8  # of the distances to the two nearest descriptors (Lowe 2004)
-_SAME = 0.01  # between descriptors of single precision
+_RATIO = 0.8  # ratio of the distances to the two nearest descriptors (Lowe 2004)
+_SAME = 0.01  # tolerance between descriptors, in single precision
 _DESCRIPTOR = 128
 
 
@@ -77,7 +77,7 @@ def marks_of(
 
 @lru_cache(maxsize=512)
 def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
-    """Marks of two stations, (M,) of either, that look like each other more than like any other mark."""
+    """Mutually best matching marks of two stations, (M,) of either."""
     if min(len(first), len(second)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     product = first.descriptors @ second.descriptors.T
@@ -89,7 +89,7 @@ def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
 
 
 def apart(first: Marks, second: Marks, pose: Motion) -> tuple[Floats, Floats]:
-    """Of marks that look alike, (M,): how far apart they are at the pose X_first = R X_second + t, and their depth."""
+    """Distance (M,) of matching marks at the pose X_first = R X_second + t, and their depth."""
     own, other = alike(first, second)
     moved = second.points[other] @ pose.rotation.T + pose.translation
     return np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]

@@ -1,7 +1,7 @@
-"""Stations that do not fit the others of their group: of a rig that was changed, or of a room that was.
+"""Outlier stations of a group: with a changed rig, or of a changed room.
 
-The stations of one unchanged rig are all bent alike, by what its calibration is off; the surfaces of two of them then
-lie as well on each other as those of any other two. A rig that was moved in itself measures another shape.
+Calibration errors bend all stations of one unchanged rig equally, so that the surfaces of any two fit equally well. A
+changed rig measures other shapes.
 """
 
 from collections.abc import Mapping
@@ -19,8 +19,7 @@ from calib.rooms.surfaces import Surfaces
 _MOST_CONTRADICTION = 0.05
 _MOST_TIMES_WORSE = 1.8
 _LEAST_PATCHES = 30
-# What is supposed before the others are asked: that a calibration is off by so much of the depth, as if so many patches
-# had said so.
+# Prior from a relative error of the calibration, with the weight of this many patches.
 _OFF, _SUPPOSED_PATCHES = 0.002, 500.0
 
 
@@ -44,13 +43,13 @@ class Misfit:
         """Why it is to be left out, as a sentence; empty if it is not."""
         if self.of_another_shape:
             return (
-                f"its surfaces lie {self.times_worse:.1f} times as far off the other stations' as those do among each "
+                f"its surfaces deviate {self.times_worse:.1f} times as far from the other stations' as those from each "
                 "other: the rig was changed, or something was moved"
             )
         if self.contradiction > _MOST_CONTRADICTION:
             return (
-                f"where it fits best, {self.contradiction:.0%} of what it and the others could see of each other is "
-                "where one of them looked through: another room, or something was moved"
+                f"where it fits best, {self.contradiction:.0%} of the surfaces in common view are in space that one of "
+                "the stations saw as free: another room, or something was moved"
             )
         return ""
 

@@ -14,17 +14,19 @@ from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.ties import plane_scores
 
 _LEAST_PX = 1e-3
-_OUT_OF_LINE = 4.0  # long waves of a patch over those of the station's median one: the plane's fault, not the decoder's
+_OUT_OF_LINE = 4.0  # long waves of a patch over the median of its station: beyond this, the plane is uneven
 _BENT = 0.999
-_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # of a station without cells
-_LOUD = 10.0  # sigmas; a cell further off has no more influence on what is smooth
+_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
+_LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth part further
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """`stations`: the noise of each. `planes` (P,): by what factor the variances on a plane are larger, because it is
-    bent, or because not all that was taken for it is one plane; 1 for a flat one. `alike`: for how many stations each
-    counts whose smooth errors are the same in all, as those of lenses are: so much larger are variances of results.
+    """`stations`: the noise of each. `planes` (P,): factor on the variances on a plane that is bent or a mixture of
+    planes; 1 for a flat one.
+
+    `alike`: number of stations with the same smooth errors, such as those of lenses; variances of results are larger by
+    this factor.
     """
 
     stations: tuple[Noise, ...]
@@ -56,13 +58,12 @@ def measured(
     *,
     one_rig: bool = True,
 ) -> Levels:
-    """From a fit under some variances of the cells. `repeats`: how many stations stand where each stands. `one_rig`:
-    whether all captures are of the same two devices.
+    """Noise levels from a fit under some variances of the cells. `repeats`: number of stations at the place of each.
+    `one_rig`: whether all captures are of the same two devices.
 
-    Long waves tell of smooth errors of a station, which all its patches show, and of planes that are not flat, which
-    all stations that see them show: a station's overdispersion is measured without the patches that are out of line.
-    Planes that are flat where a station sees them may yet differ between stations: so do ties. Smooth errors that are
-    the same at all stations are the lenses', so that together these count as one.
+    Long waves have two causes: smooth errors of a station, in all its patches, and uneven planes, in all stations that
+    see them. A station's overdispersion is measured without outlying patches. Ties measure the differences of planes
+    between stations. Smooth errors that are equal at all stations are those of the lenses, and count once.
     """
     absorbed = np.count_nonzero(free) / len(patches)
     waves = np.full(len(patches), np.nan)
@@ -129,7 +130,7 @@ def _explained(information: Floats, pull: Floats) -> float:
 
 
 def _of_planes(patches: Sequence[Part[AnyLayout]], totals: Floats, freedom: Floats, layout: AnyLayout) -> Floats:
-    """By what factor each plane's patches vary more than their stations tell, (planes,), from χ² and its freedom."""
+    """Factor on each plane's variances beyond those of the stations, (planes,), from χ² and its degrees of freedom."""
     planes = np.array([patch.plane for patch in patches])
     told = np.isfinite(totals)
     sums, free = (np.bincount(planes[told], each[told], len(layout.planes)) for each in (totals, freedom))

@@ -1,7 +1,7 @@
-"""A plane of the room as one station sees it: what the room predicts of its cells, and how that changes.
+"""A plane of the room seen by one station: predicted cells, and their derivatives.
 
-Whatever moves, a patch sees of it the rig's 21 columns and three of its own, the plane's tilts and offset before the
-camera. So its cells are summed into those 24, and the sums are carried over to the room's columns.
+A patch depends on the rig's 21 columns and three of its own, the plane's tilts and offset in the camera's frame. So its
+cells are summed over these 24 columns, and the sums are transferred to the room's columns.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from calib.refinement.parameters import PER_CORNER, PER_POSE, FurtherPlane
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
-OWN = slice(SHARED, SHARED + PER_PLANE)  # of a patch's columns, those of its plane before the camera
+OWN = slice(SHARED, SHARED + PER_PLANE)  # columns of a patch for its plane in the camera's frame
 PER_PATCH = OWN.stop
 
-# A plane in the camera's frame is a further plane of a corner at the camera's centre, whose own columns say nothing.
+# A plane in the camera's frame is a further plane of a corner at the camera's centre, whose own columns have no effect.
 _FURTHER = 3
 _OF_PLANE = np.r_[0:SHARED, SHARED + PER_CORNER + PER_POSE : SHARED + PER_CORNER + PER_POSE + PER_PLANE]
 

@@ -19,7 +19,7 @@ from calib.refinement import (
 from calib.rooms.likelihood import Layout
 from calib.rooms.room import Room
 
-_EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+_EXACTLY_SQUARE = 1e-3  # degrees; sigma of exactly square walls
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,8 @@ def rig_of(state: State) -> State:
 
 def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
     """The step (21,) to the mean of what has a prior; nothing else moves."""
-    told = np.isfinite(sigma) & (sigma > 0)
-    return np.where(told, mean - rig_of(start).additive(), 0.0)
+    has_prior = np.isfinite(sigma) & (sigma > 0)
+    return np.where(has_prior, mean - rig_of(start).additive(), 0.0)
 
 
 @dataclass(frozen=True, eq=False)

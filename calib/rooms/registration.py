@@ -21,7 +21,7 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 _MOST_ALTERNATIVES = 4
 _LEAST_OVERLAP = 0.01
 _MOST_CONTRADICTION = 0.1
-Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "looked through", "another shape"]
+Cause = Literal["empty", "another rig", "nothing shared", "too little shared", "free space", "another shape"]
 _TOO_LITTLE = "it shares too little with the other stations to find its pose, or it shows another room"
 
 
@@ -37,11 +37,11 @@ class Alternative:
 class Group:
     """Stations of one room.
 
-    `places` by station, X_room = R X_camera + t, the room's frame being that of the group's first station. `planes` in
-    the room's frame; `plane_of`: for each station, of each of its labels the index of the plane, −1 for none.
-    `alternatives`: other answers that are as likely; with any, the group is ambiguous. `ahead_nats`: by how much the
-    answer is likelier than the next one that was looked at, infinite where there is none. `held_nats` by station: how
-    much likelier it is there, beside all others, than that it does not belong to them; a small one is held by little.
+    `places` by station, X_room = R X_camera + t, in the frame of the group's first station. `planes` in the room's
+    frame; `plane_of`: for each station, the plane index of each of its labels, −1 for none. `alternatives`: equally
+    likely solutions; with any, the group is ambiguous. `ahead_nats`: log likelihood ratio to the next solution
+    evaluated, infinite without one. `held_nats` by station: evidence that it belongs to the others at its pose; a small
+    value is weak.
     """
 
     stations: tuple[int, ...]
@@ -121,7 +121,7 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
             continue
         worst = worst_misfit(surfaces, best.places)
         if worst is not None and worst.reason:
-            cause: Cause = "another shape" if worst.of_another_shape else "looked through"
+            cause: Cause = "another shape" if worst.of_another_shape else "free space"
             reasons[worst.station] = LeftOut(worst.station, cause, worst.reason)
             left.remove(worst.station)
             aside += [] if worst.of_another_shape else [worst.station]
@@ -202,8 +202,8 @@ def _reason(surfaces: Mapping[int, Surfaces], edges: Edges, k: int) -> LeftOut:
     if best.contradiction > _MOST_CONTRADICTION:
         return LeftOut(
             k,
-            "looked through",
-            f"wherever its surfaces fit, {best.contradiction:.0%} of them are where others looked through: "
+            "free space",
+            f"wherever its surfaces fit, {best.contradiction:.0%} of them are in space that others saw as free: "
             "another room, something was moved, or the rig was changed",
         )
     return LeftOut(k, "too little shared", _TOO_LITTLE)

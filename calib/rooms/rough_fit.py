@@ -15,9 +15,9 @@ from calib.rooms.room import Room
 from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 
 _ROUNDS = 10
-_SETTLED = 0.5  # of a rough level, after a round that hardly lowered it
+_SETTLED = 0.5  # share of an approximate level, after a round that hardly lowered it
 _LEAST_IN_FRONT = 0.98
-_MOST_WRONG = 0.25  # of the patches
+_MOST_WRONG = 0.25  # share of the patches
 
 Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
 
@@ -44,7 +44,7 @@ def _levels(patches: Sequence[Patch], room: Room, prior: RoomPrior) -> Floats:
 
 
 def without_wrong_ties(patches: tuple[Patch, ...], prior: RoomPrior, fit: Fit[Room], variances: list[Floats]) -> Rough:
-    """The same where patches that are not on the plane that they were taken for have planes of their own."""
+    """The fit with separate planes for patches that are not on their assigned plane."""
     for _ in range(int(_MOST_WRONG * len(patches))):
         scores, freedom = tie_scores(patches, fit, variances, prior.free(seen(fit.layout, patches)))
         per_freedom = scores / np.maximum(freedom, 1)
@@ -64,12 +64,12 @@ def seen(room: Room, patches: Sequence[Patch]) -> Bools:
 
 
 def in_front(room: Room, patches: Sequence[Patch]) -> tuple[Patch, ...]:
-    """The patches that are before both devices, all but strays. Raises RefusalError if that is less than half."""
+    """The patches in front of both devices. Raises RefusalError if these are fewer than half."""
     chosen = tuple(patch for patch in patches if np.mean((patch.predict(room)[2] > 0).all(axis=1)) >= _LEAST_IN_FRONT)
     if len(chosen) < len(patches) / 2 or not chosen:
         raise RefusalError(
-            f"{len(patches) - len(chosen)} of {len(patches)} views of a plane are behind the camera or the projector "
-            "where the registration has them.",
+            f"With the poses of the registration, {len(patches) - len(chosen)} of {len(patches)} observed planes are "
+            "behind the camera or the projector.",
             "Register the stations again; those that do not fit have to be left out.",
         )
     return chosen

@@ -12,13 +12,13 @@ from calib.numerics import Floats, Ints
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 
-_LEAST_SHARE = 1e-3  # of a parameter's own information: what tells less than that of a direction tells nothing of it
+_LEAST_SHARE = 1e-3  # share of a parameter's own information below which a direction is undetermined
 
 
 @dataclass(frozen=True, eq=False)
 class PatchSums:
-    """Of a patch: half the gradient (24,) and the information (24, 24) of its own columns, which follow the room's
-    `columns` (30,) by `by_room` (24, 30).
+    """Sums of a patch: half the gradient (24,) and the information (24, 24) of its own columns, with their derivatives
+    `by_room` (24, 30) by the room's `columns` (30,).
     """
 
     slope: Floats
@@ -70,7 +70,7 @@ def reweighted(
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """`value` is χ² of so much `freedom` where nothing is amiss; `step` (P,): where the parameters would go."""
+    """`value` follows χ² with this `freedom` if the hypothesis holds; `step` (P,): the step of the parameters."""
 
     value: float
     freedom: float

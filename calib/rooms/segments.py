@@ -1,8 +1,8 @@
-"""Plane segments of an organised cloud: floor, walls, and what furniture has of planes.
+"""Plane segments of an organised cloud: floor, walls, and planes of furniture.
 
-A cloud is taken apart in two steps. Small square cells of the image, each with a plane of its own, are gathered into
-planes, the one that explains most surface first; then every pixel goes to the plane that it is nearest to. A room's
-planes bend by what the calibration is off, by some thousandths of the distance: the tolerance allows for that.
+Small square cells of the image, each with its own plane, are grouped into planes, the one that explains most surface
+first. Then every pixel is assigned to the nearest plane. Calibration errors bend a room's planes by some thousandths of
+the distance, which the tolerance includes.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from calib.numerics import Bools, Floats, Ints, robust_sigma
 from calib.rooms.planes import RoomPlane, plane_through
 
 NO_PLANE = -1
-# How far a point may be off its plane: of its depth, by an error of the calibration, and in sigmas of its noise.
+# Largest distance of a point from its plane: relative to its depth, for calibration errors, and in sigmas.
 _BENT, _SIGMAS = 0.006, 3.0
 _LIKE_CELL, _LIKE_PIXEL = np.cos(np.radians(12.0)), np.cos(np.radians(30.0))
 _CELLS_ACROSS = 100
 _SEEDS, _ROUNDS = 40, 5
 _MOST_PLANES = 24
-# A plane has at least this share of a picture's cells, and a piece of it this share of the picture's pixels.
+# Least share of a picture's cells on a plane, and of the picture's pixels on a piece of it.
 _LEAST_SHARE, _LEAST_PIECE = 0.003, 0.0005
 _FITTED = 4000
-# Pieces of one plane are, relative to their depth, no farther before or behind it than this.
+# Largest depth difference of pieces of one plane, relative to their depth.
 _PARTED = 0.004
 
 
@@ -38,7 +38,7 @@ class _Cells:
     area: Floats
 
     def on(self, plane: RoomPlane) -> Bools:
-        """Which cells (N,) lie on a plane and slope like it."""
+        """Which cells (N,) lie on a plane with the same slope."""
         off: Bools = np.abs(self.centre @ plane.normal - plane.offset) < self.tolerance
         like: Bools = off & (self.normal @ plane.normal > _LIKE_CELL)
         return like
@@ -50,7 +50,7 @@ def relative_noise(points: NDArray[np.float32], normals: NDArray[np.float32]) ->
     with np.errstate(invalid="ignore", divide="ignore"):
         slant = np.sum(normals[:, 1:-1] * middle, axis=2)
         inverse = [np.float32(1.0) / each[..., 2] for each in (left, middle, right)]
-        # Inverse depth is linear across a plane; of the second difference of three equal noises the variance is 6.
+        # Inverse depth is linear on a plane. The second difference of three equal variances has six times the variance.
         bend = (inverse[0] - 2 * inverse[1] + inverse[2])[slant < 0]
     bend = bend[np.isfinite(bend)]
     return robust_sigma(bend[:: max(1, len(bend) // 100_000)].astype(np.float64)) / float(np.sqrt(6.0))
@@ -135,7 +135,7 @@ def _planes_of(cells: _Cells) -> list[RoomPlane]:
 def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:
     """Free cells (N,) on the plane that grows from a seed."""
     plane = RoomPlane(cells.normal[seed], float(cells.normal[seed] @ cells.centre[seed]))
-    # The first step reaches no farther than a single cell's normal can be trusted.
+    # The first step reaches only as far as a single cell's normal is reliable.
     near = np.linalg.norm(cells.centre - cells.centre[seed], axis=1) < 12 * cells.tolerance[seed]
     inlier: Bools = free & near & cells.on(plane)
     for _ in range(_ROUNDS):
@@ -170,8 +170,9 @@ def _assigned(
 
 
 def _part(points: NDArray[np.float32], labels: NDArray[np.int32], label: int, planes: list[RoomPlane]) -> None:
-    """Take a plane's small pieces away, and make planes of their own of those that are before or behind its largest:
-    fronts of two cupboards are often almost one plane. `labels` and `planes` in place.
+    """Remove small pieces of a plane, and separate those in front of or behind its largest.
+
+    Fronts of two cupboards are often nearly coplanar. `labels` and `planes` are changed in place.
     """
     mask = (labels == label).astype(np.uint8)
     count, piece, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)

@@ -1,7 +1,7 @@
 """Which plane segments of a group's stations are one plane of the room.
 
-Two segments are if patches of the one, seen from the other's camera, lie on the other. A chain of such pairs makes a
-plane of many stations; of one station it has one segment, for what is two planes there stays two.
+Two segments are if patches of one, seen from the other's camera, lie on the other. A chain of such pairs forms a plane.
+It has one segment per station, because planes that are separate there stay separate.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,10 +17,10 @@ from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.surfaces import Surfaces
 
 _FEWEST = 6
-# How far, of the distance, segments of one plane may be apart where they overlap.
+# Largest relative distance of overlapping segments of one plane.
 _APART = 0.006
 
-Segment = tuple[int, int]  # of a station, its label
+Segment = tuple[int, int]  # number of the station, label
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def _classes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> 
 
 
 def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> list[tuple[int, Segment, Segment]]:
-    """Pairs of segments that lie on each other, and how many patches say so."""
+    """Pairs of coinciding segments, and the number of patches as evidence."""
     found = []
     names = sorted(places)
     for n, i in enumerate(names):

@@ -25,9 +25,9 @@ def covariance_of_shifts(
     levels: Levels,
     shifts: Sequence[Shifts],
 ) -> Floats:
-    """The covariance (size, size) that a station's `shifts`, independent of the others', give the room.
+    """The covariance (size, size) of the room due to the `shifts` of each station, independent between stations.
 
-    Stations at one place err alike, so that together they are moved as one is.
+    Stations at one place have the same errors, and are shifted together.
     """
     columns = np.flatnonzero(free)
     covariance = np.zeros_like(fit.information)

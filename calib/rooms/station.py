@@ -13,11 +13,11 @@ from calib.rooms.segments import find_segments, relative_noise
 
 @dataclass(frozen=True, eq=False)
 class StationView:
-    """An organised cloud in its camera's frame, with the planes in it.
+    """An organised cloud in its camera's frame, with its planes.
 
-    `points`, `normals` (H, W, 3), NaN where there is none; `labels` (H, W): the plane of each pixel as an index of
-    `planes`, −1 for none. `noise`: standard deviation of a point along its ray at depth z is `noise` · z². `marks`:
-    what its picture shows on the planes, none without a picture.
+    `points`, `normals` (H, W, 3), NaN for none; `labels` (H, W): index into `planes` of each pixel, −1 for none.
+    `noise`: standard deviation of a point along its ray at depth z is `noise` · z². `marks`: of its picture on the
+    planes, empty without a picture.
     """
 
     points: NDArray[np.float32]

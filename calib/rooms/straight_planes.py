@@ -1,8 +1,8 @@
-"""Segments of a cloud that are one plane each, by what needs no calibration: a plane's matches follow a homography.
+"""Segments of a cloud that are one plane each, by a criterion without calibration: a plane's matches follow a
+homography.
 
-Segments found in a cloud of a rig that is roughly known hold surfaces that are nearly one plane, two cupboards side by
-side, say. What a homography, with a lens's distortion, does not explain is taken out, and is a plane of its own if it
-is large enough.
+With an approximate rig, a segment may contain nearly coplanar surfaces, such as two cupboards side by side. Matches
+that a homography with lens distortion does not explain are removed; they form another plane if there are enough.
 """
 
 from dataclasses import replace
@@ -16,16 +16,16 @@ from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.segments import NO_PLANE
 from calib.rooms.station import StationView
 
-_LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # of a station's matches on planes
+_LEAST_MATCHES, _LEAST_SHARE = 200, 0.02  # share of a station's matches on planes
 _MOST_PIECES = 3
-_LEAST_OFF_PX = 0.1  # projector pixels: what a rough lens leaves
+_LEAST_OFF_PX = 0.1  # projector pixels left by an approximate lens
 _FITTED = 4000
 
 
 def split_planes(view: StationView, matches: Matches, calibration: Calibration) -> tuple[StationView, Ints]:
-    """The view with planes that are straight, and which of them each match (N,) is on, −1 for none.
+    """The view with straight planes, and the plane of each match (N,), −1 for none.
 
-    `calibration`: the rig as it is known roughly; its lenses' distortions are taken out, its focals do not matter.
+    `calibration`: an approximate rig; only its lens distortion is used.
     """
     ideal, known = _undistorted(matches, calibration)
     height, width = view.labels.shape
@@ -38,7 +38,7 @@ def split_planes(view: StationView, matches: Matches, calibration: Calibration) 
     count = 0
     for label in range(len(view.planes)):
         left = np.flatnonzero(plane == label)
-        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment itself may be small
+        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment may be small
         for _ in range(_MOST_PIECES):
             if len(left) < least:
                 break

@@ -1,7 +1,7 @@
-"""A station as registration sees it: a small picture of depths by an ideal camera, and patches of its surfaces.
+"""A station for the registration: a small picture of depths by an ideal camera, and patches of its surfaces.
 
-The picture has neither lens distortion nor more pixels than are needed; its points are those that were measured. A
-patch is one point for each so much of surface, near and far alike.
+The picture has no lens distortion and no more pixels than needed; its points are measured ones. A patch is one point
+per unit of surface area, near and far.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from calib.rooms.marks import Marks
 from calib.rooms.station import StationView
 
 _COLUMNS = 306
-# Pixels: poses that are not refined yet are off by about so many, and so are the edges of things.
+# Pixels: error of unrefined poses, and uncertainty of the edges of things.
 _AROUND = 7
 _PATCHES = 1500
-_STEEPEST = 0.1  # cosine of the slant beyond which a patch's area means little
+_STEEPEST = 0.1  # cosine of the slant beyond which a patch's area is unreliable
 
 
 @dataclass(frozen=True, eq=False)

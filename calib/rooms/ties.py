@@ -12,15 +12,15 @@ from calib.rooms.likelihood import PLANE, AnyLayout, AnyPart, Fit, Part
 from calib.rooms.planes import PER_PLANE, RoomPlane
 from calib.rooms.scores import PatchSums, reweighted, score
 
-WRONG_TIE = 30.0  # per degree of freedom, over the usual one
+WRONG_TIE = 30.0  # per degree of freedom, relative to the usual value
 
 
 def tie_scores(
     patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], variances: Sequence[Floats], free: Bools
 ) -> tuple[Floats, Floats]:
-    """Rao's score of each patch for a plane of its own, which is χ², and its degrees of freedom, (patches,) each.
+    """Rao's score, a χ² statistic, of a separate plane for each patch, and its degrees of freedom, (patches,) each.
 
-    A plane that one patch is on has no freedom. Scores of patches on one plane tell the same: of two they are equal.
+    A plane with one patch has no freedom. Scores of patches on one plane are dependent: those of two are equal.
     """
     covariance = covariance_of(fit.information, free)
     planes = np.array([patch.plane for patch in patches])
@@ -55,7 +55,7 @@ def plane_scores(
 
 
 def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tuple[float, float]:
-    """Of the patches' planes, each a plane of its own."""
+    """Scores of separate planes for the patches."""
     across = np.zeros((len(patches) * PER_PLANE, len(step)))
     for rows, each in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
         rows[:, each.columns] = each.information[PLANE] @ each.by_room
@@ -66,7 +66,7 @@ def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tu
 
 
 def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:
-    """One part on a plane of its own, added to the layout's, which begins where the common one is."""
+    """One part on a separate plane, added to the layout's, which starts at the common one."""
     part = parts[number]
     own = layout.planes[part.plane]
     more = replace(layout, planes=(*layout.planes, RoomPlane(own.normal, own.offset)))

@@ -50,7 +50,7 @@ class Track:
             facing = turned @ plane.normal
             depth = (plane.offset - float(plane.normal @ place.translation)) / facing
             at = depth[:, None] * turned
-            # A point moves along its ray until it is on the plane again; only what is along the plane counts.
+            # A point moves along its ray back to the plane; only the displacement along the plane counts.
             onto = axes.T - (turned @ axes / facing[:, None])[:, :, None] * plane.normal
             off += sign * (at + place.translation) @ axes
             along_ray = sign * turned @ axes / facing[:, None]

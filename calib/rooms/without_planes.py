@@ -1,6 +1,6 @@
-"""Stations that see nothing flat, a shell on a turntable say: one estimate from the surfaces that they share alone.
+"""Stations without planes, such as a shell on a turntable: one estimate from their common surfaces alone.
 
-The rig is what a calibration says of it, for surfaces of any shape tell little of a rig.
+The rig is fixed to its calibration, because surfaces of arbitrary shape hardly constrain it.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from calib.rooms.noise import Levels
 from calib.rooms.priors import RigPrior, RoomPrior, rig_of
 from calib.rooms.room import Room
 
-_MATCH_PX = 1 / np.sqrt(12.0)  # of plain Gray code, where matches do not state their noise
-_ANY_TURN = 1.0  # radians
+_MATCH_PX = 1 / np.sqrt(12.0)  # sigma of plain Gray code, if matches do not state theirs
+_FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
 
 
 def estimate_without_planes(
@@ -32,7 +32,7 @@ def estimate_without_planes(
     """
     room = Room(rig_of(start), tuple(places), ())
     reach = _reach(loose, room.rig)
-    known = RoomPrior.of(prior, (), 0.0, room, (_ANY_TURN, reach))
+    known = RoomPrior.of(prior, (), 0.0, room, (_FREE_ROTATION, reach))
     free = known.free(np.zeros(0, np.bool_))
     contacts: tuple[Contact, ...] = ()
     fit = minimise((), room, known, (), free)
@@ -40,7 +40,7 @@ def estimate_without_planes(
         contacts = find_contacts(loose, fit.layout, [_MATCH_PX] * len(loose), share * reach, SMOOTH)
         if not contacts:
             raise RefusalError(
-                "The stations' surfaces do not lie on each other closely enough to be estimated together.",
+                "The stations' surfaces are too far apart to be estimated together.",
                 "Take stations that overlap more.",
             )
         fit = minimise((), fit.layout, known, (), free, joints=contacts)

@@ -75,7 +75,7 @@ def random_boards(rng: np.random.Generator, options: BoardOptions | None = None,
     distance = float(np.mean(options.distance))
     target = np.array([0.0, 0.0, distance])
     eye = np.array([rng.uniform(0.2, 0.3) * rng.choice([-1, 1]), rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05)])
-    # The middle of the projector's picture, not its principal point, is on the target, as with most projectors.
+    # The middle of the projector's picture is on the target; its principal point is not, as with most projectors.
     _, throw = options.projector.unproject(np.array([[options.projector.width / 2, options.projector.height / 2]]))[
         0, :2
     ]

@@ -1,7 +1,7 @@
-"""Several cameras and projectors in a made-up room, all turned towards one corner of it: matches of each pair.
+"""Several cameras and projectors in a synthetic room, all facing one corner: matches of each pair.
 
-As in `calib.synthetic.rooms`: the projector's rays meet walls and boxes, what a camera sees of that is projected into
-it, and noise is added to the projector's pixels.
+As in `calib.synthetic.rooms`, the projector's rays are intersected with walls and boxes, visible points are projected
+into the camera, and noise is added to the projector's pixels.
 """
 
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ class SyntheticNetwork:
 def random_network(
     rng: np.random.Generator, cameras: int, projectors: int, options: RoomOptions | None = None
 ) -> SyntheticNetwork:
-    """Devices `camera1`, …, `projector1`, … Raises ValueError if no room is found in which all see the corner."""
+    """Devices `camera1`, …, `projector1`, … Raises ValueError if no room is found where all see the corner."""
     options = options or RoomOptions(boxes=2, count=40_000)
     names = [*(f"camera{i + 1}" for i in range(cameras)), *(f"projector{i + 1}" for i in range(projectors))]
     for _ in range(_ATTEMPTS):

@@ -67,7 +67,7 @@ class SyntheticStation:
 class SyntheticRoom:
     """Stations with their ground truth, in metres.
 
-    Planes normal · X = offset, `normals` (P, 3) towards whoever sees them: floor, ceiling, four walls, then the boxes'.
+    Planes normal · X = offset, `normals` (P, 3) into the room: floor, ceiling, four walls, then those of the boxes.
     """
 
     stations: tuple[SyntheticStation, ...]

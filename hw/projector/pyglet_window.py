@@ -133,7 +133,7 @@ def _serve(connection: Connection) -> None:
     connection.send(("done", screens()))
     command, screen = connection.recv()
     if command != "open":
-        raise ValueError(f"expected to be told the screen, found {command!r}")
+        raise ValueError(f"expected the screen to open, found {command!r}")
     window = FullScreenWindow(screen)
     connection.send(("done", window.renderer))
     orders: SimpleQueue[tuple[str, Any]] = SimpleQueue()

@@ -11,6 +11,9 @@ Indices = NDArray[np.int64]
 
 
 def sparse_matrix(rows: Indices, columns: Indices, values: Floats, shape: tuple[int, int]) -> sparse.csr_array:
-    """A single-precision matrix from k entries (n, k) in each row (n,) named; entries in the same place add up."""
+    """A single-precision matrix with k entries, `columns` and `values` (n, k), in each of the `rows` (n,).
+
+    Entries at the same place are added.
+    """
     repeated = np.repeat(rows, columns.shape[1])
     return sparse.csr_array((values.astype(np.float32).ravel(), (repeated, columns.ravel())), shape=shape)

@@ -1,7 +1,8 @@
-"""A printed board: held before the rig, slightly bent, in a pose that is drawn from the seed; or lying on the floor.
+"""A printed board: slightly bent and held in front of the rig, in a pose drawn from the seed; or lying on the floor.
 
-Written on its own, not on top of the calibration's model of a board. It hides what is behind it, and gets the ambient
-and indirect light that this had; it throws no shadow on the room, and sends no light back to it.
+It does not use the calibration's model of a board, so that an error in either shows. The board hides what is behind it.
+It receives the ambient and indirect light of the surfaces that it hides. It casts no shadow on the room, and reflects
+no light back to it.
 """
 
 from dataclasses import dataclass, replace
@@ -21,21 +22,21 @@ _WHITE, _BLACK = 0.85, 0.06
 _RIM, _CHARUCO_RIM = 1.0, 0.25  # white squares around what is printed
 _STEPS = 5
 _ATTEMPTS = 4000
-_STREAM, _FLOOR_STREAM = 103, 104  # apart from all other random numbers
+_STREAM, _FLOOR_STREAM = 103, 104  # streams of random numbers that nothing else uses
 _TILT_DEG = (10.0, 40.0)
 _PAPER_M = 1e-4
 _FLOOR_M = (0.1, 2.5)  # from either wall
-_MODULES_PX = 100  # of a ChArUco board's square as it is drawn, of which the marker has 70: seven modules of 10
+_MODULES_PX = 100  # per square of a drawn ChArUco board; its marker has 70, seven modules of 10
 _MARKER = 0.7
-_SHARE = (0.5, 1.0)  # of the projected picture's height that the board's longer side has
+_SHARE = (0.5, 1.0)  # the board's longer side over the height of the projected picture
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A board of `columns` × `rows` squares; `rotation` (3, 3) from its axes, `middle` (3,), in the world.
+class Board:
+    """A board of `columns` × `rows` squares. `rotation` (3, 3) from its axes to the world, `middle` (3,) in the world.
 
-    A point (u, v) of it, in metres from its middle, is `reach` (c₀ a² + c₁ ab + c₂ b²) off its plane, with
-    (a, b) = (u, v) / `reach` and c the `bend` (3,). `printed` (H, W): what is on it; None for a chessboard.
+    A point at (u, v) metres from the middle is off the board's plane by `reach` (c₀ a² + c₁ ab + c₂ b²), with
+    (a, b) = (u, v) / `reach` and c the `bend` (3,). `printed` (H, W): the printed image; None for a chessboard.
     """
 
     columns: int
@@ -48,17 +49,17 @@ class Sheet:
 
     @property
     def half(self) -> Floats:
-        """Half its size along u and v, with the rim, in metres."""
+        """Half the size along u and v, with the rim, in metres, (2,)."""
         return self.square_m * (np.array([self.columns, self.rows]) / 2 + self.rim)
 
     @property
     def rim(self) -> float:
-        """In squares."""
+        """Width of the white rim, in squares."""
         return _RIM if self.printed is None else _CHARUCO_RIM
 
     @property
     def reach(self) -> float:
-        """Half the longer side of the checks."""
+        """Half the longer side of the printed squares, in metres."""
         return self.square_m * max(self.columns, self.rows) / 2
 
     @property
@@ -69,13 +70,16 @@ class Sheet:
         return (np.stack([column.ravel(), row.ravel()], axis=1) - counts / 2) * self.square_m
 
     def points(self, uv: Floats) -> Floats:
-        """Points (3, n) of the world at (u, v), (2, n)."""
+        """Board coordinates (u, v), (2, n), in metres → points (3, n) in the world."""
         heights, _ = self._surface(uv)
         points: Floats = self.rotation @ np.vstack([uv, heights]) + self.middle[:, None]
         return points
 
-    def meet(self, origin: Floats, directions: Floats) -> tuple[Floats, Bools]:
-        """Where rays (3, n) from an origin (3,) meet it: (u, v), (2, n), and whether they do at all, (n,)."""
+    def intersect(self, origin: Floats, directions: Floats) -> tuple[Floats, Bools]:
+        """Intersect rays (3, n) from an origin (3,) with the board.
+
+        Returns (u, v), (2, n), and whether each ray hits the board, (n,).
+        """
         local = self.rotation.T @ directions
         start = self.rotation.T @ (origin - self.middle)
         t = -start[2] / local[2]
@@ -88,14 +92,14 @@ class Sheet:
         return uv, hit
 
     def normals(self, uv: Floats) -> Floats:
-        """Unit normals (3, n) towards negative z of the board: to where it is read from."""
+        """Unit normals (3, n) on the printed side, which faces negative z of the board."""
         _, slopes = self._surface(uv)
         normals = self.rotation @ np.vstack([slopes, -np.ones(slopes.shape[1])])
         unit: Floats = normals / np.linalg.norm(normals, axis=0)
         return unit
 
     def albedo(self, uv: Floats) -> Floats:
-        """Printed black and white, (n,)."""
+        """Albedo (n,) of the black and white print at (u, v), (2, n)."""
         counts = np.array([[self.columns], [self.rows]])
         place = uv / self.square_m + counts / 2
         cell = np.floor(place)
@@ -107,7 +111,7 @@ class Sheet:
         return albedo
 
     def _surface(self, uv: Floats) -> tuple[Floats, Floats]:
-        """Heights (n,) and slopes (2, n)."""
+        """Heights (n,) above the plane and slopes (2, n) at (u, v), (2, n)."""
         a, b = uv / self.reach
         c0, c1, c2 = self.bend
         heights = self.reach * (c0 * a * a + c1 * a * b + c2 * b * b)
@@ -116,15 +120,15 @@ class Sheet:
 
 def draw_board(
     settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
-) -> Sheet:
-    """The board at its pose number `settings.pose`, wholly in both pictures, or on the floor of a scene.
+) -> Board:
+    """Draw the board in pose number `settings.pose`, completely inside both devices' views, or on the floor of a scene.
 
-    Raises DeviceError if there is no such place.
+    Raises DeviceError if no such pose is found.
     """
     if settings.on_floor:
-        board = _lying(settings, seed, camera, projector, scene)
+        board = _on_floor(settings, seed, camera, projector, scene)
     else:
-        board = _held(settings, seed, camera, projector)
+        board = _held_up(settings, seed, camera, projector)
     if board is None:
         raise DeviceError(
             f"the simulated rig of seed {seed} sees no {settings.kind} of {settings.columns} × {settings.rows} with "
@@ -133,7 +137,7 @@ def draw_board(
     return board
 
 
-def _unplaced(settings: BoardSettings, bend: Floats) -> Sheet:
+def _unplaced(settings: BoardSettings, bend: Floats) -> Board:
     columns, rows = settings.columns, settings.rows
     printed = None
     if settings.kind == "charuco":
@@ -142,35 +146,37 @@ def _unplaced(settings: BoardSettings, bend: Floats) -> Sheet:
         printed = np.asarray(drawn.generateImage((_MODULES_PX * columns, _MODULES_PX * rows)), np.uint8)
     else:
         columns, rows = columns + 1, rows + 1
-    return Sheet(columns, rows, settings.square_m, bend, np.eye(3), np.zeros(3), printed)
+    return Board(columns, rows, settings.square_m, bend, np.eye(3), np.zeros(3), printed)
 
 
-def _lying(
+def _on_floor(
     settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice, scene: Scene
-) -> Sheet | None:
-    """On the floor, where neither device's view of it is hidden: in the same place for all views that leave it free."""
+) -> Board | None:
+    """Place the board on the floor where neither view of it is occluded. Views that leave a place free share that
+    place.
+    """
     rng = np.random.default_rng([seed, _FLOOR_STREAM])
     sheet = _unplaced(settings, np.zeros(3))
     for _ in range(_ATTEMPTS):
         x, y = rng.uniform(*_FLOOR_M, 2)
         heading = rng.uniform(-np.pi, np.pi)
         cosine, sine = np.cos(heading), np.sin(heading)
-        # It is read from above, from where its z axis points away.
+        # The printed side faces up, so the z axis points down.
         rotation = np.array([[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]])
         board = replace(sheet, rotation=rotation, middle=np.array([x, y, _PAPER_M]))
-        if all(_whole(board, device) and _free(board, device, scene) for device in (camera, projector)):
+        if all(_fully_visible(board, device) and _unoccluded(board, device, scene) for device in (camera, projector)):
             return board
     return None
 
 
-def _free(board: Sheet, device: PlacedDevice, scene: Scene) -> bool:
-    """Whether nothing but the floor is behind or before any part of a board that lies there."""
+def _unoccluded(board: Board, device: PlacedDevice, scene: Scene) -> bool:
+    """Whether nothing occludes any part of a board on the floor from a device."""
     around = np.stack(np.meshgrid(*(np.linspace(-half, half, 9) for half in board.half))).reshape(2, -1)
     _, surface = scene.cast(device.centre[:, None], board.points(around) - device.centre[:, None])
     return bool(np.all(scene.labels[surface] == Label.FLOOR))
 
 
-def _held(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> Sheet | None:
+def _held_up(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: PlacedDevice) -> Board | None:
     shape = np.random.default_rng([seed, _STREAM])
     sheet = _unplaced(settings, shape.normal(0.0, settings.bend, 3))
     rng = np.random.default_rng([seed, _STREAM, settings.pose])
@@ -185,13 +191,13 @@ def _held(settings: BoardSettings, seed: int, camera: PlacedDevice, projector: P
         turn = Rotation.from_rotvec(tilt) * Rotation.from_rotvec([0, 0, rng.uniform(-np.pi, np.pi)])
         rotation = camera.rotation.T @ np.asarray(turn.as_matrix(), np.float64)
         board = replace(sheet, rotation=rotation, middle=middle)
-        if _whole(board, camera) and _whole(board, projector):
+        if _fully_visible(board, camera) and _fully_visible(board, projector):
             return board
     return None
 
 
-def _whole(board: Sheet, device: PlacedDevice) -> bool:
-    """Whether a device sees all of the checks from the front."""
+def _fully_visible(board: Board, device: PlacedDevice) -> bool:
+    """Whether a device sees all printed squares from the front."""
     reach = board.half - board.rim / 2 * board.square_m
     around = np.array([[-1, 1, 1, -1], [-1, -1, 1, 1]]) * reach[:, None]
     points = board.points(around)
@@ -200,13 +206,13 @@ def _whole(board: Sheet, device: PlacedDevice) -> bool:
     return bool(np.all(depths > 0) and device.optics.sees(pixels).all() and np.all(facing > 0))
 
 
-def before(
+def with_board(
     room: tuple[sparse.csr_array, sparse.csr_array], pixels: Ints, gain: Floats, direct: sparse.csr_array, samples: int
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Footprints (direct, indirect) of camera pixels in a room, with a board before it.
+    """Footprints (direct, indirect) of camera pixels in a room with a board in front of it.
 
-    `pixels` (n,): which pixel each sample that meets the board belongs to, of so many `samples` in each; `gain` (n,):
-    from irradiance to brightness; `direct`: the board's own.
+    `pixels` (n,): the pixel of each sample that hits the board; every pixel has `samples` samples. `gain` (n,): from
+    irradiance to brightness. `direct`: the board's own direct footprint.
     """
     count = room[0].shape[0]
     free = 1 - np.bincount(pixels, minlength=count) / samples

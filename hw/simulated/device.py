@@ -1,6 +1,6 @@
-"""A device in the room: a pinhole with a radially distorting lens, used by the camera and the projector alike.
+"""A device in the room: a pinhole with radial lens distortion, used for the camera and the projector alike.
 
-Written on its own, not on top of the calibration's camera model, so that a mistake in either shows.
+It does not use the calibration's camera model, so that an error in either shows.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from calib.numerics import Bools, Floats
 
 _KNOTS = 4096
-_MARGIN = 1.5  # the lens is modelled out to this multiple of the image's half diagonal
+_MARGIN = 1.5  # multiple of the image's half diagonal to which the lens is modelled
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Optics:
         return np.stack([x, y, np.ones_like(x)])
 
     def sees(self, pixels: Floats, margin_px: float = 0.0) -> Bools:
-        """Whether pixels (2, n) are within the image, its outermost pixels' outer edges widened by a margin."""
+        """Whether pixels (2, n) are within the outer edges of the image, enlarged by a margin."""
         reach = 0.5 + margin_px
         x, y = pixels
         with np.errstate(invalid="ignore"):
@@ -60,7 +60,9 @@ class Optics:
         return inside
 
     def vignetting(self, pixels: Floats, loss: float) -> Floats:
-        """Relative brightness (n,) at pixels (2, n): 1 on the axis, falling with r² by `loss` to the far corner."""
+        """Relative brightness (n,) at pixels (2, n): 1 on the axis, decreasing with r² by `loss` at the farthest
+        corner.
+        """
         x0, y0 = self.principal_point_px
         r2 = ((pixels[0] - x0) ** 2 + (pixels[1] - y0) ** 2) / self.focal_px**2
         brightness: Floats = 1.0 - loss * r2 / self.corner_radius**2
@@ -68,7 +70,7 @@ class Optics:
 
     @cached_property
     def _inverse_lens(self) -> tuple[Floats, Floats]:
-        """Squared distorted radius and ideal / distorted radius, as a table: linear between knots to about 1e-9."""
+        """Squared distorted radius and ideal / distorted radius, as a table. Interpolation errs by about 1e-9."""
         r2 = np.linspace(0.0, (_MARGIN * self.corner_radius) ** 2, _KNOTS)
         scale = 1 + r2 * (self.k1 + r2 * self.k2)
         return r2 * scale**2, 1 / scale
@@ -76,14 +78,14 @@ class Optics:
 
 @dataclass(frozen=True)
 class PlacedDevice:
-    """Optics at a place: X_device = rotation (X_world − centre); `rotation` (3, 3), `centre` (3,) in metres."""
+    """Optics with a pose: X_device = rotation (X_world − centre); `rotation` (3, 3), `centre` (3,) in metres."""
 
     optics: Optics
     rotation: Floats
     centre: Floats
 
     def rays(self, pixels: Floats) -> Floats:
-        """Pixels (2, n) → directions (3, n) in the world; their length along the optical axis is 1."""
+        """Pixels (2, n) → directions (3, n) in the world, of length 1 along the optical axis."""
         directions: Floats = self.rotation.T @ self.optics.to_rays(pixels)
         return directions
 

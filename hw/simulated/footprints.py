@@ -1,7 +1,7 @@
-"""What each camera pixel sees of the scene, found once by casting rays, as matrices.
+"""What each camera pixel sees of the scene, as matrices. Rays are cast once for all pictures.
 
-A pixel that sees one surface without the projector's light needs one ray. All others get a grid of rays each, so that
-edges, shadows and fringes are averaged over the pixel's area.
+A pixel that sees one surface outside the projector's light needs one ray. Every other pixel gets a grid of rays, which
+averages edges, shadows and fringes over the pixel's area.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from scipy import ndimage, sparse
 
 from calib.numerics import Bools, Floats, Ints, in_parallel
 from hw.simulated.arrays import Indices, sparse_matrix
-from hw.simulated.board import Sheet, before
+from hw.simulated.board import Board, with_board
 from hw.simulated.device import PlacedDevice
 from hw.simulated.illumination import SPILL_PX, ProjectorLight
 from hw.simulated.mesh import Mesh
@@ -26,8 +26,10 @@ _STRIP_PIXELS = 1 << 14  # small enough for its arrays to stay in cache
 
 @dataclass(frozen=True)
 class Footprints:
-    """Brightness of camera pixels, rows in the pixels' order, is `direct` times the projector's fine image
-    (`PictureOptics.blurred`) plus `indirect` times the irradiance of the mesh's nodes.
+    """Linear maps to the brightness of camera pixels, one row per pixel.
+
+    The brightness is `direct` times the projector's fine image (`PictureOptics.blurred`) plus `indirect` times the
+    irradiance of the mesh's nodes.
     """
 
     direct: sparse.csr_array
@@ -36,8 +38,9 @@ class Footprints:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What n rays of the camera meet: `surface` (n,), `points` (3, n), `uv` (2, n), and the `gain` (n,) from
-    irradiance there to brightness in the camera.
+    """What n camera rays hit: `surface` (n,), `points` (3, n), `uv` (2, n).
+
+    `gain` (n,): from the irradiance there to brightness in the camera.
     """
 
     surface: Ints
@@ -48,10 +51,11 @@ class _Seen:
 
 @dataclass(frozen=True)
 class FootprintCaster:
-    """Casts the rays of camera pixels, a strip of rows at a time; `samples` × `samples` rays for a detailed pixel.
+    """Casts the rays of camera pixels, one strip of rows at a time, with `samples` × `samples` rays per detailed pixel.
 
-    `stand_in` (nodes,): the node whose light to use at each node. `painted` (surfaces,): the surface of texture and
-    mesh that each surface of the scene looks like; None if all look like themselves. `board`: what is held before it.
+    `stand_in` (nodes,): the node whose light replaces that of each node. `painted` (surfaces,): the surface whose
+    texture and mesh each surface of the scene uses; None if each uses its own. `board`: the board in front of the
+    scene.
     """
 
     light: ProjectorLight
@@ -62,13 +66,13 @@ class FootprintCaster:
     stand_in: Indices
     samples: int
     painted: Ints | None = None
-    board: Sheet | None = None
+    board: Board | None = None
 
     def moved(self, camera: PlacedDevice, projector: PlacedDevice, *blocks: Block) -> "FootprintCaster":
-        """The same with the devices elsewhere, and perhaps more `blocks` in the scene, which have the walls' paint."""
+        """The same caster with moved devices and additional `blocks` in the scene, painted like a wall."""
         scene, painted = self.light.scene, None
         if blocks:
-            # The surfaces of a scene are numbered: the room's, the blocks' in turn, the spheres'.
+            # Surfaces are numbered in this order: room, blocks, spheres.
             known = np.arange(scene.surface_count)
             painted = np.insert(known, scene.sphere_surface, np.full(6 * len(blocks), _OPPOSITE_WALL)).astype(np.int32)
             scene = replace(scene, blocks=(*scene.blocks, *blocks))
@@ -95,31 +99,31 @@ class FootprintCaster:
         footprints = Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
         return footprints if self.board is None else self._with_board(footprints, self.board, centres, within)
 
-    def _with_board(self, room: Footprints, board: Sheet, centres: Floats, within: Floats) -> Footprints:
-        """The same with the board before what it hides; as everywhere, `samples` × `samples` rays for each pixel."""
+    def _with_board(self, room: Footprints, board: Board, centres: Floats, within: Floats) -> Footprints:
+        """The same footprints with the board in front. Every pixel gets `samples` × `samples` rays."""
         per_pixel = self.samples**2
         pixels = (centres[:, :, None] + within).reshape(2, -1)
-        uv, hit = board.meet(self.camera.centre, self.camera.rays(pixels))
+        uv, hit = board.intersect(self.camera.centre, self.camera.rays(pixels))
         struck = np.flatnonzero(hit)
         uv = uv[:, struck]
         points, pixel = board.points(uv), struck // per_pixel
         gain = board.albedo(uv) * self.camera.optics.vignetting(pixels[:, struck], _CAMERA_VIGNETTING)
-        projected, irradiance = self.light.unhidden(points, board.normals(uv))
+        projected, irradiance = self.light.unoccluded(points, board.normals(uv))
         texels, weights = self.picture.interpolate(projected[:, irradiance > 0])
         lit = np.flatnonzero(irradiance)
         weights *= (gain[lit] * irradiance[lit] / per_pixel)[:, None]
         direct = sparse_matrix(pixel[lit], texels, weights, (centres.shape[1], self.picture.fine_count))
-        return Footprints(*before((room.direct, room.indirect), pixel, gain, direct, per_pixel))
+        return Footprints(*with_board((room.direct, room.indirect), pixel, gain, direct, per_pixel))
 
     def _detailed(self, rows: range) -> Bools:
-        """Pixels that may see more than one surface or the projector's light, (pixels,), judged by their neighbours."""
+        """Pixels that may see several surfaces or the projector's light, (pixels,), judged by their neighbours."""
         width = self.camera.optics.width
         wider = range(rows.start - 1, rows.stop + 1)
         directions = self.camera.rays(_pixel_centres(wider, width + 2) - [[1.0], [0.0]])
         t, surface = self.light.scene.cast(self.camera.centre[:, None], directions)
         pixels, _ = self.light.projector.project(self.camera.centre[:, None] + t * directions)
         lit = self.light.projector.optics.sees(pixels, SPILL_PX)
-        # One number for surface and light: a pixel among equal, unlit neighbours is plain.
+        # −1 marks lit pixels: a pixel whose neighbours show the same unlit surface is not detailed.
         kind = np.where(lit, -1, surface).reshape(len(wider), width + 2)
         lowest, highest = ndimage.minimum_filter(kind, 3), ndimage.maximum_filter(kind, 3)
         detailed: Bools = ((lowest != highest) | (lowest < 0))[1:-1, 1:-1].ravel()
@@ -144,7 +148,7 @@ class FootprintCaster:
         return sparse_matrix(pixel[lit // self.samples**2], texels, weights, (count, self.picture.fine_count))
 
     def _indirect(self, detailed: Indices, seen: _Seen, centres: Floats) -> sparse.csr_array:
-        """Pixels that see one surface take the light at their centre, others that of each of their samples."""
+        """Pixels that see one surface take the light at their centre. Others average over their samples."""
         per_pixel = self.samples**2
         surface = seen.surface.reshape(-1, per_pixel)
         mixed = (surface != surface[:, :1]).any(axis=1)
@@ -172,7 +176,7 @@ class FootprintCaster:
 
 
 def samples_per_pixel(camera: PlacedDevice, projector: PlacedDevice) -> int:
-    """Samples across a camera pixel: enough that neighbours are about half a projector pixel apart."""
+    """Samples across a camera pixel, so that neighbouring samples are about half a projector pixel apart."""
     ratio = projector.optics.focal_px / camera.optics.focal_px
     return int(np.clip(np.ceil(2 * ratio), 2, 8))
 

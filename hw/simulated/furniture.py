@@ -1,18 +1,18 @@
-"""What stands in the room: boxes, a cupboard against a wall, a sphere, and perhaps a box in the corner."""
+"""Furniture of a room: boxes, a cupboard against a wall, a sphere, and optionally a box in the corner."""
 
 import numpy as np
 
 from calib.numerics import Floats
 from hw.simulated.shapes import Block, Sphere
 
-# Furniture reaches this far into floor, wall or the box below, so that no gap lets light through.
+# Furniture overlaps the floor, the wall or the box below by this much, so that no light passes through a gap.
 EMBEDDED_M = 0.004
 
 
 def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: float) -> tuple[tuple[Block, ...], Sphere]:
-    """Three cardboard boxes of any heading, two of them stacked; a cupboard; a sphere on the floor or on a box.
+    """Three cardboard boxes with any heading, two of them stacked; a cupboard; a sphere on the floor.
 
-    `askew`: the angle in radians by which the cupboard is turned from its wall.
+    `askew`: the angle in radians between the cupboard and its wall.
     """
     large = _standing(rng, rng.uniform((0.25, 0.25, 0.15), (0.45, 0.4, 0.4)), _place(rng, 0.45, 1.1))
     stacked = _on_top(rng, large, rng.uniform((0.12, 0.12, 0.08), (0.2, 0.2, 0.2)))
@@ -23,8 +23,8 @@ def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: floa
     return (large, stacked, other, cupboard), sphere
 
 
-def draw_other_end(rng: np.random.Generator, sphere: Sphere, length_m: float) -> Sphere:
-    """The second sphere of a ball bar of a length between centres, level or raised, in any direction."""
+def draw_second_sphere(rng: np.random.Generator, sphere: Sphere, length_m: float) -> Sphere:
+    """The second sphere of a ball bar. `length_m` is between centres; the bar is level or raised, in any direction."""
     azimuth, height = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.8)
     level = np.sqrt(1 - height**2)
     direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
@@ -32,7 +32,7 @@ def draw_other_end(rng: np.random.Generator, sphere: Sphere, length_m: float) ->
 
 
 def draw_corner_box(rng: np.random.Generator) -> Block:
-    """A box pushed into the corner, not quite square to the walls."""
+    """A box pushed into the corner, almost square to the walls."""
     size = rng.uniform((0.15, 0.15, 0.15), (0.3, 0.3, 0.3))
     heading = rng.uniform(-0.15, 0.15)
     reach = 0.5 * (abs(np.cos(heading)) + abs(np.sin(heading))) * size[:2].max()
@@ -40,7 +40,7 @@ def draw_corner_box(rng: np.random.Generator) -> Block:
 
 
 def overlap(first: Block | Sphere, second: Block | Sphere) -> bool:
-    """Whether two solids share points of a lattice over either."""
+    """Whether two solids intersect, tested at the points of a lattice in either."""
     return bool(first.contains(_lattice(second)).any() or second.contains(_lattice(first)).any())
 
 
@@ -59,7 +59,7 @@ def _on_top(rng: np.random.Generator, below: Block, size: Floats) -> Block:
 
 
 def _against_wall(rng: np.random.Generator, size: Floats, start: float, askew: float) -> Block:
-    """A cupboard with its back, or an edge of it, in one of the two walls, `start` metres from the corner."""
+    """A cupboard that touches one of the two walls with its back or an edge, `start` metres from the corner."""
     width, depth, height = size
     away = (width * abs(np.sin(askew)) + depth * np.cos(askew)) / 2 - EMBEDDED_M
     if rng.random() < 0.5:
@@ -68,7 +68,7 @@ def _against_wall(rng: np.random.Generator, size: Floats, start: float, askew: f
 
 
 def box(size: Floats, place: Floats, heading: float, floor: float = 0.0) -> Block:
-    """A box of size (along, across, up) whose base is centred at `place` (2,), turned by `heading` radians."""
+    """A box of `size` (along, across, up) whose base is centred at `place` (2,), rotated by `heading` radians."""
     cosine, sine = np.cos(heading), np.sin(heading)
     turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     edges = turned * (size + np.array([0.0, 0.0, EMBEDDED_M]))[:, None]

@@ -1,9 +1,9 @@
-"""Where the light that falls on a node comes from, found by casting rays from it.
+"""The sources of the light that reaches each node, found by casting rays from the node.
 
-Each node sends rays from all over the area that it stands for, in directions distributed with the cosine to the
-normal, so that every ray carries the same share of the irradiance (the form factor to a surface is the share of rays
-that meet it: Malley's method; Cohen and Wallace, Radiosity and Realistic Image Synthesis, 1993, section 4.3). In a
-closed room the shares sum to one, and so energy is conserved whatever the number of rays.
+Each node casts rays from its whole support, in directions distributed with the cosine to the normal. Every ray then
+carries the same share of the irradiance: the form factor to a surface is the share of rays that hit it (Malley's
+method; Cohen and Wallace, Radiosity and Realistic Image Synthesis, 1993, section 4.3). In a closed room the shares sum
+to one, so energy is conserved for any number of rays.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from hw.simulated.mesh import Mesh
 from hw.simulated.picture import PictureOptics
 from hw.simulated.texture import Texture
 
-_BATCH_RAYS = 1 << 15  # small enough for their arrays to stay in cache
-# A ray averages the picture over this many times the width of its own part of the hemisphere. Overlapping footprints
-# keep fringes that should cancel from aliasing; they blur by some ten degrees a kernel that is ninety wide.
+_BATCH_RAYS = 1 << 15  # small enough for the arrays to stay in cache
+# A ray averages the picture over this multiple of the width of its part of the hemisphere. Overlapping footprints
+# prevent aliasing of fringes that should cancel. They blur a kernel of ninety degrees by about ten.
 _WIDENING = 3.0
-_LIFT_M = 1e-4  # rays start this far off their surface
+_LIFT_M = 1e-4  # distance of the start of a ray from its surface
 CEILING = 5  # the ceiling's number among the surfaces
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """Linear maps to the irradiance of nodes, rows in the nodes' order.
+    """Linear maps to the irradiance of nodes, one row per node.
 
     `from_picture`: from a picture's pyramid, over one diffuse reflection. `from_nodes`: from the irradiance of the
-    solving nodes, over one reflection. `from_ceiling`: irradiance per unit of radiosity that the ceiling emits, (n,).
-    `exposed` (n,): nodes in the room's air; the rows of others are zero.
+    solving nodes, over one reflection. `from_ceiling` (n,): irradiance per unit of radiosity emitted by the ceiling.
+    `exposed` (n,): nodes that are not covered by a solid; the rows of others are zero.
     """
 
     from_picture: sparse.csr_array
@@ -43,7 +43,7 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Gatherer:
-    """Casts the rays and looks up what they meet."""
+    """Casts the rays of nodes and looks up the light where they hit."""
 
     light: ProjectorLight
     texture: Texture
@@ -51,7 +51,7 @@ class Gatherer:
     mesh: Mesh
 
     def gather(self, rays: int, rng: np.random.Generator) -> Gathered:
-        """The light of all nodes of the mesh, with so many rays for each."""
+        """The light of all nodes of the mesh, with `rays` rays per node."""
         charts = (*self.mesh.solving, *self.mesh.creases)
         surface = np.concatenate([np.full(chart.count, chart.surface, np.int32) for chart in charts])
         support = np.concatenate([chart.support() for chart in charts])
@@ -72,7 +72,7 @@ class Gatherer:
         free = np.flatnonzero(scene.is_free(origins))
         origins, directions, node = origins[:, free], directions[:, free], node[free]
         per_node = np.bincount(node, minlength=surface.size)
-        # A node counts as exposed if a fair part of its area is, so that its rays are many enough.
+        # A node counts as exposed only if enough of its rays start in free space.
         exposed = per_node > rays / 8
         share = np.where(exposed, 1 / np.maximum(per_node, 1), 0.0)[node]
 
@@ -111,7 +111,7 @@ class Gatherer:
     def _direct(self, surface: Ints, points: Floats, area_m2: Floats) -> tuple[Indices, Floats]:
         """Irradiance (n,) by the picture at points (3, n), and the texels (n,) that average it over areas (n,).
 
-        The areas are those across the rays; slant at either end only makes them larger, within what widening allows.
+        The areas are perpendicular to the rays. Slant at either end enlarges them by less than the widening factor.
         """
         optics = self.light.projector.optics
         pixels, irradiance = self.light.direct(surface, points)
@@ -139,9 +139,9 @@ def _cosine_distributed(normals: Floats, uniform: Floats) -> Floats:
 
 
 def _low_discrepancy(count: int) -> Floats:
-    """Evenly spread points, (count, 4) in [0, 1): where in the node's area, and in which direction.
+    """Evenly spread samples, (count, 4) in [0, 1): two for the position in the node's support, two for the direction.
 
-    Directions are a Fibonacci lattice, places the sequence R2 of Roberts (2018) with the root of x³ = x + 1.
+    Directions form a Fibonacci lattice. Positions are the R2 sequence of Roberts (2018), with the root of x³ = x + 1.
     """
     plastic, golden = 1.324717957244746, 1.618033988749895
     k = np.arange(count)

@@ -1,7 +1,8 @@
-"""Interreflection: the radiosity of a scene, the light that its surfaces send each other, solved once for all pictures.
+"""Interreflection: the radiosity of a scene, solved once for all pictures.
 
-With e the irradiance of the solving nodes by indirect light, p a picture's pyramid, D and G what `gather` finds:
-e = D p + G e, all orders of reflection. I − G is factored once; a picture then costs one substitution.
+Let e be the irradiance of the solving nodes by indirect light, p a picture's pyramid, and D and G the matrices of
+`gather`. Then e = D p + G e contains all orders of reflection. I − G is factored once; a picture then costs one
+substitution.
 """
 
 from dataclasses import dataclass
@@ -19,13 +20,13 @@ from hw.simulated.scene import Scene
 
 @dataclass(frozen=True)
 class Interreflection:
-    """Indirect irradiance at the nodes of a mesh, the solving ones first.
+    """Indirect irradiance at the nodes of a mesh, the solving nodes first.
 
-    `first` takes a picture's pyramid to the light after one reflection; `exchange`, the LU factors of I − G, that of
-    the solving nodes to their light after any number; `to_creases` the light of the solving nodes to the crease nodes.
-    `ceiling` (nodes,): irradiance per unit of radiosity that the ceiling emits. `stand_in` (nodes,): the node whose
-    light to take at each node; another one where furniture or the room's boundary covers the node, so that no darkness
-    leaks out from under the furniture.
+    `first` maps a picture's pyramid to the light after one reflection. `exchange`, the LU factors of I − G, maps this
+    light at the solving nodes to that after any number of reflections. `to_creases` maps the light of the solving nodes
+    to the crease nodes. `ceiling` (nodes,): irradiance per unit of radiosity emitted by the ceiling. `stand_in`
+    (nodes,): the node whose light to use at each node. It is another node where a solid covers the node, so that no
+    darkness appears around the base of furniture.
     """
 
     first: sparse.csr_array
@@ -35,7 +36,7 @@ class Interreflection:
     stand_in: Indices
 
     def irradiance(self, pyramid: Light) -> Light:
-        """Irradiance of all nodes by light that was reflected at least once, (nodes,), for a picture's pyramid."""
+        """Irradiance (nodes,) by light that was reflected at least once, for a picture's pyramid."""
         first: Light = self.first @ pyramid
         return _exchanged(first, self.exchange, self.to_creases)
 
@@ -53,7 +54,7 @@ def solve(scene: Scene, mesh: Mesh, gathered: Gathered) -> Interreflection:
 
 
 def _exchanged(first: Light, exchange: tuple[Light, Ints], to_creases: sparse.csr_array) -> Light:
-    """The irradiance of all nodes, (nodes,), from what they get by the first reflection or emission."""
+    """The irradiance of all nodes, (nodes,), from their irradiance by the first reflection or emission."""
     count = len(exchange[0])
     solving = linalg.lu_solve(exchange, first[:count], check_finite=False)
     light: Light = np.concatenate([solving, first[count:] + to_creases @ solving])
@@ -61,7 +62,7 @@ def _exchanged(first: Light, exchange: tuple[Light, Ints], to_creases: sparse.cs
 
 
 def _nearest_exposed(scene: Scene, mesh: Mesh, exposed: Bools) -> Indices:
-    """For each node the nearest exposed one of its kind (solving, crease) that faces the same way."""
+    """For each node the nearest exposed node of its kind (solving, crease) that faces the same way."""
     places = _places(scene, mesh)
     stand_in = np.arange(mesh.count)
     for first, end in ((0, mesh.solving_count), (mesh.solving_count, mesh.count)):
@@ -73,7 +74,7 @@ def _nearest_exposed(scene: Scene, mesh: Mesh, exposed: Bools) -> Indices:
 
 
 def _places(scene: Scene, mesh: Mesh) -> Floats:
-    """Position and normal of each node, (nodes, 6); a metre apart counts as much as a radian."""
+    """Position and normal of each node, (nodes, 6). One metre counts as much as one radian."""
     places = []
     for chart in (*mesh.solving, *mesh.creases):
         uv = np.stack(np.meshgrid(chart.u, chart.v)).reshape(2, -1)

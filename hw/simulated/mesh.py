@@ -1,8 +1,8 @@
 """Nodes on the surfaces of a scene, between which indirect light is interpolated.
 
-Two sets: *solving* nodes, graded on every surface, carry the exchange of light; *crease* nodes, fine, lie in strips
-along the corner's lit creases, where the light of the neighbouring face varies as fast as the picture does. Crease
-nodes receive light and send none. A whole room has no crease nodes, but solving nodes that are closer along every one.
+*Solving* nodes cover every surface with graded spacing and exchange light. *Crease* nodes are closely spaced, in strips
+along the lit creases of the corner, where the light from the neighbouring face varies as fast as the picture. Crease
+nodes receive light and send none. A whole room has no crease nodes; its solving nodes are closer along every crease.
 """
 
 from collections.abc import Iterator
@@ -18,13 +18,16 @@ from hw.simulated.scene import Scene
 _CREASE_WIDTH_M = 0.06
 _ACROSS_CREASE_M = np.array([0.0, 0.003, 0.008, 0.015, 0.025, 0.04, _CREASE_WIDTH_M])
 _BEYOND_LIGHT_M = 0.15
-_WALL_M = 2.0  # what is longer is a wall, and not furniture
-_ALONG_CREASE_PX = 2.0  # in projector pixels: the finest fringes in use are 6
+_WALL_M = 2.0  # a surface with a longer side is a wall
+_ALONG_CREASE_PX = 2.0  # spacing in projector pixels; the finest fringes in use have 6
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A grid of nodes on one surface: all pairs of `u` and `v` (rising, metres), numbered from `start`, u fastest."""
+    """A grid of nodes on one surface: all pairs of `u` and `v` (ascending, metres).
+
+    Nodes are numbered from `start`, u fastest.
+    """
 
     surface: int
     u: Floats
@@ -33,7 +36,7 @@ class Chart:
 
     @property
     def count(self) -> int:
-        """How many nodes there are."""
+        """The number of nodes."""
         return self.u.size * self.v.size
 
     def interpolate(self, uv: Floats) -> tuple[Indices, Floats]:
@@ -46,7 +49,7 @@ class Chart:
         return nodes, np.stack([left * down, right * down, left * up, right * up], axis=1)
 
     def support(self) -> Floats:
-        """The rectangle that each node stands for: (count, 2, 2), corner × (u, v)."""
+        """The rectangle that each node represents: (count, 2, 2), corner × (u, v)."""
         (u0, u1), (v0, v1) = _halfway(self.u), _halfway(self.v)
         low = np.stack(np.meshgrid(u0, v0), axis=-1).reshape(-1, 2)
         high = np.stack(np.meshgrid(u1, v1), axis=-1).reshape(-1, 2)
@@ -55,19 +58,19 @@ class Chart:
 
 @dataclass(frozen=True)
 class Mesh:
-    """One solving chart per surface, in the surfaces' order, and the crease charts."""
+    """One solving chart per surface, in the order of the surfaces, and the crease charts."""
 
     solving: tuple[Chart, ...]
     creases: tuple[Chart, ...]
 
     @property
     def solving_count(self) -> int:
-        """How many nodes take part in the exchange of light; they are numbered first."""
+        """The number of nodes that exchange light; they are numbered first."""
         return sum(chart.count for chart in self.solving)
 
     @property
     def count(self) -> int:
-        """How many nodes there are in all."""
+        """The number of all nodes."""
         return self.solving_count + sum(chart.count for chart in self.creases)
 
     def interpolate_solving(self, surface: Ints, uv: Floats) -> tuple[Indices, Floats]:
@@ -85,7 +88,7 @@ class Mesh:
 
 
 def build_mesh(light: ProjectorLight) -> Mesh:
-    """Nodes for a scene, fine along the creases where the projector lights them."""
+    """Nodes for a scene, closely spaced along the creases that the projector lights."""
     scene = light.scene
     solving: list[Chart] = []
     for surface in range(scene.surface_count):
@@ -110,7 +113,7 @@ def _lines(scene: Scene, surface: int, size: float) -> Floats:
 
 
 def _graded(size: float) -> Floats:
-    """Lines from 2 cm apart at a crease over 20 cm where the projector may reach to 45 cm."""
+    """Grid lines 2 cm apart at a crease, 20 cm within reach of the projector, and up to 45 cm beyond."""
     lines = [0.0]
     step = 0.02
     while lines[-1] + 1.5 * step < size:
@@ -120,7 +123,7 @@ def _graded(size: float) -> Floats:
 
 
 def _graded_from_both_ends(size: float) -> Floats:
-    """Lines from 4 cm apart at either end to 40 cm in the middle: a whole room has many creases."""
+    """Grid lines 4 cm apart at either end and up to 40 cm in the middle. A whole room has many creases."""
     half = [0.0]
     step = 0.04
     while half[-1] + 1.5 * step < size / 2:
@@ -145,7 +148,7 @@ def _crease_lines(light: ProjectorLight) -> Iterator[tuple[int, Floats, Floats]]
 
 
 def _lit_length(light: ProjectorLight, axis: int) -> float:
-    """How far from the vertex light from the projector's picture matters along an edge of the corner."""
+    """Length from the vertex along an edge of the corner on which the projector's light matters."""
     edge = light.scene.room.edges[axis]
     share = np.linspace(0.0, 1.0, 500)
     pixels, _ = light.projector.project(light.scene.room.origin[:, None] + edge[:, None] * share)
@@ -172,6 +175,6 @@ def _cell(lines: Floats, position: Floats) -> tuple[Indices, Floats]:
 
 
 def _halfway(lines: Floats) -> tuple[Floats, Floats]:
-    """Lower and upper ends of the interval that each line stands for."""
+    """Lower and upper ends of the interval that each grid line represents."""
     middles = (lines[1:] + lines[:-1]) / 2
     return np.append(lines[0], middles), np.append(middles, lines[-1])

@@ -1,4 +1,4 @@
-"""Devices that do not stand still during a capture: knocked against once, or turning slowly."""
+"""Devices that move during a capture: bumped once, or drifting."""
 
 from dataclasses import replace
 
@@ -8,12 +8,12 @@ from calib.numerics import Floats
 from hw.settings import BumpSettings, DriftSettings
 from hw.simulated.device import PlacedDevice
 
-# Where the head of the tripod is that a device turns about, in metres in the device's frame: below and behind the lens.
+# Centre of rotation in the device's frame, in metres: the head of the tripod, below and behind the lens.
 _HEAD_M = np.array([0.0, 0.15, -0.05])
 
 
 def offset_px(device: str, bump: BumpSettings, drift: DriftSettings, frame: int) -> Floats:
-    """How far the picture of a device ('camera', 'projector') has moved in a frame, (2,) in its own pixels."""
+    """Displacement of the picture of a device ('camera', 'projector') in a frame, (2,) in its own pixels."""
     offset = np.zeros(2)
     if bump.device == device and frame >= bump.frame:
         offset += bump.px * _direction(bump.direction_deg)
@@ -23,7 +23,7 @@ def offset_px(device: str, bump: BumpSettings, drift: DriftSettings, frame: int)
 
 
 def turned(device: PlacedDevice, px: Floats) -> PlacedDevice:
-    """A device on its tripod, turned so that what was on the axis moves by some pixels (2,) in its picture."""
+    """A device on its tripod, rotated so that the point on its axis moves by `px` (2,) pixels in its picture."""
     x, y = px / device.optics.focal_px
     axis = np.array([-y, x, 0.0])
     rotation = _rotation(axis) @ device.rotation
@@ -31,8 +31,10 @@ def turned(device: PlacedDevice, px: Floats) -> PlacedDevice:
     return replace(device, rotation=rotation, centre=head - rotation.T @ _HEAD_M)
 
 
-def steered(before: PlacedDevice, after: PlacedDevice) -> Floats:
-    """Takes pixels after a turn to those that looked the same way before it, (3, 3), without lens distortion."""
+def rotation_homography(before: PlacedDevice, after: PlacedDevice) -> Floats:
+    """Homography (3, 3) from pixels after a rotation to pixels with the same direction before it, without lens
+    distortion.
+    """
     matrix: Floats = _matrix(before) @ before.rotation @ after.rotation.T @ np.linalg.inv(_matrix(after))
     return matrix
 
@@ -42,7 +44,7 @@ def _direction(angle_deg: float) -> Floats:
 
 
 def _rotation(vector: Floats) -> Floats:
-    """About an axis (3,) at right angles to the optical one; its length is the tangent of the angle."""
+    """Rotation (3, 3) about an axis (3,) perpendicular to the optical axis. The length of the axis is tan(angle)."""
     tangent = float(np.linalg.norm(vector))
     if tangent == 0:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""From the picture that a projector is shown to the light that leaves its lens."""
+"""From the 8-bit picture sent to a projector to the light that leaves its lens."""
 
 from dataclasses import dataclass, replace
 
@@ -10,17 +10,17 @@ from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated.arrays import Indices, Light
 
 _OVERSAMPLING = 3
-_BORDER = 12  # black projector pixels around the picture, for light that blur spills over its edges
+_BORDER = 12  # black projector pixels around the picture, into which blur spreads light
 _PYRAMID_LEVELS = 7
 _SHARPENED_PX = 1.0
 
 
 @dataclass(frozen=True)
 class PictureOptics:
-    """Electronics, panel and lens of a projector; a picture's pixels are squares of even brightness.
+    """Electronics, panel and lens of a projector. A pixel is a square of uniform brightness.
 
-    `sharpening`, `stripe_loss`: as in the settings. `shape` (3, 3): takes the picture's pixels to the panel's, None if
-    they are the same.
+    `sharpening`, `stripe_loss`: as in the settings. `homography` (3, 3): from the picture's pixels to the panel's;
+    None for the identity.
     """
 
     width: int
@@ -30,10 +30,11 @@ class PictureOptics:
     blur_px: float
     sharpening: float = 0.0
     stripe_loss: float = 0.0
-    shape: Floats | None = None
+    homography: Floats | None = None
 
     def under(self, settings: SimulatedRigSettings) -> "PictureOptics":
-        """Those of a projector of the same size with other settings."""
+        """The same projector with other settings."""
+        default = settings.panel == PanelSettings()
         return replace(
             self,
             gamma=settings.gamma,
@@ -41,14 +42,14 @@ class PictureOptics:
             blur_px=settings.projector_blur_px,
             sharpening=settings.sharpening,
             stripe_loss=settings.stripe_loss,
-            shape=None if settings.panel == PanelSettings() else panel_shape(settings.panel, self.width, self.height),
+            homography=None if default else panel_homography(settings.panel, self.width, self.height),
         )
 
     def linear(self, picture: Image) -> Light:
-        """8-bit picture (H, W) → light (H, W) of the panel's pixels from 1 / contrast to 1."""
+        """8-bit picture (H, W) → light (H, W) of the panel pixels, from 1 / contrast to 1."""
         levels = picture.astype(np.float32)
-        if self.shape is not None:
-            levels = np.asarray(cv2.warpPerspective(levels, self.shape, (self.width, self.height)), np.float32)
+        if self.homography is not None:
+            levels = np.asarray(cv2.warpPerspective(levels, self.homography, (self.width, self.height)), np.float32)
         if self.sharpening:
             soft = cv2.GaussianBlur(levels, (0, 0), _SHARPENED_PX, borderType=cv2.BORDER_REPLICATE)
             levels = np.clip(levels + np.float32(self.sharpening) * (levels - soft), 0, 255)
@@ -56,15 +57,15 @@ class PictureOptics:
         light: Light = (black + (1.0 - black) * (levels / np.float32(255)) ** np.float32(self.gamma)).astype(np.float32)
         return self._after_crosstalk(light) if self.stripe_loss else light
 
-    def unshaped(self, pixels: Floats) -> Floats:
-        """The panel's pixels (2, n) → the picture's, (2, n)."""
-        if self.shape is None:
+    def to_picture(self, pixels: Floats) -> Floats:
+        """Panel pixels (2, n) → picture pixels (2, n)."""
+        if self.homography is None:
             return pixels
-        x, y, w = np.linalg.inv(self.shape) @ np.vstack([pixels, np.ones(pixels.shape[1])])
+        x, y, w = np.linalg.inv(self.homography) @ np.vstack([pixels, np.ones(pixels.shape[1])])
         return np.stack([x / w, y / w])
 
     def _after_crosstalk(self, light: Light) -> Light:
-        """Each pixel loses a share of what it has more than each of its four neighbours."""
+        """Each pixel loses a share of its excess over each of its four neighbours."""
         padded = np.pad(light, 1, mode="edge")
         neighbours = (padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1])
         lost = sum(np.maximum(light - other, 0) for other in neighbours)
@@ -72,7 +73,7 @@ class PictureOptics:
         return left
 
     def blurred(self, light: Light) -> Light:
-        """Light (H, W) → a finer image of it behind the lens, as a vector (fine_count,)."""
+        """Light (H, W) → oversampled image behind the lens, as a vector (fine_count,)."""
         fine = cv2.resize(light, None, fx=_OVERSAMPLING, fy=_OVERSAMPLING, interpolation=cv2.INTER_NEAREST)
         border = _BORDER * _OVERSAMPLING
         fine = cv2.copyMakeBorder(fine, border, border, border, border, cv2.BORDER_CONSTANT, value=0.0)
@@ -82,13 +83,14 @@ class PictureOptics:
 
     @property
     def fine_count(self) -> int:
-        """Length of what `blurred` returns."""
+        """Length of the vector of `blurred`."""
         width, height = self._fine_size()
         return width * height
 
     def interpolate(self, pixels: Floats) -> tuple[Indices, Floats]:
-        """Where in `blurred` the light of projector pixels (2, n) is: the four elements around each and their bilinear
-        weights, (n, 4) and (n, 4). Pixels may be outside of the picture by less than `_BORDER` - 1.
+        """The four elements of `blurred` around projector pixels (2, n), and their bilinear weights: (n, 4) and (n, 4).
+
+        Pixels may be outside the picture by less than `_BORDER` − 1.
         """
         width, _ = self._fine_size()
         position = (pixels + 0.5 + _BORDER) * _OVERSAMPLING - 0.5
@@ -109,11 +111,13 @@ class PictureOptics:
 
     @property
     def texel_count(self) -> int:
-        """Length of a pyramid."""
+        """Length of the vector of `pyramid`."""
         return sum(width * height for width, height in self._level_sizes())
 
     def texels(self, pixels: Floats, footprint_px: Floats) -> Indices:
-        """Which texel of the pyramid averages over about `footprint_px` (n,) pixels' width at pixels (2, n), (n,)."""
+        """Indices (n,) of the texels of the pyramid that average over about `footprint_px` (n,) pixels around pixels
+        (2, n).
+        """
         sizes = np.array(self._level_sizes())
         starts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))])
         level = np.rint(np.log2(np.maximum(footprint_px, 1.0))).astype(int).clip(0, _PYRAMID_LEVELS - 1)
@@ -130,17 +134,17 @@ class PictureOptics:
         return (self.width + 2 * _BORDER) * _OVERSAMPLING, (self.height + 2 * _BORDER) * _OVERSAMPLING
 
 
-def panel_shape(settings: PanelSettings, width: int, height: int) -> Floats:
-    """Takes the picture's pixels to the panel's, (3, 3); of a scale of one the bottom edge is kept."""
+def panel_homography(settings: PanelSettings, width: int, height: int) -> Floats:
+    """Homography (3, 3) from the picture's pixels to the panel's. A scale of one keeps the bottom edge."""
     across = settings.scale * settings.squeeze * (-1 if settings.mirrored else 1)
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     to_centre = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
-    # In units of half the height: the bottom, y = 1, is kept, the top, y = −1, is divided by 1 / (1 − keystone).
+    # In units of half the height: the bottom, y = 1, is unchanged; the top, y = −1, is scaled by 1 − keystone.
     lean = (1 / (1 - settings.keystone) - 1) / 2
     wide = 1 + lean
     unit = np.diag([2 / height, 2 / height, 1.0])
     keystone = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -lean, wide]])
-    shape: Floats = (
+    homography: Floats = (
         np.linalg.inv(to_centre)
         @ np.linalg.inv(unit)
         @ keystone
@@ -148,4 +152,4 @@ def panel_shape(settings: PanelSettings, width: int, height: int) -> Floats:
         @ np.diag([across, settings.scale, 1.0])
         @ to_centre
     )
-    return shape
+    return homography

@@ -1,4 +1,4 @@
-"""The rig, and the places in the room from which an operator would let it look at the corner."""
+"""The geometry of the rig, and random camera poses in front of the corner."""
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +10,7 @@ from hw.simulated.device import Optics, PlacedDevice
 # The paper's rig (section 5.1), at its full camera resolution.
 _PAPER_CAMERA = Optics(2448, 2048, 1791.1, (1256.3, 1054.3))
 _PAPER_PROJECTOR = Optics(854, 480, 1247.3, (377.1, 234.0))
-# Light for half a wall from the middle of a room: a throw ratio of 0.74.
+# A throw ratio of 0.74, which lights half a wall from the middle of a room.
 SHORT_THROW = Optics(854, 480, 630.0, (419.0, 262.0))
 _ROLL_DEG = 15.0
 _ZOOMS = (1.0, 1.06, 0.95, 1.03)
@@ -26,7 +26,7 @@ class RigGeometry:
     translation: Floats
 
     def placed(self, camera_rotation: Floats, camera_centre: Floats) -> tuple[PlacedDevice, PlacedDevice]:
-        """Camera and projector in the room, for the camera's rotation from the world (3, 3) and centre (3,)."""
+        """Camera and projector in the room, given the camera's rotation from the world (3, 3) and centre (3,)."""
         projector_rotation = self.rotation @ camera_rotation
         projector_centre = camera_centre - projector_rotation.T @ self.translation
         return (
@@ -36,12 +36,12 @@ class RigGeometry:
 
 
 def draw_rig(rng: np.random.Generator, distortion: float, projector: Optics = _PAPER_PROJECTOR) -> RigGeometry:
-    """The paper's intrinsics, or another projector's, with drawn lenses.
+    """The paper's intrinsics, or those of another projector, with random lens distortion.
 
-    The devices are 0.3 to 0.6 m apart, converging at a few metres, turned a little.
+    The devices are 0.3 to 0.6 m apart and converge at 2.2 to 3.2 m, with a roll of up to 8°.
 
-    Lens terms are those of ordinary machine-vision and projector lenses: up to 4 % in the camera's corners and 0.5 %
-    in the projector's.
+    Distortion is that of ordinary machine-vision and projector lenses: up to 4 % in the camera's corners and 0.5 % in
+    the projector's.
     """
     bearing = rng.uniform(0, 2 * np.pi)
     centre = np.array([np.cos(bearing), np.sin(bearing), rng.uniform(-0.4, 0.4)])
@@ -59,7 +59,7 @@ def draw_rig(rng: np.random.Generator, distortion: float, projector: Optics = _P
 
 
 def draw_camera_pose(rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """A camera's rotation from the world (3, 3) and centre (3,): on a tripod, looking down into the corner."""
+    """Rotation from the world (3, 3) and centre (3,) of a camera on a tripod that looks down into the corner."""
     distance, azimuth, elevation = rng.uniform((2.0, 27.0, 25.0), (3.4, 63.0, 43.0))
     azimuth, elevation = np.radians([azimuth, elevation])
     centre = distance * np.array(
@@ -70,12 +70,12 @@ def draw_camera_pose(rng: np.random.Generator) -> tuple[Floats, Floats]:
 
 
 def resized(optics: Optics, width: int, height: int) -> Optics:
-    """The same optics with an image of another size; focal length and principal point go with its width."""
+    """The same optics with an image of another size. Focal length and principal point scale with its width."""
     return _with_lens(optics, width, height, optics.k1, optics.k2)
 
 
 def zoomed(device: PlacedDevice, number: int) -> PlacedDevice:
-    """A network's device at place `number`, whose lens differs from those of its neighbours."""
+    """The device of a network at pose `number`, with a focal length different from its neighbours'."""
     optics = device.optics
     return replace(device, optics=replace(optics, focal_px=_ZOOMS[number % len(_ZOOMS)] * optics.focal_px))
 
@@ -87,7 +87,9 @@ def _with_lens(optics: Optics, width: int, height: int, k1: float, k2: float) ->
 
 
 def look_at(centre: Floats, target: Floats, up: Floats, roll_deg: float) -> Floats:
-    """Rotation (3, 3) into the frame (x right, y down, z forward) of a device at `centre` that looks at `target`."""
+    """Rotation (3, 3) from the world into the frame (x right, y down, z forward) of a device at `centre` facing
+    `target`.
+    """
     forward = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)

@@ -16,25 +16,25 @@ from hw.simulated.gather import Gatherer
 from hw.simulated.illumination import ProjectorLight
 from hw.simulated.interreflection import Interreflection, solve
 from hw.simulated.mesh import build_mesh
-from hw.simulated.motion import steered
+from hw.simulated.motion import rotation_homography
 from hw.simulated.picture import PictureOptics
 from hw.simulated.room import Room
 from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
-_RAYS_PER_NODE_ALL_ROUND = 128  # of the many nodes of a whole room
-_WALLPAPER_STREAM = 102  # apart from all other random numbers, so that they stay as they are without it
+_RAYS_PER_NODE_ALL_ROUND = 128  # a whole room has many more nodes
+_WALLPAPER_STREAM = 102  # a stream of its own: a wallpaper leaves all other random numbers unchanged
 
 
 @dataclass(frozen=True)
 class Renderer:
-    """Light is linear in the picture: what the room does to it is found once, a picture then costs a few products.
+    """The linear map from a picture to the brightness of the camera's pixels, found once for all pictures.
 
-    `footprints`: of all camera pixels, as `caster` found them. `interreflection`: None if light is not to be reflected
-    on to other surfaces. `ceiling` (nodes,): irradiance by ambient light as bright as the projector's white, of which
-    there is `ambient_level`. `turn` (3, 3): takes pixels of a projector that has been turned to those that looked the
-    same way when the interreflection was solved; None if it was not turned.
+    `footprints`: of all camera pixels, by `caster`. `interreflection`: None if surfaces do not light each other.
+    `ceiling` (nodes,): irradiance by ambient light as bright as the projector's white, scaled by `ambient_level`.
+    `turn` (3, 3): homography from the pixels of a projector that has moved to those with the same direction when the
+    interreflection was solved; None if it has not moved.
     """
 
     picture: PictureOptics
@@ -58,24 +58,24 @@ class Renderer:
 
     @cached_property
     def room_light(self) -> Light:
-        """What `ambient` is at a level of one, (H, W)."""
+        """`ambient` at a level of one, (H, W)."""
         return self._of_nodes(self.ceiling)
 
     def render(self, picture: Image) -> Light:
-        """Brightness of the camera's pixels, (H, W), for an 8-bit projector picture, before the camera's own lens."""
-        return self.thrown(self.picture.linear(picture)) + self.ambient
+        """Brightness of the camera's pixels, (H, W), for an 8-bit projector picture, before the camera's lens."""
+        return self.projected(self.picture.linear(picture)) + self.ambient
 
-    def thrown(self, light: Light) -> Light:
-        """All that comes from the projector on whatever way, for linear light (H, W) of its pixels."""
+    def projected(self, light: Light) -> Light:
+        """All light from the projector, direct and indirect, (H, W), for linear light (H, W) of its pixels."""
         return self.direct(light) + self.indirect(light)
 
     def direct(self, light: Light) -> Light:
-        """The part that comes straight from the projector, for linear light (H, W) of its pixels."""
+        """Direct light of the projector, (H, W), for linear light (H, W) of its pixels."""
         image: Light = (self.footprints.direct @ self.picture.blurred(light)).reshape(self.shape)
         return image
 
     def indirect(self, light: Light) -> Light:
-        """The part that was reflected at least once before it reached the surface that the camera sees."""
+        """Light of the projector that was reflected at least once before it reached the visible surface, (H, W)."""
         if self.interreflection is None:
             return np.zeros(self.shape, np.float32)
         if self.turn is not None:
@@ -83,17 +83,17 @@ class Renderer:
         return self._of_nodes(self.interreflection.irradiance(self.picture.pyramid(light)))
 
     def moved(self, camera: PlacedDevice, projector: PlacedDevice, *blocks: Block) -> "Renderer":
-        """The view after the devices of a renderer that has not moved were turned a little: only rays are cast anew.
+        """The view after the devices have rotated slightly; only rays are cast again.
 
-        A projector that turns about its lens lights the room like one that rests and shows its picture turned. What
-        moves in the room, `blocks`, hides and shades; light is taken to go between surfaces as it does without.
+        A projector that rotates about its lens lights the room like one at rest that shows its picture rotated. Moving
+        `blocks` occlude and cast shadows, but the exchange of light between surfaces is computed without them.
         """
         caster = self.caster.moved(camera, projector, *blocks)
-        turn = steered(self.caster.light.projector, projector)
+        turn = rotation_homography(self.caster.light.projector, projector)
         return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
 
     def with_board(self, settings: SimulatedRigSettings) -> "Renderer":
-        """The view with the board of these settings, or none, before the room: only rays are cast anew."""
+        """The view with the board of these settings, or none, in front of the room; only rays are cast again."""
         camera, projector = self.caster.camera, self.caster.light.projector
         board = None
         if settings.board.square_m:
@@ -107,7 +107,7 @@ class Renderer:
 
 
 def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Generator) -> Renderer:
-    """Paint the room, let its surfaces light each other, and find what each camera pixel sees of it."""
+    """Paint the room, solve the interreflection of its surfaces, and cast the rays of all camera pixels."""
     projector = room.projector.optics
     picture = PictureOptics(
         projector.width, projector.height, settings.gamma, settings.contrast, settings.projector_blur_px
@@ -136,7 +136,7 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
 
 
 def _white_over_ambient(renderer: Renderer) -> np.float32:
-    """The projector's white over the ambient light, where the white falls."""
+    """Ratio of the projector's white to the ambient light where the projector lights the room."""
     white = renderer.direct(np.ones((renderer.picture.height, renderer.picture.width), np.float32))
     lit = white > 0
     return np.float32(np.median(white[lit]) / np.median(renderer.ambient[lit]))

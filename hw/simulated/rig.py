@@ -1,4 +1,4 @@
-"""The two devices in a simulated room."""
+"""The camera and the projector of a simulated room."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from hw.simulated.renderer import Renderer
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.things import SimulatedThing, ThingRenderer
 
-# Random numbers of the camera's noise; the room's have other streams.
+# Streams of random numbers of the camera; the room uses others.
 _NOISE_STREAM = 101
 _PULSE_STREAM = 102
 
@@ -23,7 +23,7 @@ Scenery = SimulatedRoom | SimulatedThing
 
 
 class SimulatedProjector:
-    """Lights the room with what it is shown; black at first."""
+    """Lights the room with the picture that it shows; black at first."""
 
     def __init__(self, room: Scenery) -> None:
         self._room = room
@@ -39,7 +39,7 @@ class SimulatedProjector:
 
     @property
     def light(self) -> Light:
-        """What its pixels send into the room now, (H, W); 1 is white."""
+        """Linear light of its pixels now, (H, W); 1 is white."""
         return self._light
 
     def show(self, image: Image) -> None:
@@ -56,7 +56,7 @@ class SimulatedProjector:
 
 
 class SimulatedCamera:
-    """Sees the room as the projector lights it now; every frame has noise of its own."""
+    """Sees the room in the light of the projector. The noise of each frame is independent."""
 
     def __init__(self, room: Scenery, projector: SimulatedProjector) -> None:
         self._room = room
@@ -77,17 +77,17 @@ class SimulatedCamera:
 
     @property
     def capabilities(self) -> Capabilities:
-        """It waits for the projector."""
+        """The exposure can be set; frames wait for the projector."""
         return Capabilities(exposure="settable")
 
     @property
     def highest_level(self) -> int:
-        """The largest number that a pixel can have."""
+        """The largest value of a pixel."""
         return int(2**self._room.sensor.bit_depth - 1)
 
     @property
     def exposure_us(self) -> float:
-        """The exposure of all frames from now on."""
+        """The exposure of the next frames."""
         return self._exposure_us
 
     @property
@@ -96,7 +96,7 @@ class SimulatedCamera:
         return _EXPOSURE_LIMITS_US
 
     def expose_for(self, exposure_us: float) -> float:
-        """Expose all frames from now on so long. Raises DeviceError beyond the limits."""
+        """Set the exposure of the next frames. Raises DeviceError outside the limits."""
         shortest, longest = _EXPOSURE_LIMITS_US
         if not shortest <= exposure_us <= longest:
             raise DeviceError(
@@ -106,23 +106,23 @@ class SimulatedCamera:
         return exposure_us
 
     def grab(self) -> Frame:
-        """One frame of what the projector shows now."""
+        """One frame of the room in the light that the projector shows now."""
         sensor = self._room.sensor
-        thrown, unlit = self._expected()
-        lamp = self._lamp.brightness(self._exposure_us, len(thrown))
-        electrons = thrown * lamp + unlit * np.float32(self._room.ambient_level(self._frame))
+        projected, unlit = self._expected()
+        lamp = self._lamp.brightness(self._exposure_us, len(projected))
+        electrons = projected * lamp + unlit * np.float32(self._room.ambient_level(self._frame))
         electrons *= np.float32(self._exposure_us / sensor.exposure_us)
         self._frame += 1
         return Frame(sensor.read(electrons, self._noise), exposure_us=self._exposure_us)
 
     def _expected(self) -> tuple[Light, Light]:
-        """Electrons (H, W) at the sensor's own exposure: the projector's, and those of ambient light as bright.
+        """Electrons (H, W) at the sensor's exposure: from the projector, and from ambient light at a level of one.
 
-        Pictures that are looked at repeatedly are computed once.
+        The last picture's electrons are kept for the next frame of it.
         """
         light, renderer, sensor = self._projector.light, self._room.at(self._frame), self._room.sensor
         if self._seen is None or self._seen[0] is not light or self._seen[1] is not renderer:
-            self._seen = light, renderer, sensor.electrons(renderer.thrown(light))
+            self._seen = light, renderer, sensor.electrons(renderer.projected(light))
         if self._unlit is None or self._unlit[0] is not renderer:
             self._unlit = renderer, sensor.electrons(renderer.room_light)
         return self._seen[2], self._unlit[1]

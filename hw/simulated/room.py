@@ -1,4 +1,4 @@
-"""A room, drawn from a seed: walls, furniture, and a rig in a place that a sensible operator would choose."""
+"""A room drawn from a seed: walls, furniture, and a rig with a suitable view of the corner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
-from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_other_end, overlap
+from hw.simulated.furniture import draw_corner_box, draw_furniture, draw_second_sphere, overlap
 from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, zoomed
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
@@ -18,11 +18,11 @@ from hw.simulated.whole_room import draw_whole_room
 
 _ATTEMPTS = 3000
 _FURNITURE_ATTEMPTS = 300
-# The smallest share of the lit pixels that a face of the corner may have, without and with furniture before it.
+# Smallest share of the lit pixels on a face of the corner, without and with furniture in front of it.
 _BARE_FACE = 0.22
 _FURNISHED_FACE = 0.15
-_TOUCHING = 0.98  # of a radius
-_STEP_ASIDE_M = 0.35  # poses are at least this far apart
+_TOUCHING = 0.98  # share of a radius that must be inside the room
+_POSE_SPACING_M = 0.35  # smallest distance between poses
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Room:
 
 
 class _Streams:
-    """Independent random numbers for each thing that is drawn, so that a setting of one leaves the others alone."""
+    """Independent random numbers for each drawn item, so that its settings leave the other items unchanged."""
 
     def __init__(self, seed: int) -> None:
         self.walls, self.rig, self.furniture, self.corner_box, self.poses, self.askew, self.ball_bar = (
@@ -44,9 +44,9 @@ class _Streams:
 
 
 def draw_room(settings: SimulatedRigSettings) -> Room:
-    """Draw again until the view is one that an operator's guide would recommend (`View.is_sensible`).
+    """Draw rooms until the view is suitable (`View.is_suitable`).
 
-    The devices have the paper's resolution. Raises DeviceError if the seed has no such view or too few for the pose.
+    The devices have the paper's resolution. Raises DeviceError if the seed has no suitable view or too few poses.
     """
     streams = _Streams(settings.seed)
     walls = draw_walls(streams.walls, settings.walls_off_deg)
@@ -56,11 +56,11 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
     for _ in range(_ATTEMPTS):
         rig = draw_rig(streams.rig, settings.distortion)
         camera, projector = rig.placed(*draw_camera_pose(streams.rig))
-        if not look(Scene(walls), camera, projector).is_sensible(_BARE_FACE):
+        if not look(Scene(walls), camera, projector).is_suitable(_BARE_FACE):
             continue
         scene = _furnish(walls, camera, projector, settings, streams)
         if scene is not None:
-            places = _step_aside(scene, rig, camera, projector, settings, streams.poses)
+            places = _draw_poses(scene, rig, camera, projector, settings, streams.poses)
             return Room(scene, *_devices(places, settings))
     raise DeviceError(
         f"the simulated rig finds no good view of the corner in its room; use another seed than {settings.seed}"
@@ -70,7 +70,7 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
 def _furnish(
     walls: Block, camera: PlacedDevice, projector: PlacedDevice, settings: SimulatedRigSettings, streams: _Streams
 ) -> Scene | None:
-    """The room with furniture that leaves enough of the corner to see, or None if none was found."""
+    """The room with furniture that leaves enough of the corner visible; None if none was found."""
     for _ in range(_FURNITURE_ATTEMPTS):
         blocks: tuple[Block, ...] = ()
         sphere: Sphere | None = None
@@ -81,7 +81,7 @@ def _furnish(
             blocks += (draw_corner_box(streams.corner_box),)
         second = None
         if sphere is not None and settings.ball_bar_m is not None:
-            second = draw_other_end(streams.ball_bar, sphere, settings.ball_bar_m)
+            second = draw_second_sphere(streams.ball_bar, sphere, settings.ball_bar_m)
         scene = Scene(walls, blocks, sphere, second)
         if _fits(scene) and _is_good(scene, camera, projector, settings, first=True):
             return scene
@@ -91,7 +91,7 @@ def _furnish(
 def _fits(scene: Scene) -> bool:
     solids: list[Block | Sphere] = [*scene.blocks]
     solids += scene.spheres.values()
-    stacked = (0, 1)  # the first box carries the second
+    stacked = (0, 1)  # the second box stands on the first
     return all(_inside(scene.room, sphere) for sphere in scene.spheres.values()) and not any(
         overlap(solids[i], solids[j])
         for i, j in combinations(range(len(solids)), 2)
@@ -100,7 +100,7 @@ def _fits(scene: Scene) -> bool:
 
 
 def _inside(room: Block, sphere: Sphere) -> bool:
-    """Whether a sphere is within the walls; that it stands on the floor is no overlap."""
+    """Whether a sphere is inside the walls. A sphere that touches the floor is inside."""
     reach = _TOUCHING * sphere.radius * np.concatenate([np.eye(3), -np.eye(3)])
     return bool(room.contains((sphere.centre + reach).T).all())
 
@@ -108,18 +108,18 @@ def _inside(room: Block, sphere: Sphere) -> bool:
 def _is_good(
     scene: Scene, camera: PlacedDevice, projector: PlacedDevice, settings: SimulatedRigSettings, *, first: bool
 ) -> bool:
-    """The corner is well seen; from the rig's first place the furniture and the whole sphere are seen as well."""
+    """Whether the corner is well visible, and in the first pose the furniture and the whole sphere as well."""
     if not scene.is_free(np.stack([camera.centre, projector.centre], axis=1)).all():
         return False
     view = look(scene, camera, projector)
-    if not view.is_sensible(_FURNISHED_FACE) or view.vertex_hidden != settings.hide_vertex:
+    if not view.is_suitable(_FURNISHED_FACE) or view.vertex_hidden != settings.hide_vertex:
         return False
     if not (first and settings.furniture):
         return True
     return view.label_shares[Label.FURNITURE] >= 0.04 and view.label_shares[Label.SPHERE] > 0 and view.sphere_lit > 0.8
 
 
-def _step_aside(
+def _draw_poses(
     scene: Scene,
     rig: RigGeometry,
     camera: PlacedDevice,
@@ -127,14 +127,14 @@ def _step_aside(
     settings: SimulatedRigSettings,
     rng: np.random.Generator,
 ) -> list[tuple[PlacedDevice, PlacedDevice]]:
-    """The rig's places up to the last that is asked for; number 0 is where it is given."""
+    """The poses of the rig up to the last one in use, beginning with the given one."""
     places, last = [(camera, projector)], max(settings.pose, settings.projector_pose or 0)
     for _ in range(_ATTEMPTS):
         if len(places) > last:
             return places
         camera, projector = rig.placed(*draw_camera_pose(rng))
         aside = min(float(np.linalg.norm(camera.centre - other.centre)) for other, _ in places)
-        if aside > _STEP_ASIDE_M and _is_good(scene, camera, projector, settings, first=False):
+        if aside > _POSE_SPACING_M and _is_good(scene, camera, projector, settings, first=False):
             places.append((camera, projector))
     raise DeviceError(
         f"the simulated room of seed {settings.seed} has {len(places)} good places for the rig, which pose "
@@ -145,7 +145,7 @@ def _step_aside(
 def _devices(
     places: Sequence[tuple[PlacedDevice, PlacedDevice]], settings: SimulatedRigSettings
 ) -> tuple[PlacedDevice, PlacedDevice]:
-    """Camera and projector, which as devices of a network are at places, and have lenses, of their own."""
+    """Camera and projector. As devices of a network they have separate poses and lenses."""
     if settings.projector_pose is None:
         return places[settings.pose]
     (camera, _), (_, projector) = places[settings.pose], places[settings.projector_pose]
@@ -155,8 +155,8 @@ def _devices(
 def draw_walls(rng: np.random.Generator, walls_off_deg: float) -> Block:
     """A closed room whose corner at the origin has three angles of 90° ± `walls_off_deg`; its floor is level."""
     off = np.sin(np.radians(walls_off_deg * rng.standard_normal(3)))
-    # Between walls at an angle of 90° + δ the normals into the room have the cosine sin δ. In the order floor,
-    # WALL_X, WALL_Y and with the axes z, x, y, Cholesky's factor has these normals as rows, the floor's along z.
+    # Normals of walls at an angle of 90° + δ have the scalar product sin δ. In the order floor, WALL_X, WALL_Y and with
+    # the axes z, x, y, the rows of the Cholesky factor are these normals, that of the floor along z.
     gram = np.eye(3) + np.array([[0, off[0], off[1]], [off[0], 0, off[2]], [off[1], off[2], 0]])
     floor, wall_x, wall_y = np.linalg.cholesky(gram)[:, [1, 2, 0]]
     normals = np.stack([wall_x, wall_y, floor])

@@ -1,4 +1,4 @@
-"""Everything that can be seen: the room from inside, the furniture from outside."""
+"""The surfaces of a scene: the room from inside, solids from outside."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,12 +9,12 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from hw.simulated.shapes import Block, Sphere
 
-# Rays from a surface start this far off it, in units of the ray's length: beyond rounding, below anything visible.
+# Distance of the start of a ray from its surface, over the ray's length: above rounding errors, below visible detail.
 _CLEARANCE = 1e-6
 
 
 class Label(IntEnum):
-    """What a surface is part of; the first three are the faces of the corner."""
+    """What a surface belongs to; the first three are the faces of the corner."""
 
     WALL_X = 0
     WALL_Y = 1
@@ -26,13 +26,14 @@ class Label(IntEnum):
 
 @dataclass(frozen=True)
 class Scene:
-    """A closed room, the blocks that stand in it, and perhaps a sphere, or two: the ends of a ball bar.
+    """A closed room, the blocks in it, and up to two spheres, the ends of a ball bar.
 
-    Surfaces are numbered: the room's faces 0 … 5 (0, 1, 2 meet in the corner; 3, 4 are the walls opposite, 5 the
-    ceiling), then six faces for each block in turn, then the spheres.
+    Surfaces are numbered: the room's faces 0 … 5 (0, 1, 2 meet in the corner; 3, 4 are the opposite walls, 5 the
+    ceiling), then six faces of each block, then the spheres.
 
-    Each surface has coordinates (u, v) in metres: on face k of a block along the edges k + 1 and k + 2 (cyclically),
-    on a sphere along the equator and along the meridians. `all_round`: the rig looks at all of it, not at one corner.
+    Each surface has coordinates (u, v) in metres: on face k of a block along the edges k + 1 and k + 2 (cyclic), on a
+    sphere along the equator and the meridians. `all_round`: the rig goes round the whole room instead of facing one
+    corner.
     """
 
     room: Block
@@ -43,23 +44,23 @@ class Scene:
 
     @property
     def spheres(self) -> dict[int, Sphere]:
-        """The spheres by their surfaces' numbers."""
+        """The spheres by their surface numbers."""
         there = (sphere for sphere in (self.sphere, self.second_sphere) if sphere is not None)
         return dict(enumerate(there, start=self.sphere_surface))
 
     @property
     def sphere_surface(self) -> int:
-        """The first sphere's number; no surface's if there is none."""
+        """The surface number of the first sphere, if there is one."""
         return 6 + 6 * len(self.blocks)
 
     @property
     def _solids(self) -> tuple[Block | Sphere, ...]:
-        """What stands in the room."""
+        """The blocks and spheres in the room."""
         return (*self.blocks, *self.spheres.values())
 
     @property
     def surface_count(self) -> int:
-        """How many surfaces there are."""
+        """The number of surfaces."""
         return 6 + 6 * len(self.blocks) + len(self.spheres)
 
     @cached_property
@@ -77,7 +78,7 @@ class Scene:
         return np.array(sizes)
 
     def cast(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints]:
-        """First surface that each ray (3, n) from inside the room meets: t (n,) and the surface's number (n,)."""
+        """First surface hit by each ray (3, n) from inside the room: t (n,) and the surface number (n,)."""
         t, surface = self.room.leave(origins, directions)
         for i, block in enumerate(self.blocks):
             t_block, face = block.enter(origins, directions)
@@ -92,7 +93,7 @@ class Scene:
         return t, surface
 
     def occluded(self, points: Floats, eye: Floats) -> Bools:
-        """Whether furniture hides points (3, n) from an eye (3,), (n,). The room is convex and hides nothing."""
+        """Whether a solid occludes points (3, n) from an eye (3,), (n,). The room is convex and occludes nothing."""
         directions = eye[:, None] - points
         hidden = np.zeros(points.shape[1], np.bool_)
         for solid in self._solids:
@@ -100,14 +101,14 @@ class Scene:
         return hidden
 
     def is_free(self, points: Floats) -> Bools:
-        """Whether points (3, n) are in the room's air, (n,)."""
+        """Whether points (3, n) are inside the room and outside all solids, (n,)."""
         free = self.room.contains(points)
         for solid in self._solids:
             free &= ~solid.contains(points)
         return free
 
     def normals(self, surface: Ints, points: Floats) -> Floats:
-        """Unit normals (3, n) that point into the air, at points (3, n) on surfaces (n,)."""
+        """Unit normals (3, n) into the free space, at points (3, n) on surfaces (n,)."""
         normals = self._face_normals[:, surface]
         for number, sphere in self.spheres.items():
             on = np.flatnonzero(surface == number)
@@ -149,7 +150,7 @@ class Scene:
 
     @cached_property
     def _face_normals(self) -> Floats:
-        """(3, surfaces); of no meaning for spheres."""
+        """(3, surfaces); zero for spheres."""
         normals = [-self.room.outward_normals] + [block.outward_normals for block in self.blocks]
         normals.append(np.zeros((len(self.spheres), 3)))
         return np.concatenate(normals).T.copy()

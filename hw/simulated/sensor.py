@@ -10,7 +10,7 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 
-# Electrons per microsecond for a brightness of one, chosen so that white needs some tens of milliseconds.
+# Electrons per microsecond for a brightness of one: white then needs some tens of milliseconds.
 _ELECTRONS_PER_US = 2.0
 _WHITE_LEVEL = 0.85
 _WHITE_PERCENTILE = 99.5
@@ -20,7 +20,7 @@ Response = Literal["linear", "srgb", "photo"]
 
 @dataclass(frozen=True)
 class Sensor:
-    """What turns brightness into digits; shot noise is normal with the variance of Poisson's distribution."""
+    """Converts brightness to grey levels. Shot noise is normal with the variance of the Poisson distribution."""
 
     blur_px: float
     exposure_us: float
@@ -30,15 +30,15 @@ class Sensor:
     response: Response = "linear"
 
     def electrons(self, brightness: Light) -> Light:
-        """Expected electrons (H, W) for the brightness (H, W) of the pixels, through the camera's lens."""
+        """Expected electrons (H, W) for the brightness (H, W) of the pixels, with the blur of the camera's lens."""
         return self._through_lens(brightness) * np.float32(_ELECTRONS_PER_US * self.exposure_us)
 
     def read(self, electrons: Light, rng: np.random.Generator) -> Image:
-        """One noisy image (H, W) for expected electrons (H, W): 8 bit, or 16 bit for more than 8 bits."""
+        """One noisy image (H, W) for expected electrons (H, W); 16 bits per pixel if the sensor has more than 8."""
         return self.read_with(electrons, rng.standard_normal(electrons.shape, dtype=np.float32))
 
     def read_with(self, electrons: Light, noise: Light) -> Image:
-        """The same with noise (H, W) of unit variance that was drawn before; it is used up."""
+        """One image (H, W) with given noise (H, W) of unit variance. Overwrites `noise`."""
         highest = 2**self.bit_depth - 1
         noise *= np.sqrt(electrons + np.float32(self.read_noise_electrons**2))
         noise += electrons
@@ -56,7 +56,11 @@ class Sensor:
 
 
 def responded(light: Light, response: Response) -> Light:
-    """Grey levels 0 … 1 for light 0 … 1: sRGB's curve (IEC 61966-2-1); for photos, half an S on top of it."""
+    """Grey levels 0 … 1 for light 0 … 1.
+
+    "srgb" is the transfer function of sRGB (IEC 61966-2-1). "photo" averages it with a smoothstep of itself, as photo
+    cameras add contrast.
+    """
     if response == "linear":
         return light
     bright = 1.055 * np.maximum(light, 1e-6) ** np.float32(1 / 2.4) - 0.055
@@ -65,7 +69,7 @@ def responded(light: Light, response: Response) -> Light:
 
 
 def build_sensor(settings: SimulatedRigSettings, white: Light) -> Sensor:
-    """A sensor whose exposure time, unless it is set, suits the brightness (H, W) that a white picture gives."""
+    """A sensor. Unless the settings give an exposure, it is chosen for the brightness (H, W) of a white picture."""
     bright = float(np.percentile(white, _WHITE_PERCENTILE))
     suitable_us = _WHITE_LEVEL * settings.full_well_electrons / (_ELECTRONS_PER_US * bright)
     return Sensor(

@@ -1,7 +1,7 @@
-"""Ray casting: the two solids that rooms are made of, and where rays meet them.
+"""The two kinds of solids in a room, and their intersections with rays.
 
-Rays are origin + t · direction; directions need not be unit vectors, so t is in units of the direction's length. Both
-`origins` and `directions` are (3, n), and `origins` may be (3, 1) for rays from one point.
+Rays are origin + t · direction. Directions need not be unit vectors: t is in units of the direction's length. `origins`
+and `directions` are (3, n); `origins` may be (3, 1) for rays from one point.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Block:
 
     @cached_property
     def inverse(self) -> Floats:
-        """Takes a vector of the world to (a, b, c), (3, 3)."""
+        """Matrix (3, 3) from a vector in the world to (a, b, c)."""
         return np.asarray(np.linalg.inv(self.edges.T), np.float64)
 
     @cached_property
@@ -36,7 +36,7 @@ class Block:
 
     @cached_property
     def outward_normals(self) -> Floats:
-        """Unit normals of the six faces, (6, 3) rows."""
+        """Outward unit normals of the six faces, (6, 3) rows."""
         rising: Floats = self.inverse / np.linalg.norm(self.inverse, axis=1, keepdims=True)
         return np.concatenate([-rising, rising])
 
@@ -72,13 +72,13 @@ class Block:
         return far[axis, rays], face.astype(np.int32)
 
     def obstructs(self, origins: Floats, directions: Floats, start: float, end: float) -> Bools:
-        """Whether the part of each ray between t = start and t = end passes through, (n,)."""
+        """Whether each ray passes through the block between t = start and t = end, (n,)."""
         _, near, far = self._slabs(origins, directions)
         blocked: Bools = np.maximum(near.max(axis=0), start) < np.minimum(far.min(axis=0), end)
         return blocked
 
     def _slabs(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats, Floats]:
-        """Steps (3, n) along (a, b, c), and where each ray enters and leaves each pair of faces, (3, n) and (3, n).
+        """Directions (3, n) in (a, b, c), and where each ray enters and leaves each pair of faces, (3, n) and (3, n).
 
         The slab method of Kay and Kajiya (1986).
         """
@@ -110,7 +110,7 @@ class Sphere:
         return t
 
     def obstructs(self, origins: Floats, directions: Floats, start: float, end: float) -> Bools:
-        """Whether each ray enters between t = start and t = end, (n,)."""
+        """Whether each ray enters the sphere between t = start and t = end, (n,)."""
         t, discriminant = self._first_root(origins, directions)
         blocked: Bools = (discriminant > 0) & (t > start) & (t < end)
         return blocked

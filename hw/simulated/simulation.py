@@ -1,4 +1,4 @@
-"""A simulated room, ready to be lit with pictures and looked at."""
+"""A simulated room: it can be lit with pictures and viewed."""
 
 import copy
 from dataclasses import replace
@@ -11,17 +11,17 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
 from hw.simulated.motion import offset_px, turned
-from hw.simulated.passer import box_in, passer_in
+from hw.simulated.moving_objects import box_in, person_in
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer
 from hw.simulated.room import Room, draw_room
 from hw.simulated.sensor import build_sensor
 from hw.simulated.truth import GroundTruth, true_calibration, true_place, true_view
 
-# A stream of random numbers for paint and rays, apart from those of `draw_room`, which are numbered from 0.
+# Stream of random numbers for paint and rays; `draw_room` uses streams from 0.
 _RENDERING_STREAM = 100
-# What decides where light goes in the room: with other values of these, all of it would have to be found out again.
-_OF_THE_ROOM = (
+# Settings that determine the transport of light: another value of one needs another room.
+_ROOM_SETTINGS = (
     *(
         "seed",
         "room",
@@ -41,7 +41,7 @@ _OF_THE_ROOM = (
 class SimulatedRoom:
     """A room with a camera and a projector of given sizes, (width, height) in pixels.
 
-    Construction takes seconds: it finds out once where all light goes. `room` and `renderer` are those of frame 0.
+    Construction takes seconds, because it solves the transport of light. `room` and `renderer` are those of frame 0.
     """
 
     def __init__(
@@ -53,15 +53,15 @@ class SimulatedRoom:
         self._begin()
 
     def under(self, **settings: object) -> "SimulatedRoom":
-        """The same room under other settings of its light, lenses, sensor and motion, which takes no time.
+        """The same room with other settings of its light, lenses, sensor and motion, in a short time.
 
-        Raises ValueError for settings of the room itself.
+        Raises ValueError for settings that need another room.
         """
         other = copy.copy(self)
         other.settings = SimulatedRigSettings.model_validate(self.settings.model_dump() | settings)
-        fixed = [key for key in _OF_THE_ROOM if getattr(other.settings, key) != getattr(self.settings, key)]
+        fixed = [key for key in _ROOM_SETTINGS if getattr(other.settings, key) != getattr(self.settings, key)]
         if fixed:
-            raise ValueError(f"{', '.join(fixed)}: needs a room of its own")
+            raise ValueError(f"{', '.join(fixed)}: another value needs another room")
         picture = self.renderer.picture.under(other.settings)
         other.renderer = replace(self.renderer, picture=picture, ambient_level=other.settings.ambient)
         if other.settings.board != self.settings.board:
@@ -77,11 +77,11 @@ class SimulatedRoom:
         self._last: tuple[tuple[float, ...], Renderer] | None = None
 
     def at(self, frame: int) -> Renderer:
-        """The view in a frame, counted from 0: another one than `renderer` if something has moved."""
+        """The view in a frame, counted from 0. It is `renderer` unless something has moved."""
         bump, drift = self.settings.bump, self.settings.drift
         camera, projector = (offset_px(name, bump, drift, frame) for name in ("camera", "projector"))
         placed = turned(self.room.camera, camera)
-        bodies = passer_in(frame, self.settings.passer, placed), box_in(frame, self.settings.pushed, placed)
+        bodies = person_in(frame, self.settings.passer, placed), box_in(frame, self.settings.pushed, placed)
         blocks = [body for body in bodies if body is not None]
         if not blocks and not any((*camera, *projector)):
             return self.renderer
@@ -91,31 +91,31 @@ class SimulatedRoom:
         return self._last[1]
 
     def ambient_level(self, frame: int) -> float:
-        """How much light there is in a frame beside the projector's, relative to its white."""
+        """Ambient light in a frame, relative to the projector's white."""
         light = self.settings.light
         return self.settings.ambient if light.ambient is None or frame < light.frame else light.ambient
 
     def electrons(self, picture: Image) -> Light:
-        """Expected electrons (H, W) of the camera's pixels while the projector shows an 8-bit picture, in frame 0."""
+        """Expected electrons (H, W) of the camera's pixels in frame 0, while the projector shows an 8-bit picture."""
         return self.sensor.electrons(self.renderer.render(picture))
 
     @property
     def calibration(self) -> Calibration | None:
-        """The true calibration in frame 0, in metres; None if no pinhole throws the picture."""
-        return true_calibration(self.room, self.renderer.picture.shape)
+        """The true calibration in frame 0, in metres; None if no pinhole projector gives the picture."""
+        return true_calibration(self.room, self.renderer.picture.homography)
 
     @property
     def place(self) -> Motion:
-        """Where the rig stands in frame 0."""
+        """The pose of the rig in frame 0: X_world = R X_camera + t, in metres."""
         return true_place(self.room)
 
     def ground_truth(self) -> GroundTruth:
-        """What is true of each camera pixel in frame 0."""
+        """Ground truth of each camera pixel in frame 0."""
         return true_view(self.room, self.renderer)
 
 
 def place_room(settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]) -> Room:
-    """The room of a seed, seen and lit by devices of given sizes, (width, height) in pixels."""
+    """The room of a seed with devices of given sizes, (width, height) in pixels."""
     drawn = draw_room(settings)
     return Room(drawn.scene, _resized(drawn.camera, camera_size), _resized(drawn.projector, projector_size))
 

@@ -1,4 +1,4 @@
-"""Albedo: how much light each spot of each surface reflects."""
+"""Albedo: the share of light that each point of a surface reflects."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,7 +12,7 @@ from hw.simulated.scene import Scene
 
 _FINE_M = 0.0025
 _COARSE_M = 0.01
-_LARGE_M2 = 4.0  # no furniture has a side as large
+_LARGE_M2 = 4.0  # larger than any side of furniture
 _GRAIN_SIZE = 512
 _GRAIN_SIGMA = 0.035
 _POSTERS_PER_WALL = 2
@@ -24,10 +24,10 @@ Raster = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Texture:
-    """Albedo of every surface as small images, all in one vector `texels`.
+    """Albedo of every surface as small images, concatenated in one vector `texels`.
 
-    Per surface: `start` of its image in the vector, `shape` (2, surfaces) in texels along u and v, `texel_m` its
-    texels' size.
+    Per surface: `start` of its image in the vector, `shape` (2, surfaces) in texels along u and v, and `texel_m`, the
+    side of a texel.
     """
 
     scene: Scene
@@ -49,9 +49,9 @@ class Texture:
 def paint(
     scene: Scene, rng: np.random.Generator, albedo: float | None, wallpaper: np.random.Generator | None = None
 ) -> Texture:
-    """Plaster, posters, floorboards, cardboard and a cupboard's doors; `albedo` is the mean of the corner's faces.
+    """Plaster, posters, floorboards, cardboard and doors of a cupboard. `albedo`: the mean of each face of the corner.
 
-    `wallpaper`: the corner's faces are patterned on top of that, by random numbers of its own.
+    `wallpaper`: random numbers of an additional pattern on the faces of the corner; None for no pattern.
     """
     grain = _grain(rng)
     bases = np.full(3, albedo) if albedo is not None else rng.uniform((0.55, 0.55, 0.35), (0.8, 0.8, 0.6))
@@ -64,7 +64,7 @@ def paint(
     for surface, (nu, nv) in enumerate(shape):
         image = _plain(rng, grain, (nv, nu))
         if surface < 2:
-            # Upright as seen from the room: rows run along z. On WALL_Y it is u that does.
+            # Rows run along z. On WALL_Y, z is u, hence the transpose.
             upright = image if surface == 0 else image.T
             _hang_posters(rng, upright)
             _finish(image, bases[surface], wallpaper)
@@ -85,7 +85,7 @@ def paint(
 
 
 def _grain(rng: np.random.Generator) -> Raster:
-    """Periodic noise with a spectrum of 1/f, mean 1: what plaster and cardboard look like."""
+    """Periodic noise with a 1/f spectrum and mean 1, as on plaster and cardboard."""
     spectrum = np.fft.rfft2(rng.standard_normal((_GRAIN_SIZE, _GRAIN_SIZE)))
     frequency = np.hypot(np.fft.fftfreq(_GRAIN_SIZE)[:, None], np.fft.rfftfreq(_GRAIN_SIZE)[None, :])
     frequency[0, 0] = np.inf
@@ -108,7 +108,7 @@ def _finish(face: Raster, mean: float, wallpaper: np.random.Generator | None) ->
 
 
 def _pattern(rng: np.random.Generator, shape: tuple[int, ...]) -> Raster:
-    """Blobs of many sizes, equally strong at each: what a printed wallpaper or a carpet has for a feature detector."""
+    """Blobs of several sizes, equally strong at each: features for a detector, as on a wallpaper or carpet."""
     pattern = np.zeros(shape, np.float32)
     for blob_texels in _BLOB_TEXELS:
         noise = cv2.GaussianBlur(rng.standard_normal(shape, np.float32), (0, 0), blob_texels)
@@ -122,7 +122,7 @@ def _scale_to(image: Raster, mean: float) -> None:
 
 
 def _hang_posters(rng: np.random.Generator, wall: Raster) -> None:
-    """Framed prints of stripes, some of them within the projector's reach; wall rows run upwards."""
+    """Framed prints of stripes, some of them within the reach of the projector; wall rows run upwards."""
     for _ in range(_POSTERS_PER_WALL):
         width, height = (rng.uniform((0.25, 0.3), (0.6, 0.8)) / _FINE_M).astype(int)
         left = int(rng.uniform(0.3, 2.5) / _FINE_M)

@@ -1,4 +1,4 @@
-"""Ground truth of a simulated room, for tests and for the summary; the devices do not tell."""
+"""Ground truth of a simulated room, for tests and for the summary. The simulated devices do not reveal it."""
 
 from dataclasses import dataclass, replace
 
@@ -11,16 +11,16 @@ from hw.simulated.illumination import ProjectorLight
 from hw.simulated.renderer import Renderer
 from hw.simulated.room import Room
 
-_RECTANGULAR = 1e-9  # what rounding leaves of entries that are zero
+_RECTANGULAR = 1e-9  # rounding error of entries that are zero
 
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """Per camera pixel, at its centre.
+    """Ground truth at the centre of each camera pixel.
 
-    `projector_px` (H, W, 2): the projector pixel that lights it directly, NaN where none does (shadow, outside of the
-    picture). `points_m` (H, W, 3): the surface point in the camera's frame. `label` (H, W): the `Label` of the surface.
-    `direct_share` (H, W): the direct part of the light under a white picture.
+    `projector_px` (H, W, 2): the projector pixel that lights it directly; NaN in shadow and outside the picture.
+    `points_m` (H, W, 3): the surface point in the camera's frame. `label` (H, W): the `Label` of the surface.
+    `direct_share` (H, W): direct light over all light of a white picture.
     """
 
     projector_px: Floats
@@ -29,14 +29,14 @@ class GroundTruth:
     direct_share: Floats
 
 
-def true_calibration(room: Room, shape: Floats | None = None) -> Calibration | None:
-    """The calibration of a room's rig, in metres; None if no pinhole throws the picture.
+def true_calibration(room: Room, homography: Floats | None = None) -> Calibration | None:
+    """The calibration of a room's rig, in metres; None if no pinhole projector gives the picture.
 
-    `shape` (3, 3): takes the picture's pixels to those of the projector's panel.
+    `homography` (3, 3): from the picture's pixels to those of the projector's panel.
     """
     projector = _intrinsics(room.projector.optics)
-    if shape is not None:
-        found = _reshaped(projector, shape)
+    if homography is not None:
+        found = _reshaped(projector, homography)
         if found is None:
             return None
         projector = found
@@ -44,20 +44,20 @@ def true_calibration(room: Room, shape: Floats | None = None) -> Calibration | N
 
 
 def calibration_between(camera: PlacedDevice, projector: PlacedDevice) -> Calibration:
-    """Of two devices, in metres."""
+    """The calibration of two devices, in metres."""
     rotation = projector.rotation @ camera.rotation.T
     translation = projector.rotation @ (camera.centre - projector.centre)
     return Calibration(_intrinsics(camera.optics), _intrinsics(projector.optics), rotation, translation, unit="m")
 
 
 def true_place(room: Room) -> Motion:
-    """Where the rig stands, in metres: X_world = rotation X_camera + translation."""
+    """The pose of the rig, in metres: X_world = rotation X_camera + translation."""
     return Motion(room.camera.rotation.T, room.camera.centre)
 
 
-def _reshaped(panel: Intrinsics, shape: Floats) -> Intrinsics | None:
-    """What throws a picture that is shown enlarged; None for one that is mirrored or no rectangle any more."""
-    (a, b, x), (c, d, y), (e, f, g) = shape.tolist()
+def _reshaped(panel: Intrinsics, homography: Floats) -> Intrinsics | None:
+    """Intrinsics of a projector whose picture is scaled; None if it is mirrored or no longer a rectangle."""
+    (a, b, x), (c, d, y), (e, f, g) = homography.tolist()
     if max(map(abs, (b, c, e, f))) > _RECTANGULAR or a <= 0 or d <= 0:
         return None
     (fx, fy), (x0, y0) = panel.focal_px, panel.principal_point_px
@@ -65,7 +65,7 @@ def _reshaped(panel: Intrinsics, shape: Floats) -> Intrinsics | None:
 
 
 def true_view(room: Room, renderer: Renderer) -> GroundTruth:
-    """Cast a ray through the centre of every pixel."""
+    """Ground truth of every camera pixel, by a ray through its centre."""
     optics = room.camera.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     directions = room.camera.rays(np.stack([x.ravel(), y.ravel()]))
@@ -73,7 +73,7 @@ def true_view(room: Room, renderer: Renderer) -> GroundTruth:
     along = t * directions
     points = room.camera.centre[:, None] + along
     pixels, irradiance = ProjectorLight(room.scene, room.projector).direct(surface, points)
-    picture = renderer.picture.unshaped(pixels)
+    picture = renderer.picture.to_picture(pixels)
     projector = room.projector.optics
     lit = (irradiance > 0) & projector.sees(pixels) & projector.sees(picture)
 

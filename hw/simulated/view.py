@@ -1,4 +1,4 @@
-"""What an operator looks at when choosing where to put the rig: how well both devices see the corner."""
+"""How well both devices see the corner, by the criteria of an operator who chooses the place of the rig."""
 
 from dataclasses import dataclass
 
@@ -15,14 +15,15 @@ _PROJECTOR_STEP_PX = 20  # at the paper's 854 × 480
 
 @dataclass(frozen=True)
 class View:
-    """Figures of one view of the corner.
+    """Criteria of one view of the corner.
 
-    `label_shares` (6,): shares of the camera's directly lit pixels by `Label`. `lit_share`: of the camera's pixels.
-    `picture_in_frame`: share of the projector's rays that land within the camera's image, hidden there or not.
-    `baseline_out_of_face`: the smallest sine of the angle between the baseline and a face. `forward`: cosine between
-    baseline and camera axis, without sign. `grazing`: the smallest sine at which a device's ray to the vertex meets a
-    face. `clearance_m`: the smallest distance of a device from a face. `vertex_hidden`: furniture hides the vertex from
-    the camera. `sphere_lit`: share of the sphere's pixels in the camera that have direct light, NaN without a sphere.
+    `label_shares` (6,): shares of the camera's directly lit pixels by `Label`. `lit_share`: share of the camera's
+    pixels that are directly lit. `picture_in_frame`: share of the projector's rays that end inside the camera's image,
+    occluded or not. `baseline_out_of_face`: the smallest sine of the angle between the baseline and a face. `forward`:
+    absolute cosine between the baseline and the camera's axis. `grazing`: the smallest sine of the angle between a face
+    and a device's ray to the vertex. `clearance_m`: the smallest distance between a device and a face. `vertex_hidden`:
+    furniture occludes the vertex from the camera. `sphere_lit`: share of the camera's sphere pixels that are directly
+    lit; NaN without a sphere.
     """
 
     label_shares: Floats
@@ -35,11 +36,12 @@ class View:
     vertex_hidden: bool
     sphere_lit: float
 
-    def is_sensible(self, smallest_face: float) -> bool:
-        """Whether an operator's guide would recommend it.
+    def is_suitable(self, smallest_face: float) -> bool:
+        """Whether the operator's guide would recommend the view.
 
-        Each face has at least the share `smallest_face` of the lit pixels and is seen at 17° or more; the picture falls
-        into the frame; the baseline is 11° or more out of each face and rather across than along the camera's axis.
+        Each face has at least the share `smallest_face` of the lit pixels and is seen at 17° or more. The picture is
+        inside the camera's image. The baseline is inclined to each face by 11° or more, and to the camera's axis by 60°
+        or more.
         """
         return (
             float(self.label_shares[:3].min()) >= smallest_face
@@ -53,14 +55,14 @@ class View:
 
 
 def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
-    """Cast a coarse grid of rays from both devices."""
+    """Evaluate a view with a coarse grid of rays from both devices."""
     _, surface, lit = seen(scene, camera, projector)
     label = scene.labels[surface]
     shares = np.bincount(label[lit], minlength=len(Label)) / max(int(lit.sum()), 1)
 
-    thrown = projector.rays(_grid(projector, _PROJECTOR_STEP_PX))
-    t, _ = scene.cast(projector.centre[:, None], thrown)
-    landed, _ = camera.project(projector.centre[:, None] + t * thrown)
+    directions = projector.rays(_grid(projector, _PROJECTOR_STEP_PX))
+    t, _ = scene.cast(projector.centre[:, None], directions)
+    landed, _ = camera.project(projector.centre[:, None] + t * directions)
 
     normals = scene.normals(np.arange(3, dtype=np.int32), np.zeros((3, 3)))
     centres = np.stack([camera.centre, projector.centre], axis=1)
@@ -82,7 +84,7 @@ def look(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> View:
 
 
 def seen(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> tuple[Floats, Ints, Bools]:
-    """What a coarse grid of the camera's rays meets: points (3, n), surfaces (n,), and whether they are lit (n,)."""
+    """Points (3, n) hit by a coarse grid of camera rays, their surfaces (n,), and whether they are lit (n,)."""
     directions = camera.rays(_grid(camera, _CAMERA_STEP_PX))
     t, surface = scene.cast(camera.centre[:, None], directions)
     points = camera.centre[:, None] + t * directions
@@ -90,10 +92,10 @@ def seen(scene: Scene, camera: PlacedDevice, projector: PlacedDevice) -> tuple[F
     return points, surface, irradiance > 0
 
 
-def lights_and_sees(
+def lit_and_visible(
     scene: Scene, camera: PlacedDevice, projector: PlacedDevice, surface: Ints, points: Floats
 ) -> Bools:
-    """Whether a rig lights points (3, n) on surfaces (n,) and sees them, (n,)."""
+    """Whether points (3, n) on surfaces (n,) are both lit and seen by a rig, (n,)."""
     _, irradiance = ProjectorLight(scene, projector).direct(surface, points)
     pixels, _ = camera.project(points)
     facing = np.sum(scene.normals(surface, points) * (camera.centre[:, None] - points), axis=0) > 0

@@ -1,4 +1,4 @@
-"""A whole room whose four walls are unlike each other, and stations all round it whose views overlap."""
+"""A whole room whose four walls differ, and stations around it with overlapping views."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,21 +10,21 @@ from calib.numerics import Floats
 from hw.errors import DeviceError
 from hw.settings import SimulatedRigSettings
 from hw.simulated.device import PlacedDevice
-from hw.simulated.furniture import EMBEDDED_M, box, draw_other_end, overlap
+from hw.simulated.furniture import EMBEDDED_M, box, draw_second_sphere, overlap
 from hw.simulated.placement import SHORT_THROW, RigGeometry, draw_rig, look_at
 from hw.simulated.scene import Scene
 from hw.simulated.shapes import Block, Sphere
-from hw.simulated.view import lights_and_sees, seen
+from hw.simulated.view import lit_and_visible, seen
 
-_STREAM = 200  # random numbers apart from those of a single corner
-_OUTSIDE_M = 0.03  # linings reach so far beyond the room, and farther if it is crooked: no gap lets light through
-_FARTHER_M = 15.0  # per radian: three standard deviations along a wall of 5 m
+_STREAM = 200  # stream of random numbers; a single corner uses others
+_OUTSIDE_M = 0.03  # linings extend this far beyond the room, so that no light passes through a gap
+_FARTHER_M = 15.0  # additional extent per radian of `walls_off_deg`: three standard deviations along 5 m
 _LINING_M = 0.12
-_CLEARANCE_M = 0.25  # of the rig
-_OVERLAP = 0.3  # of a station's view, with that of the one before, at least
-_LIT = 0.25  # of a station's pixels, at least
-_ON_SPHERE = 3  # rays of a coarse grid
-_ALL_ROUND = 6  # stations that it takes at least to come back to the first; fewer make an open chain
+_CLEARANCE_M = 0.25  # around each device
+_OVERLAP = 0.3  # smallest share of a station's view that its neighbour sees too
+_LIT = 0.25  # smallest share of a station's pixels that are directly lit
+_ON_SPHERE = 3  # smallest number of rays of the coarse grid on each sphere
+_FULL_CIRCLE = 6  # stations of a full circle; fewer form an open chain
 _ATTEMPTS = 60
 _ROUNDS = 60
 _UP = np.array([0.0, 0.0, 1.0])
@@ -34,14 +34,17 @@ Station = tuple[PlacedDevice, PlacedDevice]
 
 @dataclass(frozen=True)
 class WholeRoom:
-    """The scene, and the rig's camera and projector at each of its stations, in the order in which they go round."""
+    """The scene, and the rig's camera and projector at each station, in order around the room."""
 
     scene: Scene
     stations: tuple[Station, ...]
 
 
 def draw_whole_room(settings: SimulatedRigSettings, walls: Block) -> WholeRoom:
-    """Within `walls`, with a projector that throws wide. Raises DeviceError if the seed has no such room."""
+    """Draw a furnished room inside `walls` and its stations, with a short-throw projector.
+
+    Raises DeviceError if the seed has no such room.
+    """
     fittings_rng, rng, rig_rng = (np.random.default_rng([settings.seed, _STREAM, stream]) for stream in range(3))
     fittings = _fittings(fittings_rng, walls, np.radians(settings.walls_off_deg))
     rig = draw_rig(rig_rng, settings.distortion, SHORT_THROW)
@@ -57,7 +60,7 @@ def draw_whole_room(settings: SimulatedRigSettings, walls: Block) -> WholeRoom:
 
 
 def _fittings(rng: np.random.Generator, walls: Block, off: float) -> tuple[Block, ...]:
-    """Linings that keep opposite walls from being parallel, one of them with the recess of a door; a chimney breast."""
+    """Linings that make opposite walls non-parallel, one of them with a door recess; and a chimney breast."""
     far_x, far_y, height = walls.lengths
     left, width, top = rng.uniform((0.35 * far_y, 0.8, 1.95), (0.6 * far_y, 0.95, 2.1))
     beyond = _OUTSIDE_M + _FARTHER_M * off
@@ -81,7 +84,7 @@ def _fittings(rng: np.random.Generator, walls: Block, off: float) -> tuple[Block
 
 
 def _inner_frame(walls: Block, axis: int, tilt: Floats) -> tuple[Floats, Floats]:
-    """Where a lining before the wall opposite along `axis` starts, and its directions (rows): outward, across, up."""
+    """Start of a lining in front of the wall opposite along `axis`, and its directions (rows): outward, across, up."""
     outward = walls.edges[axis] / walls.lengths[axis] + tilt[0] * walls.edges[1 - axis] / walls.lengths[1 - axis]
     outward = outward + tilt[1] * _UP
     outward /= np.linalg.norm(outward)
@@ -98,13 +101,15 @@ def _lining(frame: tuple[Floats, Floats], across: tuple[float, float], up: tuple
 
 
 def _furnish(rng: np.random.Generator, bare: Scene, settings: SimulatedRigSettings) -> Scene | None:
-    """The room with pieces along all four walls, boxes before them, one or two spheres; None if they do not fit."""
+    """The room with furniture along all walls, boxes in front of it, one or two spheres; None if they overlap."""
     if not settings.furniture:
         return bare
     askew = np.radians(settings.furniture_askew_deg)
     pieces = [*_along_the_walls(rng, bare.room, askew), *_boxes(rng, bare.room)]
-    sphere = Sphere(np.array([*_in_the_open(rng, bare.room), settings.sphere_radius_m]), settings.sphere_radius_m)
-    second = None if settings.ball_bar_m is None else draw_other_end(rng, sphere, settings.ball_bar_m)
+    sphere = Sphere(
+        np.array([*_position_in_front_of_furniture(rng, bare.room), settings.sphere_radius_m]), settings.sphere_radius_m
+    )
+    second = None if settings.ball_bar_m is None else draw_second_sphere(rng, sphere, settings.ball_bar_m)
     spheres = [sphere] if second is None else [sphere, second]
     solids: list[Block | Sphere] = [*pieces, *spheres]
     blocked = any(overlap(first, other) for first, other in combinations(solids, 2))
@@ -115,7 +120,7 @@ def _furnish(rng: np.random.Generator, bare: Scene, settings: SimulatedRigSettin
 
 
 def _along_the_walls(rng: np.random.Generator, room: Block, askew: float) -> Iterator[Block]:
-    """A large piece and a small one at each wall, each turned from it by a normal number times `askew` radians."""
+    """A large and a small piece at each wall, each rotated from it by a normal deviate times `askew` radians."""
     far_x, far_y = room.lengths[:2] - _LINING_M
     for wall, length in ((0, far_y), (1, far_x), (2, far_y), (3, far_x)):
         shares = rng.permutation([0.28, 0.72]) + rng.uniform(-0.08, 0.08, 2)
@@ -133,11 +138,11 @@ def _along_the_walls(rng: np.random.Generator, room: Block, askew: float) -> Ite
 def _boxes(rng: np.random.Generator, room: Block) -> Iterator[Block]:
     for _ in range(3):
         size = rng.uniform((0.2, 0.2, 0.15), (0.45, 0.4, 0.5))
-        yield box(size, _in_the_open(rng, room), rng.uniform(0, np.pi))
+        yield box(size, _position_in_front_of_furniture(rng, room), rng.uniform(0, np.pi))
 
 
-def _in_the_open(rng: np.random.Generator, room: Block) -> Floats:
-    """A place (2,) on the floor, before the furniture at the walls and out of the middle."""
+def _position_in_front_of_furniture(rng: np.random.Generator, room: Block) -> Floats:
+    """A position (2,) on the floor, in front of the furniture at the walls and away from the middle."""
     share = rng.uniform(0.2, 0.8, 2)
     edge = rng.integers(2)
     share[edge] = rng.choice([rng.uniform(0.2, 0.28), rng.uniform(0.72, 0.8)])
@@ -151,13 +156,13 @@ def _surrounded_by_air(scene: Scene, sphere: Sphere) -> bool:
 
 
 def _draw_stations(rng: np.random.Generator, scene: Scene, rig: RigGeometry, count: int) -> tuple[Station, ...] | None:
-    """One in each direction, evenly; None if there is no way round in which each sees enough of the one before."""
+    """Stations in evenly spaced directions; None if not each sees enough of what the one before sees."""
     stations: list[Station] = []
     for number in range(count):
         for _ in range(_ATTEMPTS):
-            station = rig.placed(*_camera_pose(rng, scene.room, number / max(count, _ALL_ROUND)))
+            station = rig.placed(*_camera_pose(rng, scene.room, number / max(count, _FULL_CIRCLE)))
             neighbours = [stations[-1]] if stations else []
-            neighbours += stations[:1] if number == count - 1 >= _ALL_ROUND - 1 else []
+            neighbours += stations[:1] if number == count - 1 >= _FULL_CIRCLE - 1 else []
             if _is_good(scene, station, neighbours):
                 stations.append(station)
                 break
@@ -167,9 +172,9 @@ def _draw_stations(rng: np.random.Generator, scene: Scene, rig: RigGeometry, cou
 
 
 def _camera_pose(rng: np.random.Generator, room: Block, turn: float) -> tuple[Floats, Floats]:
-    """Rotation from the world and centre of a camera that looks over the middle of the room, downwards a little.
+    """Rotation from the world and centre of a camera that looks across the middle of the room, slightly downwards.
 
-    `turn`: the share of a full turn from the direction of the first station, which looks at the corner at the origin.
+    `turn`: share of a full turn from the direction of the first station, which faces the corner at the origin.
     """
     middle = room.origin + room.edges.sum(axis=0) / 2
     azimuth = np.arctan2(-middle[1], -middle[0]) + 2 * np.pi * turn + np.radians(rng.uniform(-7, 7))
@@ -182,7 +187,7 @@ def _camera_pose(rng: np.random.Generator, room: Block, turn: float) -> tuple[Fl
 
 
 def _is_good(scene: Scene, station: Station, neighbours: list[Station]) -> bool:
-    """The rig stands free, lights enough of its view, and sees enough of what its neighbours see."""
+    """Whether the rig has clearance, lights enough of its view, and sees enough of what its neighbours see."""
     offsets = _CLEARANCE_M * np.concatenate([np.eye(3), -np.eye(3)]).T
     if not all(scene.is_free(device.centre[:, None] + offsets).all() for device in station):
         return False
@@ -190,10 +195,10 @@ def _is_good(scene: Scene, station: Station, neighbours: list[Station]) -> bool:
     if lit.mean() < _LIT:
         return False
     points, surface = points[:, lit], surface[lit]
-    return all(lights_and_sees(scene, *other, surface, points).mean() >= _OVERLAP for other in neighbours)
+    return all(lit_and_visible(scene, *other, surface, points).mean() >= _OVERLAP for other in neighbours)
 
 
 def _spheres_are_seen(scene: Scene, stations: tuple[Station, ...]) -> bool:
-    """Each by a station at least."""
+    """Whether at least one station sees each sphere."""
     met = np.concatenate([surface[lit] for _, surface, lit in (seen(scene, *station) for station in stations)])
     return all(np.count_nonzero(met == number) >= _ON_SPHERE for number in scene.spheres)

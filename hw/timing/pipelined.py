@@ -8,7 +8,8 @@ An exposure must fit between the latest light of its picture and the earliest li
 the measured times of the swaps. A frame counts if it was triggered in time, if the camera's clock agrees, and if it
 passes verification by complementary sums (`complementary_sums.py`) or parity (`parity_check.py`). A missed picture is
 shown again behind those on their way. After many misses the next ones are taken at rest, more each time. The period
-adapts to the jitter of the last frames (`jitter.py`).
+adapts to the jitter of the last frames (`jitter.py`). With the pace `AT_REST` all frames are taken at rest: they are
+verified and repeated alike, because a window system may show a picture late.
 """
 
 import logging
@@ -70,7 +71,7 @@ class PipelinedAcquisition:
 
     @property
     def possible(self) -> bool:
-        """Whether the exposure is still the one that the pace was measured with."""
+        """Whether the exposure is still the one of the calibration."""
         return self._camera.exposure_s == self._exposure_s
 
     def frames(
@@ -147,8 +148,10 @@ class PipelinedAcquisition:
         if len(found) < len(self._again):
             return found
         number = self._next
-        while self._pictures.has(number) and (
-            len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number)
+        while (
+            len(found) < _MOST_AT_REST
+            and self._pictures.has(number)
+            and (len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number))
         ):
             found.append(number)
             number += 1
@@ -201,7 +204,7 @@ class PipelinedAcquisition:
         return self._unverifiable and self._rested.issuperset(group)
 
     def _may_be_pipelined(self, number: int) -> bool:
-        return self._in_order or self._verification.lacks(number)
+        return self.rhythm.pipelines and (self._in_order or self._verification.lacks(number))
 
     def _catch(self) -> tuple[int, Frame | None]:
         """Expose the next picture on its way; returns its number and frame, or None if it was missed or lost."""

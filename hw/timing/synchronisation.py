@@ -17,7 +17,7 @@ from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCa
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.timed_rig import Tally, TimedRig
-from hw.timing.trigger_schedule import pace
+from hw.timing.trigger_schedule import AT_REST, pace
 
 log = logging.getLogger(__name__)
 
@@ -89,15 +89,20 @@ class _LastMode:
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(TimedRig):
     """A rig with a triggered camera. Acquisition is pipelined where that works and each picture has one frame;
-    otherwise it is sequential.
+    otherwise it is sequential. `verified` repeats frames that contain another picture, in either mode.
     """
 
     lost_advice = LOST_ADVICE
 
     timing: Timing
     sequential: SequentialAcquisition
-    pipelined: PipelinedAcquisition | None = None
+    verified: PipelinedAcquisition | None = None
     _last_mode: _LastMode = field(default_factory=_LastMode)
+
+    @property
+    def pipelined(self) -> PipelinedAcquisition | None:
+        """The pipelined acquisition, if it works with these devices."""
+        return self.verified if self.verified is not None and self.verified.rhythm.pipelines else None
 
     @property
     def latency_s(self) -> float:
@@ -121,10 +126,11 @@ class SynchronisedRig(TimedRig):
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
     ) -> Iterator[Frame]:
-        pipelined = self.pipelined if (level or unpaired) and not exposures_us else None
-        self._last_mode.pipelined = pipelined is not None and pipelined.possible
-        if pipelined is not None and self._last_mode.pipelined:
-            return pipelined.frames(images, level, unpaired)
+        verified = self.verified if (level or unpaired) and not exposures_us else None
+        if verified is not None and verified.possible:
+            self._last_mode.pipelined = verified.rhythm.pipelines
+            return verified.frames(images, level, unpaired)
+        self._last_mode.pipelined = False
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
@@ -152,15 +158,18 @@ def synchronised(
     calibration = LatencyCalibration(projector, camera)
     if not camera.capabilities.clock:  # flashes measure nothing if the begin of exposures is unknown
         timing = _rehearsed_sequential(calibration, projector, camera, LONGEST_LATENCY_S)
-        known = identity | {"light after a flip": f"within {1e3 * timing.delay_s:.0f} ms (waited for)"}
-        sequential = SequentialAcquisition(projector, camera, timing)
-        return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, sequential=sequential)
-    measured = calibration.latency()
-    timing = _rehearsed_sequential(calibration, projector, camera, measured.latest_s)
+        light = f"within {1e3 * timing.delay_s:.0f} ms (waited for)"
+    else:
+        measured = calibration.latency()
+        timing = _rehearsed_sequential(calibration, projector, camera, measured.latest_s)
+        light = f"{1e3 * timing.latency_s:.1f} ms (measured)"
     sequential = SequentialAcquisition(projector, camera, timing)
-    known_when = isfinite(camera.wait_s)
-    pipelined = _rehearsed_pipelined(calibration, measured, projector, camera, sequential) if known_when else None
-    known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
+    verified = None
+    if camera.capabilities.clock and isfinite(camera.wait_s):
+        verified = _rehearsed_pipelined(calibration, measured, projector, camera, sequential)
+    if verified is None:
+        verified = PipelinedAcquisition(projector, camera, sequential, AT_REST, calibration.sums)
+    known = identity | {"light after a flip": light}
     return SynchronisedRig(
-        projector, camera, known, refresh_hz, timing=timing, sequential=sequential, pipelined=pipelined
+        projector, camera, known, refresh_hz, timing=timing, sequential=sequential, verified=verified
     )

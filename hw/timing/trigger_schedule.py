@@ -5,7 +5,7 @@ A missed picture may get another slot later.
 
 import time
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf, isfinite
 
 from calib.numerics import Image
 from hw.timing.devices import BufferedProjector, Swap, TriggeredCamera
@@ -36,6 +36,11 @@ class Pace:
     wait_s: float
 
     @property
+    def pipelines(self) -> bool:
+        """Whether pictures may follow each other before their frames are taken."""
+        return isfinite(self.least_s)
+
+    @property
     def period_s(self) -> float:
         """Initial time between pictures."""
         return max(self.least_s + SLACK_S, self.cycle_s + HEADWAY_S)
@@ -49,6 +54,10 @@ class Pace:
     def lead_s(self) -> float:
         """Time from the begin of a swap until its picture may be exposed."""
         return self.latest_s + self.swapping_s
+
+
+# Every frame is taken at rest.
+AT_REST = Pace(soonest_s=0.0, latest_s=inf, swapping_s=0.0, least_s=inf, cycle_s=inf, wait_s=inf)
 
 
 def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:

@@ -32,7 +32,7 @@ class Job:
 
     @property
     def asked(self) -> str:
-        """Identifies what is asked: if it changes, an earlier result is none of this."""
+        """Digest of the request: if it changes, an earlier result is invalid."""
         text = f"{self.capture}\n{self.config.model_dump_json(exclude_unset=True)}\n{self.calibration}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -43,14 +43,14 @@ class Asked:
 
     config: Path | None = None
     overrides: tuple[str, ...] = ()
-    calibration: str | None = None  # may be far away, as the captures
+    calibration: str | None = None  # may be remote, as the captures
 
     def of_any(self) -> Job:
         """A job without a name and a capture. Raises InputError."""
         return Job("", "", load_config(self.config, self.overrides), self._known)
 
     def refuse_no_calibration(self) -> None:
-        """Raise InputError if the calibration of all is none: every row would say so."""
+        """Raise InputError if the common calibration is invalid, instead of in every row."""
         if self._known is not None:
             parse_calibration(self._known, str(self.calibration))
 
@@ -103,7 +103,7 @@ def _captures_below(root: Location) -> Iterator[Location]:
     for folder, folders, files in root.walk():
         folders.sort() if isinstance(folders, list) else None
         if CAPTURE_FILE in files:
-            folders.clear()  # frames are in there, and nothing else
+            folders.clear()  # a capture folder contains only frames
             yield folder
 
 
@@ -131,7 +131,7 @@ def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: Asked) -> Ite
             f"{', '.join(sorted(columns)) or 'none'}"
         )
     folder = file.url.rpartition("/")[0]
-    template_of = cache(Asked.of_any)  # a list may have thousands of lines that ask the same
+    template_of = cache(Asked.of_any)  # a list may have thousands of lines with the same options
     for number, row in enumerate(rows, start=2):
         if not row["capture"]:
             raise InputError(f"{file.url}, line {number}: no capture is named")
@@ -144,7 +144,7 @@ def _from_rows(rows: "csv.DictReader[str]", file: Location, asked: Asked) -> Ite
         name = row.get("name") or _name(capture, capture)
         if not all(map(_may_be_a_name, name.split("/"))):
             raise InputError(f"{file.url}, line {number}: expected a name below the results, found {shown(name)}")
-        for text in (row["capture"], name):  # which become names of files, and cells of tables
+        for text in (row["capture"], name):  # they become names of files, and cells of tables
             if harmless(text) != text or not _LINE_BREAKS.isdisjoint(text):
                 raise InputError(f"{file.url}, line {number}: a name has a control character, found {shown(text)}")
         yield replace(template_of(own), name=name, capture=capture)

@@ -14,7 +14,7 @@ from scanner.results import REPORT_FILE, SIGNS
 from scanner.ui import EXIT_BUG, EXIT_INPUT, EXIT_REFUSED
 
 _SCRIPT = "batch.js"
-# A browser shows no more at once; the table has all.
+# More rows would be slow in a browser; the table has all.
 _MOST_ROWS = 5_000
 _WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused", EXIT_BUG: "crashed"}
 

@@ -15,11 +15,11 @@ from scanner.batch.listing import Job
 from scanner.batch.rows import Row
 from scanner.batch.work import Delivery, Work
 
-# A capture that was there when so many processes died is what ends them.
+# A capture that was running when this many processes died is assumed to kill them.
 DEATHS = 3
-# How often memory is looked at, and how much of its share a process may take.
+# Interval of memory checks, and the largest multiple of its share that a process may use.
 _LOOK_S, _ALLOWED = 0.5, 0.95
-# Threads of libraries would be in each other's way.
+# Threads of libraries would compete with each other.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -91,7 +91,7 @@ class Processes:
         for worker in self._workers:
             if waiting and worker.job is None:
                 worker.job = waiting.pop()
-                with contextlib.suppress(ConnectionError):  # it has died, which reading tells
+                with contextlib.suppress(ConnectionError):  # it has died, which the reader notices
                     worker.connection.send((work, worker.job, delivery))
 
     def _end_the_largest(self) -> None:
@@ -118,7 +118,7 @@ def _started() -> _Worker:
 def _serve(connection: Connection) -> None:
     """Run one job after another in a worker process until its connection closes."""
     for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # of the terminal; the batch ends its processes itself
+        signal.signal(number, signal.SIG_IGN)  # a signal of the terminal; the batch ends its processes itself
     while True:
         try:
             work, job, delivery = connection.recv()
@@ -135,13 +135,13 @@ def _serve(connection: Connection) -> None:
 def _all_memory() -> float:
     """Bytes of this machine, of which the system may leave a program less (a container)."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
-    with contextlib.suppress(OSError, ValueError):  # no such limit, or "max"
+    with contextlib.suppress(OSError, ValueError):  # no such limit, or the value "max"
         limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
     return min(limits)
 
 
 def _memory_of(pid: int | None) -> float:
-    """Bytes that a process has in memory now; none where the system does not tell as Linux does."""
+    """Bytes that a process has in memory now; 0 on systems other than Linux."""
     try:
         pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
     except (OSError, IndexError):

@@ -10,7 +10,7 @@ from scanner.errors import InputError
 from scanner.results import Grade
 
 ENDING = ".json"
-_LARGEST = 2**63 - 1  # of a table's whole numbers
+_LARGEST = 2**63 - 1  # largest whole number of a table
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Row:
             if row.grade not in (None, *get_args(Grade)) or any(
                 isinstance(value, int) and abs(value) > _LARGEST for value in asdict(row).values()
             ):
-                raise ValueError("beyond what a table has")
+                raise ValueError("beyond the values of a table")
             return row
         except ValueError as error:
             raise InputError(f"{where}: expected a row of a batch, found something else; remove it") from error
@@ -66,5 +66,5 @@ class Row:
 _CHECKED = TypeAdapter(Row)
 
 
-# What differs between two runs of the same batch.
+# Columns that differ between two runs of the same batch.
 OF_THE_RUN = ("started", "seconds", "worker")

@@ -24,7 +24,7 @@ TABLE, CSV, PAGE = "batch.parquet", "batch.csv", "index.html"
 
 
 class Workers(Protocol):
-    """Whatever works on jobs side by side."""
+    """Workers that run jobs in parallel."""
 
     def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
         """What `work` made of each job, or the error that it ended with, in the order in which they are finished."""
@@ -32,7 +32,7 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Batch:
-    """`rows` by name, those `kept` of earlier runs included; `seconds` of this run; `files` that tell of all rows."""
+    """`rows` by name, with those `kept` from earlier runs; `seconds` of this run; `files` that summarise all rows."""
 
     rows: tuple[Row, ...]
     kept: int
@@ -46,9 +46,9 @@ class Batch:
 
 
 def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[str, Row], list[Job]]:
-    """Rows that earlier runs of the batch left for what is asked, and the jobs that have none.
+    """Rows of earlier runs for the same requests, and the jobs without a row.
 
-    `retry`: what crashed is tried again. Raises InputError for a row that is none.
+    `retry`: crashed jobs run again. Raises InputError for an invalid row.
     """
     found = {name: Row.from_json(data, f"{name}{ENDING}") for name, data in (out / ROWS).read_all(ENDING).items()}
     asked = {job.name: job.asked for job in jobs}
@@ -90,7 +90,7 @@ def run_batch(
 
 
 def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterator[Row]:
-    """Rows as they are finished."""
+    """Rows in the order of completion."""
     for job, outcome in workers.results(work, jobs, delivery):
         if isinstance(outcome, Row):
             yield outcome

@@ -50,9 +50,9 @@ Work = Callable[[Job, Delivery], Row]
 
 
 def work(job: Job, delivery: Delivery) -> Row:
-    """Reconstruct a capture and deliver what came of it, the row last. Whatever the capture is, there is a row.
+    """Reconstruct a capture and deliver the result, the row last. Every capture gets a row.
 
-    Raises StorageError, OSError if nothing can be delivered: that says nothing of the capture, and is no row.
+    Raises StorageError, OSError if nothing can be delivered, because that is no property of the capture.
     """
     _use_one_processor()
     started, began_s = datetime.now(UTC), time.monotonic()

@@ -1,4 +1,4 @@
-"""Calibration from captures of a printed board: which board, where it is in a capture, the result and its page."""
+"""Calibration from captures of a printed board: kinds of boards, their detection, the result and its page."""
 
 from scanner.boards.calibrate import FromBoards, calibrate_captures
 from scanner.boards.document import read_folders

@@ -21,8 +21,7 @@ from scanner.targets.target import UNIT, Target
 from scanner.ui import Progress
 
 _FEWEST_MATCHES = 300
-# A board's longer side, its distance, and that between the devices: outside these they are more likely of another unit
-# than real.
+# Plausible ranges of a board's longer side, its distance, and the baseline: values outside suggest a wrong unit.
 _PLAUSIBLE_SIDE_MM, _PLAUSIBLE_AWAY_MM, _PLAUSIBLE_BASELINE_MM = (80.0, 1500.0), (120.0, 20_000.0), (30.0, 5_000.0)
 
 
@@ -94,10 +93,10 @@ def calibrate_seen(
     missing = [each for each in looked if isinstance(each, Missing)]
     if not seen:
         reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"--board {target}: in none of the captures is there such a board:{reasons}")
+        raise InputError(f"--board {target}: no capture shows such a board:{reasons}")
     if missing and len(seen) < FEWEST_VIEWS:
         reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"expected the board in three views or more, found it in {len(seen)}:{reasons}")
+        raise InputError(f"expected the board in at least three captures, found it in {len(seen)}:{reasons}")
     with progress.step("Calibrating"):
         found = calibrate_boards(
             [each.view for each in seen],
@@ -121,7 +120,7 @@ def _look_into(recording: Recording, name: str, target: Target, progress: Progre
     try:
         decoded = decode(recording.stream(), progress, f"Decoding {name}", name)
     except InputError as error:
-        # One bad capture among good ones is left out and named, as one without the board is.
+        # A bad capture among good ones is left out and named, like one without a board.
         return Missing(name, str(error))
     return look(decoded, target, progress)
 
@@ -154,12 +153,12 @@ def view_of(name: str, detected: Detected, matches: Matches, target: Target, siz
 
 
 def _on_scale(result: FromBoards) -> list[str]:
-    """What the geometry can tell of the square's size: nothing but whether what follows from it can be."""
+    """Note on the lengths that follow from the square's size, and whether they are plausible."""
     distances = [float(np.linalg.norm(board.middle)) for board in result.found.estimate.state.boards]
     nearest, farthest, baseline = min(distances), max(distances), result.found.calibration.baseline
     side, number = 2 * result.target.reach, shown_unit(UNIT).number
     note = (
-        f"Lengths are as true as the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "
+        f"All lengths scale with the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "
         f"long, camera and projector are {number(baseline)} {UNIT} apart and the boards were {number(nearest)} to "
         f"{number(farthest)} {UNIT} away."
     )

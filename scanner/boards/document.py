@@ -18,9 +18,7 @@ def read_folders(folders: Sequence[Path]) -> list[Recording]:
     places = [recording.folder.resolve() for recording in recordings]
     for i, place in enumerate(places):
         if place in places[:i]:
-            raise InputError(
-                f"{recordings[i].folder}: given twice: a board that is counted twice looks surer than it is"
-            )
+            raise InputError(f"{recordings[i].folder}: given twice; a board counted twice would make sigmas too small")
     first = recordings[0]
     for other in recordings[1:]:
         for name, found, expected in (

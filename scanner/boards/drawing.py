@@ -11,7 +11,7 @@ from scanner.targets.target import TAG_SPACING, Target
 Picture = NDArray[np.uint8]
 _MARKER = 0.73  # side of a ChArUco board's marker, in squares
 _DOT = 0.5  # diameter of a dot, in distances to its neighbour along a row
-_OVER = 4  # dots are drawn so many times as large, for smooth rims
+_OVER = 4  # dots are drawn this many times larger, for smooth edges
 CHARUCO_DICTIONARY = cv2.aruco.DICT_5X5_1000
 
 
@@ -24,7 +24,7 @@ class Drawn:
 
 
 def draw_target(target: Target, side_px: int) -> Drawn:
-    """A board whose squares (tags, distances) have so many pixels, with a white rim of about a square."""
+    """A board whose squares (tags, distances) have this many pixels, with a white rim of about a square."""
     match target.kind:
         case "chessboard":
             inside = _checks(target.columns + 1, target.rows + 1, side_px)

@@ -18,11 +18,11 @@ from scanner.results import CAPTURES_FOLDER
 from scanner.targets.target import Target
 from scanner.ui import Terminal
 
-_WORTH_IT = 1.05  # times as sure
+_WORTH_IT = 1.05  # least factor on the sigmas
 
 
 def check_live(config: Config, number: int, target: Target, terminal: Terminal) -> None:
-    """Raise InputError if that cannot become a calibration, whatever is captured."""
+    """Raise InputError if no capture could lead to a calibration."""
     if number < FEWEST_VIEWS:
         raise InputError(f"--captures {number}: expected {FEWEST_VIEWS} or more of a board, six to ten are good")
     lenses_of(config, config.camera_size, config.projector_size)
@@ -41,7 +41,7 @@ def check_live(config: Config, number: int, target: Target, terminal: Terminal) 
 
 
 def capture_boards(config: Config, number: int, target: Target, folder: Path, terminal: Terminal) -> FromBoards:
-    """So many captures with the board in them, each recorded in `folder`, and the calibration from all.
+    """Capture this many views with the board, each recorded in `folder`, and calibrate from all.
 
     Raises DeviceError, RefusalError, and InputError if the operator ends too early.
     """
@@ -71,7 +71,7 @@ def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
 def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
     """Whether the board was moved, and not the operator has had enough."""
     if isinstance(rig, SimulatedRigSettings):
-        # A simulated board moves by itself; one that is never found will not be found by going on.
+        # A simulated board moves by itself: if it is never found, continuing does not help.
         return len(looked) < 2 * number
     question = (
         f"{found} of {number} captures. Move the board, and nothing else; then press Enter, or q and Enter to end: "

@@ -35,7 +35,7 @@ def write_pdf(path: Path, target: Target, sheet: str) -> None:
     per_mm = _DPI / _MM_PER_INCH
     side_px = round(target.square * per_mm)
     board = draw_target(target, side_px).image[side_px:-side_px, side_px:-side_px]
-    # A square is a whole number of dots, so the page states the resolution that gives it its true size.
+    # A square is a whole number of dots, so the page states the resolution that gives the true size.
     dpi = side_px / target.square * _MM_PER_INCH
     page = _page(board, SHEETS_MM[sheet], dpi / _MM_PER_INCH)
     if page is None:

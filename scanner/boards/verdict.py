@@ -8,7 +8,7 @@ from scanner.results import Verdict
 
 _MEASUREMENT_GRADE = 0.003  # sigma of a focal length
 _USEFUL_RAY_PX = 1.0
-_SURPRISING = 2.0  # of halves, in their sigmas
+_SURPRISING = 2.0  # difference of the halves, in their sigmas
 
 
 def verdict_on(result: FromBoards) -> Verdict:
@@ -24,12 +24,12 @@ def verdict_on(result: FromBoards) -> Verdict:
     expected = float(np.sqrt(np.mean([each.expected_px**2 for each in found.predictions])))
     reasons = [
         f"Focal lengths are known to {100 * relative[0]:.2g} % (camera) and {100 * relative[1]:.2g} % (projector), "
-        f"rays to {rays[0]:.2g} and {rays[1]:.2g} px wherever both devices see (1 sigma).",
+        f"rays to {rays[0]:.2g} and {rays[1]:.2g} px over the common view (1 sigma).",
         f"Each board is predicted by the others to {predicted:.2g} projector px; {expected:.2g} px were expected.",
     ]
     if found.halves is not None:
         reasons.append(
-            "Half of the boards against the other half: focals and principal points differ by "
+            "Calibrations from either half of the boards: focal lengths and principal points differ by "
             f"{found.halves.sigmas:.1f} of their sigmas (root mean square; 1 is expected)."
         )
     reasons += found.coverage.reasons and [f"How the boards were held: {'; '.join(found.coverage.reasons)}."]
@@ -39,9 +39,9 @@ def verdict_on(result: FromBoards) -> Verdict:
     if doubtful:
         return Verdict(
             "fair",
-            "Calibrated, but its halves disagree",
+            "Calibrated, but two halves of the boards disagree",
             tuple(reasons),
-            "Something changed between the captures, or the board is another one: make sure that nothing moves "
+            "Something changed between the captures, or the boards differ: make sure that nothing moves "
             "or is refocused, and that the board is flat and firm.",
         )
     return Verdict(

@@ -1,4 +1,4 @@
-"""The check from top to bottom. The rows come as they are found, so that a page can show them one by one."""
+"""The complete check. Rows are yielded as they are found, so that a page can show them one by one."""
 
 import logging
 import time
@@ -175,7 +175,7 @@ def _check_steadiness(bench: _Bench, before: Before, quick: view.Capture, checki
 
 
 def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: FringeMeter, checking: Checking) -> None:
-    """Coverage and focus: of where each pixel looks, and of more fringes beside those that `meter` has seen."""
+    """Coverage and focus, from the projector pixels of each camera pixel and from more fringes for `meter`."""
     size = bench.rig.projector.size
     coverage = view.coverage_of(decoded.decoding, size) if decoded.decoding else None
     fringes = _more_fringes({period_for(coverage.span if coverage else 1.0), LONG_PERIOD_PX})

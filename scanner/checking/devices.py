@@ -12,14 +12,14 @@ from hw.timing.timed_rig import TimedRig
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
 
-# Frames that are lost are taken again, which costs time only; so many say that something is wrong.
+# Lost frames are retaken and only cost time; this many indicate a problem.
 _MANY_RETAKEN = 0.1
 
 log = logging.getLogger(__name__)
 
-# A rig whose picture is all white cannot be synchronised; with so much less light it can, or the next time.
+# A completely white picture cannot be synchronised; with this much less light it can.
 _SHORTER = 0.25
-# Less than the refresh period of most projectors, which no exposure is shorter than.
+# Shorter than the refresh period of most projectors, and so than any exposure.
 _SHORTEST_US = 10_000.0
 
 
@@ -68,5 +68,5 @@ def transfer_rows(rig: Rig) -> Iterator[CheckRow]:
     if again <= _MANY_RETAKEN * taken:
         yield CheckRow("transfer", State.OK, f"{per_frame}, {again or 'none'} of {taken} taken again")
     else:
-        lost = f"{per_frame}, {again} of {taken} frames were lost first"
+        lost = f"{per_frame}, {again} of {taken} frames were lost at first"
         yield CheckRow("transfer", State.POOR, lost, f"{rig.lost_advice} Stop other work on this computer.")

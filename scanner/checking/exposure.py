@@ -13,21 +13,21 @@ from scanner.checking.report import CheckRow, State
 from scanner.decoding import MUCH_FLICKER
 
 _NAME = "exposure"
-# Shiny spots may clip: so small a share of the lit pixels is masked without loss.
+# Specular spots may clip: this share of the lit pixels is masked without loss.
 _SPARED = 0.001
-# Shot noise of the brightest pixels stays below the top: so many standard deviations of it are left free.
+# Margin below saturation, in standard deviations of the shot noise of the brightest pixels.
 _HEADROOM_SIGMAS = 4.0
-# Where the picture is clipped nobody knows how much is too much: so much less is tried next.
+# If the picture is clipped, the excess is unknown: the next trial uses this share of the exposure.
 _LESS = 0.25
-# Where nothing is seen, so much more.
+# If nothing is seen, the next trial uses this multiple.
 _MORE = 4.0
 _ROUNDS = 8
-# Of a refresh period: cameras keep time in whole microseconds.
+# Share of a refresh period: cameras set whole microseconds.
 _ROUNDING = 0.001
 _WHITES, _BLACKS = 4, 2
-# Of an exposure: less is no change.
+# Relative difference below which an exposure counts as unchanged.
 _SAME = 0.02
-# Longer ones make a scan of 44 frames last more than a minute, and light is better had from the aperture or the gain.
+# A longer exposure makes a scan of 44 frames last over a minute; aperture or gain are better.
 _LONGEST_US = 1e6
 _BY_HAND = "Set the camera's exposure by hand, in its driver's tool or its app: the program cannot."
 
@@ -129,7 +129,7 @@ def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, 
 
 
 def exposure_row(proposal: Proposal, refresh_hz: float | None, *, bracketed: bool) -> CheckRow:
-    """Grade the configured exposure and propose a better one; `bracketed`: the sequence has exposures of its own."""
+    """Grade the configured exposure and propose a better one; `bracketed`: the sequence has its own exposures."""
     first = proposal.first
     finding = _described(first)
     if first.is_dark and proposal.exposure_us is None:

@@ -1,9 +1,9 @@
-"""Blur of the two lenses, from how much fainter short fringes are than long ones.
+"""Blur of the two lenses, from the contrast of short fringes relative to long ones.
 
 A Gaussian blur of standard deviation σ leaves exp(−2π²σ²/λ²) of a fringe of period λ (its modulation transfer). The
-projector's blur is the same number of projector pixels everywhere; the camera's, seen from the projector, grows with
-how many projector pixels a camera pixel spans across the stripes. That differs between the axes and from face to face
-of a corner, and so tells the two lenses apart: blur² = projector² + camera² · span².
+projector's blur is constant in projector pixels. The camera's, in projector pixels, grows with the span of a camera
+pixel across the stripes. The span differs between the axes and between the faces of a corner, which separates the two
+lenses: blur² = projector² + camera² · span².
 """
 
 from collections.abc import Mapping
@@ -16,22 +16,22 @@ from calib.numerics import Bools, Floats, Ints, robust_sigma
 from scanner.checking.fringes import Fringe, cell_size
 from scanner.patterns import Axis
 
-# Fringes count where their power is so many times the noise of its own mean.
+# Least power of a fringe relative to the noise of its mean.
 _SEEN = 5.0
 _FEWEST_OF_CELL = 0.5
-# A cell across an edge is not the picture of one plane.
+# A cell across an edge shows more than one plane.
 _STRAIGHT_PX = 0.5
 _FEWEST_CELLS = 12
-# A period spans so many camera pixels at least: with fewer, it is sampled too coarsely for an amplitude.
+# Least camera pixels per period: with fewer, the amplitude is sampled too coarsely.
 _CAMERA_PIXELS = 3.0
-# Of a fringe's amplitude: pixels are not quite squares, and lenses no Gaussians.
+# Model error of a fringe's amplitude: pixels are not exactly squares, and lenses not Gaussians.
 _MODEL_ERROR = 0.03
 _BLOCKS = 4
-# Beside the quick sequence's own: those that projectors can draw as sines, and one that hardly any lens blurs. Not
-# whole numbers, as in the presets.
+# Additional to the quick sequence: periods that projectors can draw as sines, and one that hardly any lens blurs. They
+# are not whole numbers, as in the presets.
 _SHORT_PERIODS_PX = (4.3, 6.1, 8.6)
 LONG_PERIOD_PX = 24.6
-# How much more than on average a camera pixel spans on the faces that are seen at a slant.
+# Factor by which a camera pixel spans more than on average on oblique faces.
 _UNEVEN = 1.3
 _AXES: tuple[Axis, Axis] = ("x", "y")
 
@@ -82,7 +82,7 @@ def sample_blur(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools, pro
 
 
 def _slope(projector_px: Floats, good: Bools) -> Floats | None:
-    """Projector pixels per camera pixel, (2, 2): the row of each projector axis; None where no plane is seen."""
+    """Projector pixels per camera pixel, (2, 2), one row per projector axis; None without a plane."""
     row, column = np.nonzero(good)
     design = np.stack([np.ones(len(row)), column - column.mean(), row - row.mean()], axis=1)
     target = projector_px[good]
@@ -93,14 +93,14 @@ def _slope(projector_px: Floats, good: Bools) -> Floats | None:
 
 
 def period_for(span: float) -> float:
-    """The shortest useful period in projector pixels where a camera pixel spans so many, on average over an image."""
+    """The shortest useful period in projector pixels, for this mean number of projector pixels per camera pixel."""
     return next((period for period in _SHORT_PERIODS_PX if period >= _CAMERA_PIXELS * _UNEVEN * span), LONG_PERIOD_PX)
 
 
 def _blur2(
     fringes: Mapping[tuple[Axis, float], Fringe], axis: Axis, part: tuple[slice, slice], good: Bools, slope: Floats
 ) -> tuple[float, float] | None:
-    """Squared blur and the doubt about it, from the shortest two neighbouring periods that are resolved in a cell.
+    """Squared blur and its uncertainty, from the two shortest neighbouring periods that are resolved in a cell.
 
     None if no two are.
     """
@@ -111,7 +111,7 @@ def _blur2(
         short_power, long_power = powers[short], powers[long]
         if short_power is None or long_power is None:
             continue
-        # Pixels of both devices are squares, whose own blur is no lens's.
+        # Pixels are squares; their own blur is not the lens's.
         expected = _squares(short, slope) / _squares(long, slope)
         transfer = np.sqrt(short_power / long_power) / expected
         lever = 2 * np.pi**2 * (1 / short**2 - 1 / long**2)
@@ -134,11 +134,11 @@ def _squares(period: float, slope: Floats) -> float:
 
 @dataclass(frozen=True)
 class Lenses:
-    """Blur of both lenses: `total_px`, the median of both together, in projector pixels, and the share of each.
+    """Blur of both lenses: `total_px`, the median of both together in projector pixels, and the share of each.
 
-    `projector2`, `camera2`: what each adds to the square of the total, with the standard deviations `projector2_sigma`,
-    `camera2_sigma`; NaN where the view does not tell them apart at all. `doubt2`: what lenses that are no Gaussians
-    may have moved from one to the other. `span`: projector pixels per camera pixel, median.
+    `projector2`, `camera2`: contributions to the square of the total, with the standard deviations `projector2_sigma`,
+    `camera2_sigma`; NaN if the view does not separate them. `doubt2`: error of the separation if the lenses are not
+    Gaussian. `span`: projector pixels per camera pixel, median.
     """
 
     total_px: float
@@ -160,7 +160,7 @@ def tell_apart(samples: BlurSamples) -> Lenses | None:
     number: Ints = block[:, 1] * _BLOCKS + block[:, 0]
     groups = np.unique(number)
     total_px = float(np.sqrt(max(0.0, total2)))
-    # What is taken for blur that grows with the span is the more doubtful, the less the spans differ.
+    # The attribution of blur that grows with the span is less certain if the spans differ little.
     lever = float(np.std(samples.span**2) / usual)
     doubt2 = float(np.median(samples.doubt2)) / lever if lever > 0 else float("inf")
     if len(groups) < 3:
@@ -181,7 +181,7 @@ def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:
     design = np.stack([np.ones(len(relative)), relative], axis=1)
     target = samples.blur2[chosen]
     weight = np.ones(len(target))
-    for _ in range(10):  # reweighted against cells across edges (Huber)
+    for _ in range(10):  # reweighted to reject cells across edges (Huber)
         solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
         off = np.abs(target - design @ solution)
         scale = robust_sigma(off) + 1e-9

@@ -12,14 +12,14 @@ from scanner.checking.report import CheckRow, State
 from scanner.patterns import Gray, Pattern, Phase
 
 _NAME = "focus"
-# Either lens at its limit.
+# Largest blur of either lens.
 _LEAST_OF_BOTH = LEAST_AMPLITUDE**2
 _SURE_SIGMAS = 2.0
-# Of the total: a lens is no Gaussian, and what that makes of the split is not in its scatter.
+# Share of the total blur: model error of Gaussian lenses, which the scatter does not contain.
 _MODEL = 0.15
-# In the device's own pixels: so sharp a lens leaves half of stripes of two pixels, and focusing gains no more.
+# In the device's own pixels: such a lens keeps half the contrast of stripes of two pixels, and focusing gains nothing.
 _SHARP_PX = 0.7
-# Where stripes in a part of the picture keep so much less than elsewhere, the operator should hear of it.
+# If stripes in a part of the picture keep this much less contrast than elsewhere, the operator is told.
 _WORST_SHARE = 0.1
 _MIDDLE = 1 / 6
 
@@ -85,7 +85,7 @@ def _blurred(lenses: Lenses, period_px: float, *, doubted: bool) -> list[str]:
     ):
         doubt = _SURE_SIGMAS * sigma + lenses.doubt2 + _MODEL * lenses.total_px**2
         least = part - doubt if doubted else part
-        # Comparisons with NaN are false: what is unknown is no one's fault.
+        # Comparisons with NaN are false: an unknown lens is not blamed.
         if amplitude_left(least, period_px) < LEAST_AMPLITUDE and least > (_SHARP_PX * pixel) ** 2:
             blurred.append(name)
     return blurred

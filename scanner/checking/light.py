@@ -12,13 +12,13 @@ from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
 from scanner.checking.report import CheckRow, State
 from scanner.decoding import MUCH_FLICKER
 
-# A signal counts from five standard deviations on, as in the decoder.
+# Least signal in standard deviations, as in the decoder.
 _SEEN = 5.0
-# What is lit by the projector itself is at least so bright, relative to its brightest parts; light that reaches other
-# surfaces by way of the first is fainter, unless these are next to each other.
+# Least brightness of directly lit pixels relative to the brightest; interreflection is darker, except close to a
+# crease.
 _DIRECT = 0.1
 _BRIGHT_PERCENTILE = 99.0
-# Of the picture before: a third of it costs 6 % of the intrinsics.
+# Share of the previous picture: a third of this costs 6 % of the intrinsics.
 _MOST_GHOST = 0.01
 # JPEG and demosaicing spread clipped pixels over their neighbours' levels.
 CLIPPED = 254 / 255
@@ -81,7 +81,7 @@ class Light:
 
 
 def photograph_light(rig: Rig, whites: int, blacks: int) -> Light:
-    """Take so many frames of white, then of black. Raises DeviceError."""
+    """Take this many frames of white, then of black. Raises DeviceError."""
     width, height = rig.projector.size
     pictures = [np.full((height, width), level, np.uint8) for level in (255, 0)]
     frames = list(rig.photograph([pictures[0]] * whites + [pictures[1]] * blacks))
@@ -129,9 +129,9 @@ class Flicker:
 
 
 def flicker_of(light: Light) -> Flicker:
-    """How much frames that should be alike differ as a whole; their pixels' noise averages out.
+    """Relative difference of frames of the same picture; pixel noise averages out.
 
-    Where there are enough, the first of each does not count.
+    The first frame of each picture is excluded if there are enough.
     """
     level = float(light.mean_white[light.well_lit].mean())
     spreads = [
@@ -165,7 +165,7 @@ def ghost_of(light: Light) -> float:
 
 
 def leaves_ghost(light: Light) -> bool:
-    """Whether so much of a picture is left in the next frame that what is measured in single frames is wrong."""
+    """Whether ghosting is so strong that measurements from single frames are wrong."""
     return ghost_of(light) > _MOST_GHOST
 
 

@@ -1,4 +1,4 @@
-"""Pictures of what the check found, in colours that everyone can tell apart."""
+"""Pictures of the findings, in colours that are distinguishable with any colour vision."""
 
 from collections.abc import Mapping
 from pathlib import Path

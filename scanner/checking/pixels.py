@@ -1,9 +1,10 @@
-"""Does each pixel of a picture become one of the projector? Lines of one pixel tell, which no scaled picture can show.
+"""Whether the projector shows each pixel of a picture unchanged, tested with lines of one pixel, which no scaled
+picture shows.
 
-Lines of two grey levels a and b, one pixel wide each, send (L(a) + L(b)) / 2 on average if they arrive as they are, L
-being the projector's response. It bends, so that the average falls where they lose contrast (interpolation by scaling
-or keystone correction, neighbours that share light), and rises where sharpening adds to it. The camera only has to see
-how bright it is, not the lines.
+Lines of two grey levels a and b, one pixel wide each, send (L(a) + L(b)) / 2 on average if shown unchanged, with L the
+projector's response. L is not linear. So the average falls where the lines lose contrast (interpolation by scaling or
+keystone correction, crosstalk), and rises where sharpening increases it. The camera only measures the brightness, and
+need not resolve the lines.
 """
 
 import numpy as np
@@ -18,21 +19,21 @@ from scanner.checking.settled import settled
 from scanner.patterns import Axis
 
 _NAME = "pixels"
-# The two grey levels, by the steps of the ramp.
+# The two grey levels, as steps of the ramp.
 _DARK, _BRIGHT = 4, 11
 _MOST = 255.0
-# A picture that is scaled by any factor keeps some 55 %; a panel whose pixels share a tenth of their light, 79 %.
+# A scaled picture keeps about 55 %; a panel whose pixels share a tenth of their light, 79 %.
 _LEAST_CONTRAST, _MOST_CONTRAST = 0.7, 1.2
 _AXES: tuple[Axis, Axis] = ("x", "y")
 
 
 def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
-    """What is left of the contrast of lines; None where the response does not tell. Raises DeviceError."""
+    """The remaining contrast of lines; None if the response is too linear. Raises DeviceError."""
     if ramp.response is None:
         return None
     where = light.well_lit
     black, white = light.mean_black[where].mean(), light.mean_white[where].mean()
-    # Of a ghost that harms nothing else there would be percents of contrast here.
+    # Ghosting that is harmless elsewhere would change the contrast here by percents.
     levels = _level(_DARK), _level(_BRIGHT)
     frames = settled(rig.photograph, [lines_of_light(axis, rig.projector.size, levels) for axis in _AXES])
     mean = np.array([(grey(frame.image)[where].mean() - black) / (white - black) for frame in frames])

@@ -12,11 +12,11 @@ from scanner.checking.settled import settled
 from scanner.patterns import ProjectorResponse
 
 _NAME = "response"
-# 255 = 15 × 17: the levels are whole numbers, and as many as a smooth curve needs.
+# 255 = 15 × 17: whole grey levels, enough for a smooth curve.
 RAMP_STEPS = 16
-# Averages over thousands of pixels are known so well; two levels that differ by less are alike.
+# Averages over thousands of pixels are precise; levels that differ by less are equal.
 _LEAST_RISE = 1e-4
-# Of white: a step that brings less light at the bright end is wasted on it.
+# Share of white: a last step that adds less light is wasted.
 _FLAT = 0.005
 
 

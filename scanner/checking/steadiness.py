@@ -24,14 +24,14 @@ Levels = Mapping[tuple[Axis, float], Floats]
 _NAME = "steadiness"
 _STEPS = 4
 _AXES: tuple[Axis, Axis] = ("x", "y")
-# Not so short that what moved could be mistaken by a whole period, nor so long that it is not seen.
+# Long enough that no motion is mistaken by a whole period, short enough to show small motions.
 PERIOD_PX = 12.3
 _MOST_PIXELS = 4_000
 _TILE_PX = 16
-# What the decoder takes back without harm, of either device's pixels.
+# Motion that the decoder corrects without loss, in pixels of either device.
 _MOST_PX = 0.1
 _SURE = 5.0
-# Lamps settle to a few thousandths.
+# A warm lamp is stable to a few thousandths.
 _MOST_PERCENT = 0.5
 
 

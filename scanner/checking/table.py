@@ -6,7 +6,7 @@ from rich.table import Table
 
 from scanner.checking.report import CheckReport, State
 
-# A sign and a word for each: colour alone tells not everyone.
+# A sign and a word for each, for colour-blind readers.
 _SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
 _PLAIN_SIGNS = {State.OK: "+", State.POOR: "!", State.FAILED: "x"}
 _STYLES = {State.OK: "cyan", State.POOR: "yellow", State.FAILED: "bold magenta"}

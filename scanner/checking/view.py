@@ -26,16 +26,16 @@ from scanner.ui import Progress
 
 _QUICK: PresetName = "quick"
 _VIEW, _COVERAGE = "view", "coverage"
-# The quick capture's sigma is that of the scan within a factor of two: beyond half of what is refused, a scan may be.
+# The quick capture predicts the scan's sigma within a factor of two: beyond half the limit, a scan may be refused.
 _RISKY_SIGMA = USEFUL_SIGMA / 2
-# The projector's picture is divided into so many squares across; a square that no camera pixel matches is not seen.
+# Number of squares across the projector's picture; a square without matches is not seen.
 _SQUARES_ACROSS = 32
-# Of the camera's pixels: a quarter of the width and of the height. Lens terms and the principal point show in what is
-# seen far from the image's centre, and in less of it there is no such place.
+# Share of the camera's pixels, a quarter of its width and height: below, lens terms and principal point, which show far
+# from the centre, are not determined.
 _LEAST_OF_CAMERA = 1 / 16
-# Off centre by more than this share of a picture's side: enough to say which way to turn.
+# Offset from the centre, as a share of the picture's side, that gives a direction to turn.
 _OFF_CENTRE = 0.05
-# Stripes that survive a blur of several pixels, where the quick ones do not.
+# Stripes that survive a blur of several pixels, unlike the quick ones.
 _COARSE = Preset("gray", cell=16, inverses=True, periods=(32.7,), shifts=4)
 _UNREADABLE = "Correct what the lines above say about light and focus, keep the scene still, and check again."
 _MIRRORED = "Switch off rear projection, or ceiling mount, in its menu; do not photograph its picture in a mirror."
@@ -211,7 +211,7 @@ def view_row(
         notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
         return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or RIG.move), None
     if as_configured:
-        finding += f"; the {_QUICK} sequence would not do"
+        finding += f"; the {_QUICK} sequence is not sufficient"
         return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None
     return CheckRow(_VIEW, State.OK, finding), None
 

@@ -1,4 +1,4 @@
-"""Reconstruct many captures side by side, and tell of all in one table."""
+"""Reconstruct many captures in parallel, and summarise them in one table."""
 
 import re
 from argparse import Namespace
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scanner.batch.cluster import DaskWorkers
 
 _SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,3})?) ?([MGT])(i?)B?", re.ASCII | re.IGNORECASE)
-# With less, a process is ended over the smallest capture.
+# With less, a process would be ended by the smallest capture.
 _LEAST_BYTES = 400_000_000
 
 
@@ -31,7 +31,7 @@ def run(args: Namespace) -> None:
     memory_bytes = None if args.memory is None else _bytes(args.memory)
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
-        raise InputError(f"--out: expected a name of characters that can be shown, in UTF-8, found {shown(args.out)}")
+        raise InputError(f"--out: expected a name of printable UTF-8 characters, found {shown(args.out)}")
     asked = Asked(args.config, tuple(args.set), args.calibration)
     asked.refuse_no_calibration()
     with terminal.step("Looking for captures"):

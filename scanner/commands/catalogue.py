@@ -39,8 +39,8 @@ NAMED = {
         arguments.of_batch,
         "batch",
         """
-A refusal or a crash is noted in the capture's row; the others go on. Interrupted or repeated with the same
-arguments, a batch does what is left. Sources and --out may be far away, as in s3://bucket/folder.
+A refusal or a crash is noted in the capture's row; the others go on. After an interruption, repeat the command: only
+what is left is done. Sources and --out may be remote, as in s3://bucket/folder.
 """,
     ),
     "patterns": Command(
@@ -61,7 +61,7 @@ arguments, a batch does what is left. Sources and --out may be far away, as in s
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
+these lines change, and the original file is kept as FILE.bak.
 
 Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused. The
 results so far are always shown.
@@ -131,7 +131,7 @@ Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the 
 """,
     ),
     "object": Command(
-        "Join stations of a thing before one calibrated rig: their poses, one surface, its volume.",
+        "Join stations of a thing seen by one calibrated rig: their poses, one surface, its volume.",
         arguments.of_object,
         "object",
         """
@@ -140,16 +140,16 @@ overlap by half. The static background, such as table and wall, is recognised an
 --config FILE --object --stations N --calibration FILE.
 
 Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
-station could as well be turned otherwise, as of a ball.
+rotation is ambiguous, as for a ball.
 """,
     ),
     "live": Command(
-        "Clouds while one looks, from a calibrated rig; those that are kept become stations of a thing or a room.",
+        "Show live clouds of a calibrated rig; kept ones become stations of a thing or a room.",
         arguments.of_live,
         "live",
         """
 Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
-keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C ends it, and keeps what was kept.
+keeps a cloud; scan object OUT or scan room OUT joins them. Ctrl-C ends; kept clouds stay.
 """,
     ),
     "compare": Command(
@@ -157,8 +157,8 @@ keeps a cloud; scan object OUT, or scan room OUT, puts them together. Ctrl-C end
         arguments.of_compare,
         "compare",
         """
-Differences are given in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
-is taken out that brings the two closest. Exit code 0 also where they differ: the sentence at the end says so.
+Differences are in projector pixels and as lengths, over the camera's picture and by depth, after the best rigid
+alignment. The exit code is 0 even if the calibrations differ: the last sentence says whether they do.
 """,
     ),
     "import": Command(

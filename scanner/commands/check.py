@@ -12,7 +12,7 @@ from scanner.configuration import load_config, set_keys
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
 
-# Of a microsecond no camera knows more, and of the light no average.
+# Significant digits: cameras set whole microseconds, and averages are no more accurate.
 _EXPOSURE_DIGITS, _LIGHT_DIGITS = 1, 5
 
 
@@ -38,13 +38,13 @@ def run(args: Namespace) -> None:
 
 
 def _write(path: Path, report: CheckReport) -> str:
-    """Put what was found out into the configuration file; what to tell of it. Raises InputError."""
+    """Write the findings into the configuration file; returns a sentence about it. Raises InputError."""
     values: dict[str, object] = {}
     if report.exposure_us is not None:
         values["rig.exposure_us"] = round(report.exposure_us, _EXPOSURE_DIGITS)
     if report.response is not None:
         values["projector.response"] = [round(light, _LIGHT_DIGITS) for light in report.response]
     if not values:
-        return f"{path} is as it was: there is nothing to write into it"
+        return f"{path} is unchanged: there is nothing to write"
     backup = set_keys(path, values)
-    return f"{path}: {' and '.join(values)} set; as it was at first it is kept in {backup.name}"
+    return f"{path}: {' and '.join(values)} set; the original file is {backup.name}"

@@ -74,7 +74,7 @@ def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> 
     except DeviceError as error:
         problems.append(str(error))
         described["Screens"] = [str(error)]
-    # The desktop begins on the first screen; a projector is mostly the last.
+    # The desktop is usually on the first screen, the projector on the last.
     lines = list(_to_paste([camera for camera in cameras if camera.rig], (screens or [])[::-1]))
     return Found(described, lines, problems, not cameras and screens is None)
 

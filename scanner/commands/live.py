@@ -1,4 +1,4 @@
-"""Show clouds while one looks, and keep those that are wanted."""
+"""Show live clouds, and keep the requested ones."""
 
 import sys
 import time

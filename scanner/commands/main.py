@@ -11,10 +11,10 @@ from scanner.commands.catalogue import MAIN, NAMED, Command
 from scanner.errors import InputError
 from scanner.interruption import finishing, handlers_restored, interrupt, on_ending
 
-# The matrices here are small and many: handing each to a pool of threads costs several times what it gains. What is
-# worth several cores is cut into pieces where it is computed. This has to be said before NumPy is loaded.
+# The matrices here are small and many: a thread pool costs several times what it gains. Larger work is divided where it
+# is computed. This must be set before NumPy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# And before OpenCV is: our own messages say what matters.
+# Likewise before OpenCV is imported: its messages would hide ours.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 
 _OTHER_COMMANDS = "other commands:\n" + "\n".join(
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line (default: the process's own) and return its exit code; errors are one message on stderr."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that has no × or ± is no reason to fail
+            stream.reconfigure(errors="replace")  # a terminal without × or ± is no error
     with handlers_restored():
         try:
             name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
@@ -45,14 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _announce_compiling(*, quiet: bool) -> None:
     """The first command after an installation takes longer: say so where progress is shown, too."""
-    jit = sys.modules.get("calib.numerics.jit")  # commands that compute nothing do not load it
+    jit = sys.modules.get("calib.numerics.jit")  # not loaded by commands that compute nothing
     if jit is not None and sys.stderr.isatty() and not quiet:
         jit.when_compiling(lambda: print("Compiling for this machine, once: up to a minute …", file=sys.stderr))
 
 
 def _reported(error: BaseException) -> int:
     """Say what it was; the exit code that goes with it."""
-    from scanner.ui import failure_of, for_screen  # with what it takes to show progress, which help does without
+    from scanner.ui import failure_of, for_screen  # this imports the display of progress, which help does not need
 
     failure = failure_of(error)
     print(for_screen(f"scan: {failure.message}", sys.stderr), file=sys.stderr)
@@ -81,7 +81,7 @@ class _Parser(ArgumentParser):
 
 class _Version(Action):
     def __call__(self, parser: ArgumentParser, *_: object, **__: object) -> NoReturn:
-        from importlib.metadata import version  # slow to load, for so rare a wish
+        from importlib.metadata import version  # slow to import and rarely needed
 
         print(f"scan {version('roomscan')}")
         parser.exit()

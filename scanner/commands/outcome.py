@@ -19,16 +19,16 @@ from scanner.ui import Terminal
 
 
 def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[str] = ()) -> None:
-    """Print the summary of a result that was published at `out`, what matters most last.
+    """Print the summary of a result that was published at `out`, the most important last.
 
-    `remarks` are the command's own, beside the scan's.
+    `remarks`: of the command, in addition to the scan's.
     """
     calibration, truth = scan.newest.calibration, scan.newest.decoded.metadata.truth
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
     if only := scan.newest.decoded.only_axis:
-        terminal.show(f"Note: only {only} was measured; nothing checks whether the calibration fits.")
+        terminal.show(f"Note: only the {only} coordinate was measured, so nothing checks whether the calibration fits.")
     for remark in (*scan.remarks, *remarks):
         terminal.show(f"Note: {remark}")
     titles = titles_of([capture.decoded for capture in scan.captures])

@@ -54,7 +54,7 @@ def _object(args: Namespace, config: Config, terminal: Terminal) -> None:
 def _room(args: Namespace, config: Config, terminal: Terminal) -> None:
     if args.captures != 1 or args.masks:
         raise InputError("--stations scans a whole room; --captures and --masks are for one corner: give one of them")
-    from scanner.commands.room import show_room  # with Open3D and DXF, which nothing else here needs
+    from scanner.commands.room import show_room  # imports Open3D and DXF, which nothing else here needs
     from scanner.rooms.jobs import scan_room
 
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)

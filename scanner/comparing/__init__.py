@@ -1,4 +1,4 @@
-"""Two calibrations of one rig beside each other: where they differ, and whether their sigmas allow it."""
+"""Comparison of two calibrations of one rig: where they differ, and whether their sigmas allow it."""
 
 from scanner.comparing.comparison import Comparison, Sheet, compare_files
 from scanner.comparing.page import COMPARE_FILE, COMPARE_PAGE, write_compare, write_compare_page

@@ -93,7 +93,7 @@ def _read(path: Path) -> SystematicErrors:
     file = path / CALIBRATION_FILE if path.is_dir() else path
     calibration = read_calibration(file)
     if calibration.unit != UNKNOWN_UNIT:
-        metres_per(calibration.unit)  # or it is no length
+        metres_per(calibration.unit)  # raises if it is no unit of length
     return rig_errors(calibration, read_uncertainty(file, calibration))
 
 
@@ -138,7 +138,7 @@ def _devices(calibration: Calibration) -> tuple[Intrinsics, Intrinsics]:
 
 def _sheet(found: Difference, depth: float, grid: Floats) -> Sheet:
     here = np.flatnonzero(found.depth == depth)
-    # Every pixel of the grid is unlike any other.
+    # No two pixels of the grid correlate.
     place = {tuple(pixel): i for i, pixel in enumerate(grid.reshape(-1, 2).tolist())}
     index = [place[tuple(pixel)] for pixel in found.camera_px[here].tolist()]
 

@@ -12,7 +12,7 @@ from scanner.quantities import ShownUnit, plain, shown_unit
 
 
 def summary(found: Comparison) -> Iterator[str]:
-    """The verdict first, then what it rests on, in sentences."""
+    """The verdict first, then its reasons, in sentences."""
     difference, unit = found.difference, shown_unit(found.unit)
     worst = int(np.argmax(difference.sigmas if any(found.known) else difference.length))
     x, y = difference.camera_px[worst]
@@ -24,12 +24,12 @@ def summary(found: Comparison) -> Iterator[str]:
     allowed = unit.error(float(difference.length_sigma[worst]))
     if difference.agree:
         yield (
-            f"They agree: most against their sigmas they differ by {size}, {where}, where {allowed} is one sigma "
+            f"They agree: the most significant difference is {size}, {where}, where {allowed} is one sigma "
             f"({difference.sigmas[worst]:.1f} sigmas)."
         )
     else:
         yield (
-            f"They differ by more than their sigmas allow: most by {size}, {where}, where {allowed} is one sigma "
+            f"They differ by more than their sigmas allow: by up to {size}, {where}, where {allowed} is one sigma "
             f"({difference.sigmas[worst]:.1f} sigmas)."
         )
     yield (
@@ -41,11 +41,11 @@ def summary(found: Comparison) -> Iterator[str]:
             yield f"{name} has no covariance: the sigmas are those of the other calibration only."
     if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
         yield (
-            f"{unit.error(difference.unexplained)} of it, root mean square, is of a kind that neither covariance "
-            "speaks of, as of lens terms that only one of them has."
+            f"{unit.error(difference.unexplained)} of it (root mean square) is of a kind that neither covariance "
+            "contains, such as lens terms that only one of them has."
         )
     if not found.metric:
-        yield "No length is known to both, so one of them was enlarged as fits best: differences are of shape."
+        yield "They share no known length, so one was scaled to fit best: the differences are in shape only."
 
 
 def headings(found: Comparison) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Changing single keys of a configuration file: everything else in it stays as it is, byte for byte."""
+"""Editing single keys of a configuration file, with everything else unchanged, byte for byte."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from scanner.errors import InputError
 from scanner.io import flow_yaml, parse_yaml, read_text, validate
 
 BACKUP_SUFFIX = ".bak"
-_MARK = "\ufeff"  # of UTF-8, where a text editor has put one
+_MARK = "\ufeff"  # byte order mark of UTF-8
 
 
 def set_keys(path: Path, values: Mapping[str, object]) -> Path:
@@ -40,9 +40,9 @@ def check_text(text: str, path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Replace a configuration file by a text as it is, with its comments; returns where the first one is kept.
+    """Replace a configuration file by a text, with its comments; returns the path of the original.
 
-    Raises InputError, with nothing changed, if it is no configuration, or cannot be written.
+    Raises InputError, with nothing changed, if the text is no configuration, or cannot be written.
     """
     check_text(text, path)
     return _replace(path, text)
@@ -55,7 +55,7 @@ def _replace(path: Path, text: str) -> Path:
     try:
         if not backup.exists():
             shutil.copy2(real, backup)
-        shutil.copy2(real, fresh)  # for its permissions
+        shutil.copy2(real, fresh)  # keeps the permissions
         with fresh.open("w", encoding="utf-8", newline="") as file:
             file.write(text)
             file.flush()
@@ -63,7 +63,7 @@ def _replace(path: Path, text: str) -> Path:
         fresh.replace(real)
     except OSError as error:
         fresh.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is as it was") from error
+        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is unchanged") from error
     return backup
 
 
@@ -76,8 +76,8 @@ def with_key(text: str, key: str, value: object, where: str) -> str:
     wanted = _with(before, section, name, value)
     if changed is None or _parsed(changed, where) != wanted:
         raise InputError(
-            f"{where}: '{key}' cannot be set without touching more of the file; write this line into '{section}:' "
-            f"yourself: {name}: {shown}"
+            f"{where}: '{key}' cannot be set without changing other lines; write this one into '{section}:' yourself: "
+            f"{name}: {shown}"
         )
     return changed
 
@@ -115,7 +115,7 @@ def _changed(text: str, section: str, name: str, shown: str) -> str | None:
         last = inner.value[-1][1]
         end = _end_of(last, text)
         return f"{text[:end]}, {name}: {shown}{text[end:]}"
-    # A block's new key goes before its first, on a line of its own with the same indentation.
+    # A new key is inserted before the block's first, with the same indentation.
     first = inner.value[0][0].start_mark
     return f"{text[: first.index]}{name}: {shown}{newline}{' ' * first.column}{text[first.index :]}"
 

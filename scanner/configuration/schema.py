@@ -25,13 +25,13 @@ from scanner.errors import InputError
 from scanner.io import Section, parse_yaml, read_yaml, validate
 from scanner.patterns import PresetName
 
-# Of an unknown camera only the image's centre is known; real principal points scatter around it by a few per cent.
+# Of an unknown camera only the image's centre is known; real principal points deviate by a few per cent.
 _CENTRE_SIGMA_OF_WIDTH = 0.03
 
 _MOST_EARLIER = 64
-# Of a camera that takes a second or more for a frame.
+# For cameras that take a second or more per frame.
 _PRESET_OF_SLOW: PresetName = "quick"
-# Of a recording's `capture.yaml`.
+# In a recording's `capture.yaml`.
 CONFIGURATION_KEY = "configuration"
 
 
@@ -54,13 +54,13 @@ class Config(Section):
     earlier: tuple[Path, ...] = Field(
         default=(),
         max_length=_MOST_EARLIER,
-        description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
+        description="Earlier results or matches of this unchanged rig, to calibrate together with the new capture; "
         "paths relative to this file.",
     )
 
     @model_validator(mode="after")
     def _few_frames_of_slow_cameras(self) -> "Config":
-        """A sequence that nobody chose is worth its frames."""
+        """The default sequence of slow cameras is short."""
         if (
             not isinstance(self.rig, CameraRigSettings)
             or not self.rig.slow
@@ -89,14 +89,14 @@ class Config(Section):
 
     @property
     def pairs(self) -> dict[tuple[str, str], "Config"]:
-        """The configuration of each pair of a network's devices, by camera and projector: projector by projector.
+        """The configuration of each pair of a network's devices, by camera and projector, projector by projector.
 
-        Raises InputError if no network is configured, or what differs for a device is impossible.
+        Raises InputError if no network is configured, or settings of a device are invalid.
         """
         if self.rigs is None:
             raise InputError(
                 "the configuration has no 'rigs': name a network's devices, as in rigs: {cameras: {left: {}, right: "
-                "{rig: {serial: 1234}}}, projectors: {stage: {}}}"
+                "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
         return {
@@ -143,7 +143,7 @@ class Config(Section):
             )
         x, y = setting.known
         if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {camera_size} image")
+            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside the {camera_size} image")
         return PrincipalPoint((x, y), 0.0)
 
 
@@ -182,7 +182,7 @@ def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable
     """
     data = metadata.get(CONFIGURATION_KEY)
     if not isinstance(data, dict):
-        raise InputError(f"{where}: does not say with which configuration it was made: give it with --config FILE")
+        raise InputError(f"{where}: contains no configuration: give one with --config FILE")
     data = deepcopy(data)
     for override in overrides:
         _apply(override, data)

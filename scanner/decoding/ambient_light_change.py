@@ -67,11 +67,11 @@ class AmbientLightChange:
         result[self.frame :] -= self.light(levels)
         return result
 
-    def said(self, plan: SequencePlan) -> str:
+    def description(self, plan: SequencePlan) -> str:
         """Return a clause for the operator."""
-        went = "on" if self.share > 0 else "off"
+        direction = "on" if self.share > 0 else "off"
         when = plan.name(self.frame) if self.beside is None else f"{plan.name(self.frame)} or {plan.name(self.beside)}"
-        return f"light of {abs(self.share):.0%} of the pattern's was switched {went} before {when}"
+        return f"light of {abs(self.share):.0%} of the pattern's was switched {direction} before {when}"
 
 
 def without_light(

@@ -241,7 +241,7 @@ def check_and_calibrate(
         code_anomalies = check_codes(
             plan, accumulators.codes, observed.noise, accumulators.middle, accumulators.brightest, moved
         )
-        anomalies += _passed_over(plan, code_anomalies, anomalies, observed.inconsistent)
+        anomalies += _explained(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, observed.code_shifts):
             for decoder, signals in zip(decoders, thin, strict=True):
@@ -250,7 +250,7 @@ def check_and_calibrate(
         return CalibratedDecoders(decoders, modulation(decoders, thin))
 
 
-def _passed_over(
+def _explained(
     plan: SequencePlan,
     code_anomalies: Sequence[Anomaly],
     seen: Sequence[Anomaly],

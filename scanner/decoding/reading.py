@@ -38,7 +38,7 @@ class Reading:
         if self.ghost:
             yield f"{self.ghost.description(plan)}, which was taken out. Let the camera wait longer for the projector."
         if self.switch:
-            yield f"{self.switch.said(plan)}, and was taken out. Better: leave the room's light as it is."
+            yield f"{self.switch.description(plan)}, and was taken out. Better: leave the room's light as it is."
 
     def _steady(self, frames: Iterable[Image]) -> Iterator[Image]:
         light = iter(frames) if self.response is None else map(self.response.light_of, frames)

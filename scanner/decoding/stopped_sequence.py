@@ -66,11 +66,11 @@ def _trimmed(
     axes = _balanced(axes, wanted, calibrated=calibrated)
     decoded_as = {p: p for p in once if not isinstance(p, Gray | Xor | Phase)} | axes[0] | axes[1]
     # Fringes that repeat within the remaining cells are left out as well.
-    decoded_as, plan, trouble = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
+    decoded_as, plan, reason = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
     taken = f"{len(patterns)} of its {len(planned)} frames were taken. " if planned else ""
     missing = f"The capture stops early: {taken}Missing or left out: {_listed(wanted, decoded_as)}"
     if plan is None:
-        raise InputError(f"{missing}. From what there is nothing can be decoded: {trouble}")
+        raise InputError(f"{missing}. From what there is nothing can be decoded: {reason}")
     kept = (decoded_as.get(pattern) for pattern in patterns[: len(whole)])
     words = f"{missing}. What it costs: {'; '.join(_cost(axis, by_edges=not plan.fringes) for axis in plan.axes)}."
     return Usable((*kept, *[None] * (len(patterns) - len(whole))), words)

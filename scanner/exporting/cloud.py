@@ -1,4 +1,4 @@
-"""The cloud as it is in the result: binary PLY."""
+"""The cloud, unchanged, as binary PLY."""
 
 from scanner.exporting.formats import Request
 from scanner.io import copy_given, new_file, read_cloud, read_room

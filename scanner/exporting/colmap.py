@@ -60,10 +60,10 @@ def export(request: Request) -> list[str]:
 def write_colmap(
     folder: Path, scans: Sequence[tuple[FinishedScan, Motion]], *, most_points: int, overwrite: bool
 ) -> ModelSize:
-    """Write a model of scans by one rig, each at its place, with at most so many points of all, chosen evenly over the
-    camera's images.
+    """Write a model of scans by one rig, each with its pose, with at most `most_points` points, spread evenly over the
+    images.
 
-    Raises InputError if one of the files exists already and may not be replaced.
+    Raises InputError if a file exists and may not be replaced.
     """
     for name in COLMAP_FILES:
         refuse_existing(folder / name, overwrite=overwrite)
@@ -78,7 +78,7 @@ def write_colmap(
 
 
 def _evenly(pixel: Ints, most: int) -> tuple[Ints, int]:
-    """Indices of the points at every `step`-th row and column, for the smallest step that leaves at most so many."""
+    """Indices of the points at every `step`-th row and column, for the smallest step that leaves at most this many."""
     step = max(1, int(np.sqrt(len(pixel) / most)))
     while True:
         chosen = np.flatnonzero(np.all(pixel % step == step // 2, axis=1))

@@ -57,7 +57,7 @@ def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) 
     refuse_without_pye57()
     import pye57
 
-    path.touch()  # pye57 has exceptions of its own for a place that cannot be written to
+    path.touch()  # pye57 raises its own exceptions for an unwritable path
     points = 0
     with pye57.E57(str(path), mode="w") as file:
         for each in placed:
@@ -84,6 +84,6 @@ def _columns(scan: FinishedScan, metres_per_unit: float) -> dict[str, NDArray[np
     data |= {
         "columnIndex": scan.pixel[:, 0].astype(np.int32),
         "rowIndex": scan.pixel[:, 1].astype(np.int32),
-        "cartesianInvalidState": np.zeros(len(points), np.uint8),  # 0: valid. Readers like pye57's insist on it
+        "cartesianInvalidState": np.zeros(len(points), np.uint8),  # 0: valid; readers such as pye57 require it
     }
     return data

@@ -44,7 +44,7 @@ class Format:
             raise InputError(f"{out}: expected a name that ends in {' or '.join(self.suffixes)}")
 
     def write(self, request: Request) -> list[str]:
-        """Write it; returns what to tell about the export, in sentences. Raises InputError and OSError."""
+        """Write the export; returns sentences about it. Raises InputError and OSError."""
         sentences: list[str] = import_module(f"scanner.exporting.{self.module}").export(request)
         return sentences
 

@@ -44,10 +44,10 @@ def write_glb(path: Path, mesh: Mesh, metres_per_unit: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class GlbCamera:
-    """A device as a camera with its place, X = rotation X_device + translation, in the frame and unit of the mesh.
+    """A device as a camera with its pose, X = rotation X_device + translation, in the frame and unit of the mesh.
 
-    glTF's cameras have no lens shift: this one looks along the device's axis with its focal length, and what
-    programs need beyond that is in `extras`. `far`: of the clipping plane; the nearer one is at `near`.
+    glTF's cameras have no lens shift: this one faces along the device's axis with its focal length, and the rest is in
+    `extras`. `near`, `far`: clipping planes.
     """
 
     name: str

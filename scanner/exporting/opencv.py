@@ -1,4 +1,4 @@
-"""The calibration as OpenCV's FileStorage (YAML): matrices that its functions take as they are."""
+"""The calibration as OpenCV's FileStorage (YAML), with matrices for its functions."""
 
 from pathlib import Path
 

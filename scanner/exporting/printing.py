@@ -46,7 +46,7 @@ def export(request: Request) -> list[str]:
 
 
 def _in_metres(result: Path) -> tuple[Floats, Ints, list[str]]:
-    """Points, y up, and triangles of a result; what to tell about it."""
+    """Points, y up, and triangles of a result; and sentences about it."""
     for listing, name in ((ROOM_FILE, ROOM_MESH_FILE), (OBJECT_FILE, OBJECT_MESH_FILE)):
         if (result / listing).is_file():
             _, remarks = in_metres(read_room(result / listing).unit)

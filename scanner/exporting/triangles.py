@@ -10,7 +10,7 @@ from calib.pointcloud import SeenPoints, image_triangles
 from scanner.errors import InputError
 from scanner.results import FinishedScan
 
-# The camera's axes (x right, y down, z forward) turned to x right, y up, z backward, as glTF's cameras look.
+# From the camera's axes (x right, y down, z forward) to glTF's (x right, y up, z backward).
 Y_UP_FROM_CAMERA = np.array([1.0, -1.0, -1.0])
 
 
@@ -29,7 +29,9 @@ class Mesh:
 
 
 def build_mesh(scan: FinishedScan) -> Mesh:
-    """Join neighbouring pixels; points in no triangle are left out. Raises InputError if there is no triangle."""
+    """Triangles between neighbouring pixels; points without a triangle are dropped. Raises InputError if there is no
+    triangle.
+    """
     focal_px = float(np.mean(scan.calibration.camera.focal_px))
     seen = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
     triangles = image_triangles(seen, scan.index_grid)

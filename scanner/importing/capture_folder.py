@@ -1,4 +1,4 @@
-"""A capture folder from somebody else's frames, which are copied as they are."""
+"""A capture folder from another program's frames, which are copied unchanged."""
 
 from pathlib import Path
 

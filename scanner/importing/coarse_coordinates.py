@@ -12,24 +12,25 @@ from scanner.importing.samples import Samples
 from scanner.importing.unwrapping import agreed, off_code, repeats_after
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
-# Of a pixel's own range of brightness: what decides a bit; how far fringes may be from each other and from cosines.
+# Shares of a pixel's range of brightness: threshold of a bit; largest distance of fringes from each other and from
+# cosines.
 _DECIDED, _MOST_MISFIT = 0.05, 0.15
 _FEWEST = 200
 _FEWEST_CERTAIN = 0.3
-_FINEST = 2  # bits that a camera may not resolve
-# Levels of a frame next to half-way between black and white, in swings: its darkest and brightest pixels; stripes that
-# are hardly resolved, and neither black nor white.
+_FINEST = 2  # finest bits that the camera may not resolve
+# Levels of a frame relative to half-way between black and white, in swings: its darkest and brightest pixels; hardly
+# resolved stripes, which are neither.
 _ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
 _LEAST_OF_EACH = 0.02
 _SMOOTHED = (5, 5)
-_STEPS_OF_CYCLE = 128  # a projector's gamma bends fringes of three steps by hundredths of a cycle
+_STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by hundredths of a cycle
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """`values` (H, W) along an axis, in cells or pixels, good to a few `steps`; where they are `certain`.
+    """`values` (H, W) along an axis, in cells or pixels, accurate to a few `steps`; where they are `certain`.
 
-    `misfit`: of fringes that tell the coordinate together, which counted from the other end would be as good.
+    `misfit`: of fringes that determine the coordinate together, and that fit equally well counted from the other end.
     """
 
     values: Floats
@@ -61,17 +62,17 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
     if not codes:
         return _phases(samples, waves, axis)
     if _is_beside_another(waves, codes):
-        return f"the fringes of {axis} are beside another code"
+        return f"the fringes of {axis} belong to another code"
     return next(iter(codes.values()))
 
 
 def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
-    """Whether some fringe is off codes that together tell halves of its periods."""
+    """Whether a fringe contradicts codes that together determine half of its period."""
     certain = np.logical_and.reduce([code.certain for code in codes.values()])
     middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
-    told = max(cell for cell, _ in codes) / len(codes)
+    cell_width = max(cell for cell, _ in codes) / len(codes)
     middle = np.mean(middles, axis=0)
-    beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * told}
+    beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * cell_width}
     return int(np.count_nonzero(certain)) >= _FEWEST and any(
         off_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
         for period, cycles in beside.items()
@@ -127,7 +128,7 @@ def _phases(samples: Samples, waves: dict[float, _Wave], axis: Axis) -> Coordina
     cosine, sine = (cv2.blur(part, _SMOOTHED) for part in (waves[period].cosine, waves[period].sine))
     certain = samples.lit & (np.hypot(cosine, sine) > _DECIDED * samples.swing)
     if np.count_nonzero(certain) < _FEWEST:
-        return f"the fringes of {axis} are hardly seen"
+        return f"the fringes of {axis} are hardly visible"
     return Coordinates(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1) * period, certain, period / _STEPS_OF_CYCLE)
 
 
@@ -139,7 +140,7 @@ def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: 
     for wave in waves.values():
         certain &= np.hypot(wave.cosine, wave.sine) > _DECIDED * samples.swing
     if np.count_nonzero(certain) < _FEWEST:
-        return f"the fringes of {axis} are hardly seen"
+        return f"the fringes of {axis} are hardly visible"
     found = agreed(np.stack([wave.cycles()[certain] for wave in waves.values()]), [*waves], whole)
     if isinstance(found, str):
         return f"the fringes of {axis} {found}"
@@ -187,12 +188,12 @@ def _above_middle(samples: Samples, frame: Floats, middle: Floats) -> Floats:
     relative = ((frame - middle) / np.maximum(samples.swing, 1e-6))[samples.lit]
     dark, bright = np.quantile(relative, _ENDS)
     between: Floats = (dark + bright) / 2 * samples.swing
-    # A bit that is alike everywhere is either dark or bright, and a coarse one is decided by the middle as well.
+    # A bit that is constant over the picture is dark or bright; a coarse bit is compared with the middle as well.
     is_fine = bright - dark < _FAINT and max(abs(dark), abs(bright)) < _NEITHER
     return between if is_fine else np.zeros_like(between)
 
 
 def _is_constant(bits: Bools) -> bool:
-    """Whether nearly all of them are alike, where there are enough to say."""
+    """Whether nearly all values are equal, if there are enough."""
     share = float(np.mean(bits)) if len(bits) >= _FEWEST else 0.5
     return min(share, 1 - share) < _LEAST_OF_EACH

@@ -1,7 +1,7 @@
-"""Does a Gray code along one axis make sense in an order? No second axis is there to check it by, but its own pixels.
+"""Whether a Gray code along one axis is consistent in an order, without a second axis.
 
-Cells that are next to each other on the projector are so on a surface. In another order, or of another code, pixels
-beside each other still differ in one bit, but that bit takes them to cells far apart.
+Adjacent cells of the projector are adjacent on a surface. In a wrong order, or with another code, adjacent pixels still
+differ in one bit, but their cells are far apart.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from scanner.importing.coarse_coordinates import coordinates
 from scanner.importing.samples import Samples
 from scanner.patterns import Axis, Gray, Pattern
 
-# Pixels at the very edge of a stripe are not decided; so far apart are those on either side of it.
+# Pixels at the edge of a stripe are undecided; this is the distance of the decided ones on either side.
 _MOST_APART_PX = 8
 _FEWEST_CHANGES = 30
-# In cells, or in parts of all of them: what the finest bits may be wrong by, and what pixels larger than cells skip.
+# Tolerances in cells, or as shares of all cells: errors of the finest bits, and cells skipped by large pixels.
 _NEAR_CELLS, _NEAR_SHARE = 4, 1 / 64
 
 

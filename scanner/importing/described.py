@@ -10,16 +10,16 @@ def described(patterns: Sequence[Pattern]) -> str:
     """Axes, which bit is first, where inverses are, and where white and black are."""
     bits = [pattern for pattern in patterns if isinstance(pattern, Gray)]
     axes = dict.fromkeys(p.axis for p in patterns if isinstance(p, Gray | Phase))
-    said = [", then ".join(axes)]
+    parts = [", then ".join(axes)]
     if bits:
         first, second = [p for p in bits if p.axis == bits[0].axis and p.inverted == bits[0].inverted][:2]
-        said += ["coarsest bit first" if first.bit < second.bit else "finest bit first", _inverses(bits)]
+        parts += ["coarsest bit first" if first.bit < second.bit else "finest bit first", _inverses(bits)]
     fringes = dict.fromkeys(p.period for p in patterns if isinstance(p, Phase))
     if fringes:
         shifts = [p.shift for p in patterns if isinstance(p, Phase)]
         shifted = f"shifted from {shifts[0] % 1:.2g} cycles {'on' if shifts[1] > shifts[0] else 'back'}"
-        said.append(f"fringes of {', '.join(f'{period:.4g}' for period in fringes)} px, {shifted}")
-    return "; ".join([*said, *_ends(patterns)])
+        parts.append(f"fringes of {', '.join(f'{period:.4g}' for period in fringes)} px, {shifted}")
+    return "; ".join([*parts, *_ends(patterns)])
 
 
 def _inverses(bits: Sequence[Gray]) -> str:

@@ -14,9 +14,9 @@ from scanner.io import SUFFIXES
 _FEWEST = 3
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
 _NUMBER = re.compile(r"\d+")
-# A moment, down to the second or finer, with whatever is between its parts.
+# A time stamp, to the second or finer, with any separators.
 _MOMENT = re.compile(r"(?<!\d)(?:19|20)\d\d(?:[-_.]?\d\d){2}\D{1,4}\d\d(?:[-_.:h]?\d\d){2}(?:[-_.,]?\d{1,6})?(?!\d)")
-_COPY = re.compile(r" ?\(#\)(?=\.)")  # of a file of the same name
+_COPY = re.compile(r" ?\(#\)(?=\.)")  # number of a copy
 _NAMES = {"white": ("white", "lit", "light", "on"), "black": ("black", "unlit", "dark", "off")}
 
 
@@ -41,18 +41,17 @@ class FrameFiles:
 
 
 def find_frames(folder: Path, pattern: str | None = None) -> FrameFiles:
-    """The frames in a folder, or in its only sub-folder that has images; of all names only those like `pattern`.
+    """The frames in a folder, or in its only sub-folder with images; `pattern` selects names.
 
-    A series is what differs in its last number only, or else in its numbers, or in the moment that its names tell;
-    numbers may be missing, and have any number of digits. Raises InputError where there is no series of at least three,
-    or more than one.
+    Names of a series differ in their last number only, or in their numbers, or in a time stamp. Numbers may have gaps
+    and any number of digits. Raises InputError without a series of at least three, or with several.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder with images, found {'a file' if folder.exists() else 'nothing'}")
     place, images = _place_of_images(folder, pattern or "*")
     last, every, moments = (_largest(images, partial(_shape, part)) for part in (_LAST_NUMBER, _NUMBER, _MOMENT))
     series = last or every
-    # Names that are moments have a series of last numbers for each minute.
+    # Time-stamped names have a series of last numbers per minute.
     if len(moments) == 1 and series and len(moments[0]) > len(series[0]):
         series = moments
     if not series:
@@ -102,7 +101,7 @@ def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
 
 
 def _shape(numbers: re.Pattern[str], path: Path) -> str | None:
-    """A name without its numbers; None if there are none."""
+    """A name with its numbers replaced; None without numbers."""
     stem, count = numbers.subn("#", path.stem)
     return stem + path.suffix.lower() if count else None
 

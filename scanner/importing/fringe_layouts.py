@@ -1,7 +1,7 @@
-"""Layouts of fringe projection: fringes of close periods, and fringes beside Gray codes that go wrong nowhere.
+"""Layouts of fringe projection: fringes of close periods, and fringes with complementary Gray codes.
 
-Everybody begins the cosine elsewhere and shifts it to one side or the other; each way is a sequence of its own here,
-and the frames tell which it is.
+Programs differ in the origin of the cosine and in the direction of its shifts. Each variant is a separate sequence
+here, and the frames determine which it is.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +20,7 @@ _BEGINNINGS = (0.0, 0.25, 0.5, 0.75)
 _USUAL = ((59, 64, 70), (30, 35, 36), (56, 63, 64), (90, 99, 100))
 _ANY_PERIOD_PX = 32
 
-# Of an axis of a length: the periods of its fringes, and the code behind them; no periods where there is none such.
+# For an axis of given length: the periods of its fringes, and the code behind them; no periods if impossible.
 _Parts = tuple[Sequence[float], Sequence[Gray]]
 _AlongAxis = Callable[[Axis, int], _Parts]
 
@@ -66,7 +66,7 @@ class _Way:
         return (*with_ends(partial(self._sequence, 2), first=True, last=True), partial(self._sequence, 0))
 
     def _sequence(self, ends: int, size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
-        """In as many steps as make up so many frames, `ends` of which are white and black."""
+        """In as many steps as fit this many frames, `ends` of which are white and black."""
         del cell
         lengths = dict(x_and_y(size))
         parts = {axis: self.along(axis, lengths[axis]) for axis in self.axes}

@@ -19,7 +19,7 @@ from scanner.patterns import Axis, Black, Pattern, White
 
 _FEWEST = 200
 _LEAST_CONTRAST = 0.5
-# Random numbers are a quarter of their range apart, neighbours on a surface hundredths.
+# Random codes differ by a quarter of their range, neighbours on a surface by hundredths.
 _MOST_APART = 0.1
 _LEAST_UPRIGHT = 0.65
 _LEAST_ON_LINES = 0.6
@@ -62,7 +62,7 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
             return Objection(Stage.SIGNALS, seen)
         if seen is not None:
             found[axis] = seen
-    # Seen in a mirror, x before y looks like y before x, seen from the side.
+    # A mirrored capture with x before y looks like one with y before x and the camera on its side.
     may_be_turned = len(found) > 1 and next(p.axis for p in patterns if not isinstance(p, White | Black)) == "x"
     may_be_turned &= not any(seen.misfit is not None for seen in found.values())
     against = None if may_be_turned else _along_the_other(found)
@@ -70,9 +70,7 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
 
 
 def closest(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
-    """The numbers of the orders to which the frames come closest, where fringes alone tell: all others come close to
-    some place by chance.
-    """
+    """The numbers of the orders that fit the frames best, if only fringes decide; others fit partly by chance."""
     axes: tuple[Axis, ...] = ("x", "y")
     misfits = []
     for patterns in orders if len(orders) > 1 else ():
@@ -101,7 +99,7 @@ def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
         if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
             return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
         if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
-            return Objection(Stage.NEIGHBOURS, f"the fringes of {axis} agree on no place: other --periods?")
+            return Objection(Stage.NEIGHBOURS, f"the fringes of {axis} contradict each other: other --periods?")
     return None
 
 
@@ -125,7 +123,7 @@ def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | N
 
 
 def _beside(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
-    """Numbers of pixels beside each other, and one above the other."""
+    """Values of horizontally and of vertically adjacent pixels."""
     right, below = there[:, :-1] & there[:, 1:], there[:-1] & there[1:]
     return [(numbers[:, :-1][right], numbers[:, 1:][right]), (numbers[:-1][below], numbers[1:][below])]
 
@@ -139,9 +137,9 @@ def _upright(x: Floats, y: Floats, there: Bools) -> float:
 
 
 def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within: float = 4.0) -> float:
-    """The share of matches (N, 2) near the epipolar lines of one fundamental matrix, lenses left aside.
+    """Share of matches (N, 2) near the epipolar lines of one fundamental matrix, without lens distortion.
 
-    `within` is in the units of both devices' coordinates, which need not be pixels.
+    `within` is in the units of both coordinates, which need not be pixels.
     """
     chosen = np.random.default_rng(0).permutation(len(camera_px))[:_MOST_FITTED]
     cv2.setRNGSeed(0)

@@ -15,17 +15,17 @@ from scanner.importing.frame_files import FrameFiles
 from scanner.importing.samples import Samples
 from scanner.patterns import Black, Pattern, White
 
-# What two frames of the same picture differ by, in swings of the lit pixels: at nearly all of them.
+# Largest difference of two frames of one picture, in swings of the lit pixels, at nearly all of them.
 _SAME, _NEARLY_ALL = 0.1, 0.98
 
 MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(), Black()))
 
 
 def without_doubles(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
-    """The frames without those that look like the ones before them: without all of these, else without one.
+    """The frames without duplicates of the previous frame: without all of these, or without one.
 
-    Where nothing is lit, all of them look alike, and none is the other one's double. `samples`: of the numbered frames,
-    and then of white and black.
+    If nothing is lit, all frames look alike, and none counts as a duplicate. `samples`: of the numbered frames, then of
+    white and black.
     """
     if not np.any(samples.lit):
         return

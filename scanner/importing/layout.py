@@ -11,15 +11,16 @@ from scanner.patterns import Black, Gray, Pattern, Phase, White
 
 Size = tuple[int, int]
 _BITS = range(4, 14)
-# A longer series is no capture, and not read: four fringes of both axes in eight steps, white and black, and one twice.
+# A longer series is no capture and not read: four fringes of both axes in eight steps, white and black, and one
+# duplicate.
 MOST_FRAMES = 4 * 2 * 8 + 3
-_MOST_APART = 4  # bits of the longer axis beyond those of the shorter
+_MOST_APART = 4  # largest difference of the bits of the two axes
 
 
 @dataclass(frozen=True)
 class Given:
-    """Values known beforehand: the projector's size (width, height), the length of a Gray code's cells in pixels, and
-    the number of `codes` in x and in y.
+    """Given values: the projector's size (width, height), the cell length of a Gray code in pixels, and the number of
+    `codes` in x and in y.
     """
 
     projector_size: Size | None = None
@@ -31,17 +32,17 @@ class Given:
         return Given(self.projector_size or other.projector_size, self.cell or other.cell, self.codes or other.codes)
 
 
-# The patterns for a projector of a size, with cells of so many pixels, shown in so many frames.
+# The patterns for a projector size, cells of this many pixels, and a number of frames.
 SequenceOf = Callable[[Size, int, int], tuple[Pattern, ...]]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Whose order of frames it is (`name`, `title`), where that can be read (`source`), and the order itself.
+    """The order of frames of a program (`name`, `title`), and where it is documented (`source`).
 
-    `sequences`: of each variant. `needs`: which fields of `Given` the frames cannot tell. `settings`: what a file
-    beside the frames says. `names`: the patterns, where the frames' names tell them. `last`: tried if no other fits.
-    `any_size`: of a projector that stands for all, where only lengths of periods and cells depend on its size.
+    `sequences`: of each variant. `needs`: fields of `Given` that the frames cannot determine. `settings`: values from a
+    file beside the frames. `names`: the patterns, from the names of the frames. `last`: tried if no other fits.
+    `any_size`: a placeholder size, if only the lengths of periods and cells depend on it.
     """
 
     name: str
@@ -77,7 +78,7 @@ class Candidate:
 def candidates(
     layout: Layout, files: FrameFiles, given: Given, missing: tuple[Pattern, ...] = ()
 ) -> Iterator[Candidate]:
-    """All that a layout has for so many frames, if those of the patterns that are `missing` were not taken."""
+    """All variants of a layout for this number of frames, if the `missing` patterns were not taken."""
     if layout.names is not None and not missing:
         yield from _by_name(layout.names(files.numbered), files, given)
     cell = given.cell or 1
@@ -107,7 +108,9 @@ def _by_name(patterns: tuple[Pattern, ...], files: FrameFiles, given: Given) -> 
 
 
 def _unsized(pattern: Pattern) -> Pattern:
-    """What does not depend on the projector's size: only the number of its bits tells a Gray code of another."""
+    """The parts of a pattern that do not depend on the projector's size; Gray codes differ by their number of bits
+    only.
+    """
     match pattern:
         case Gray():
             return replace(pattern, cell=1, offset=0)
@@ -117,7 +120,7 @@ def _unsized(pattern: Pattern) -> Pattern:
 
 
 def _beside(files: FrameFiles, patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...]:
-    """White and black at the end, if they are files of their own."""
+    """White and black at the end, if they are separate files."""
     own = tuple(p for p, path in ((White(), files.white), (Black(), files.black)) if path)
     return (*(p for p in patterns if p not in own), *own)
 

@@ -56,7 +56,7 @@ def _read_config(path: Path) -> Given:
     ]
     width, height, step = (int(number[1]) if number else 0 for number in found)
     if min(width, height) < 1 or step < 2:
-        return Given()  # somebody else's config.xml
+        return Given()  # a config.xml of another program
     return Given((width, height), step // 2)
 
 
@@ -73,7 +73,7 @@ def _slstudio_gray(*axes: Axis) -> SequenceOf:
 
 
 def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
-    """So many cycles in so many steps, then a single cycle in three, of each axis; against the usual direction."""
+    """This many cycles in this many steps, then a single cycle in three, for each axis; in reverse direction."""
 
     def sequence(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
         del cell, frames

@@ -26,10 +26,10 @@ def gray_bits(
     most: int | None = None,
     centred: bool = False,
 ) -> Iterator[Gray]:
-    """The bits of a Gray code, most significant first, as many as are needed.
+    """The required bits of a Gray code, most significant first.
 
-    At `least` so many, of which the first never change; or at `most` so many, which leaves coarser cells. `centred`:
-    the pixels are counted so that the middle of the axis is that of all codes.
+    `least`: at least this many bits, of which the first never change; `most`: at most this many, which makes cells
+    coarser. `centred`: the middle of the axis is the middle of all codes.
     """
     bits = max(least, bits_of(length, cell))
     offset = (cell * (1 << bits) - length) // 2 if centred else 0
@@ -51,7 +51,7 @@ def x_and_y(size: Size) -> tuple[tuple[Axis, int], tuple[Axis, int]]:
 
 
 def pairs(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
-    """All bits of x, then of y, each followed by its inverse; whatever the number of frames."""
+    """All bits of x, then of y, each followed by its inverse, for any number of frames."""
     del frames
     return tuple(bit for axis, length in x_and_y(size) for bit in gray_bits(axis, length, cell))
 

@@ -14,7 +14,7 @@ from calib.numerics import Bools, Floats
 from scanner.importing.layout import Candidate, Given, Size
 from scanner.patterns import Axis, Gray, Pattern
 
-# Of projectors that are or were sold, and of the light engines of which scanners are built.
+# Sizes of projectors on the market, and of the light engines of scanners.
 _COMMON: tuple[Size, ...] = (
     (608, 684), (640, 360), (640, 480), (800, 480), (800, 600), (848, 480), (854, 480), (912, 1140), (960, 540),
     (1024, 600), (1024, 768), (1280, 720), (1280, 768), (1280, 800), (1280, 1024), (1366, 768), (1400, 1050),
@@ -25,8 +25,8 @@ _STRIPES = 24
 _FEWEST_IN_STRIPE = 5
 _MOST_STRAY = 0.0005
 _LEAST_STRAIGHT = 0.6
-_BORDER = 0.02  # of the camera's image
-_SLACK = 2  # cells at the rim that are seen in part are dropped
+_BORDER = 0.02  # share of the camera's image
+_SLACK = 2  # partly visible cells at the rim are dropped
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) ->
         possible = [replace(found, usual=False)] if found else []
     most = max((found.total for found in possible), default=0)
     best = [found for found in possible if found.total == most]
-    # One with half as many pixels may show the same; measured in its pixels, everything is right.
+    # A projector with half as many pixels may show the same; measured in its pixels, everything is consistent.
     return best[:1] if best and all(best[0].reached) else best
 
 
@@ -113,8 +113,8 @@ def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Giv
     for axis, (length, seen) in enumerate(zip(size, extents, strict=True)):
         code, provisional = _code_of(patterns, axis), _code_of(candidate.patterns, axis)
         first, last = code.offset // code.cell, (length - 1 + code.offset) // code.cell
-        told = given.codes is None or last - first + 1 == given.codes[axis]
-        if code.bits != provisional.bits or not seen.allows(first, last) or not told:
+        right_count = given.codes is None or last - first + 1 == given.codes[axis]
+        if code.bits != provisional.bits or not seen.allows(first, last) or not right_count:
             return None
         reached[axis] = seen.reaches(first, last)
     return SizeFound(size, (reached[0], reached[1]))

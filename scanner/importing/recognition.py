@@ -20,7 +20,7 @@ from scanner.io import read_image
 from scanner.patterns import Axis, Gray, Pattern, Phase
 from scanner.ui import Progress
 
-# Fringes of few steps may err by more than a line is wide; in a wrong order a few hundredths are on lines by chance.
+# Coordinates from few steps may err by more than the limit; in a wrong order, a few hundredths fit by chance.
 _LEAST_ON_LINES = 0.3
 _OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
 
@@ -54,10 +54,10 @@ class Rejected:
 def recognise(
     files: FrameFiles, layouts: Sequence[Layout], given: Given, look: Callable[[], Samples], progress: Progress
 ) -> tuple[list[Recognised], list[Rejected]]:
-    """Which of the layouts the frames have, and why not the others. Raises InputError for a file beside the frames.
+    """Which layouts fit the frames, and why the others do not. Raises InputError for a file beside the frames.
 
-    `look` reads the frames, if any layout has as many. Of a single layout, on a projector that is given, they need not
-    decode if they look right. Where no layout fits, white and black may be missing, or a frame be there twice.
+    `look` reads the frames, if any layout has this number. With a single layout and a given projector, frames that look
+    right need not decode. If no layout fits, white and black may be missing, or a frame may be duplicated.
     """
     judge = _Judge(progress, lenient=len(layouts) == 1)
     usual = [layout for layout in layouts if not layout.last or len(layouts) == 1]
@@ -68,9 +68,9 @@ def recognise(
         found, others = _tried(less_usual.files, less_usual.layouts, given, less_usual.look, judge, less_usual.missing)
         if found:
             return found, [each for each in rejected if each.layout not in {one.layout for one in found}]
-        # Why the order that is tried last does not fit; and what of the others would, with what they lack.
-        told = [each for each in others if each.lacking or each.layout.last]
-        rejected = [each for each in rejected if each.layout not in {one.layout for one in told}] + told
+        # Keep the reason against the last resort, and the layouts that only lack options.
+        relevant = [each for each in others if each.lacking or each.layout.last]
+        rejected = [each for each in rejected if each.layout not in {one.layout for one in relevant}] + relevant
     return [], rejected
 
 
@@ -125,7 +125,7 @@ def _tried(
         elif bad:
             rejected.append(max(bad, key=lambda each: (each.certain, each.lacking)))
         elif possible:
-            # Of several variants that one came nearest which met the last of the objections.
+            # The variant whose objection comes last is the closest.
             nearest = max((against for against in objections if against), key=lambda against: against.stage)
             rejected.append(Rejected(layout, nearest.words))
         else:
@@ -147,7 +147,9 @@ class _Judge:
         """Whether the frames decode in this order, and of which projector they are."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
-            return Rejected(layout, f"may be, but its frames do not tell the projector: give {options}", lacking=True)
+            return Rejected(
+                layout, f"is possible, but its frames do not determine the projector: give {options}", lacking=True
+            )
         axes = {p.axis for p in candidate.patterns if isinstance(p, Gray | Phase)}
         if len(axes) < 2:
             return self._by_one_axis(layout, candidate, *axes)
@@ -155,7 +157,7 @@ class _Judge:
         if isinstance(decoded, str):
             if self._lenient and candidate.size_known:
                 return _recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")
-            all_the_same = f"--from {layout.name} and --projector take it at its word"
+            all_the_same = f"--from {layout.name} and --projector accept it nevertheless"
             return Rejected(layout, f"looks right, but {decoded}; {all_the_same}", lacking=True)
         share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
         how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
@@ -178,14 +180,14 @@ class _Judge:
         if broken:
             return Rejected(layout, broken)
         if not candidate.size_known:
-            why = f"looks right along {axis}, but one axis does not tell the projector's size: give --projector"
+            why = f"looks right along {axis}, but one axis does not determine the projector's size: give --projector"
             return Rejected(layout, why, lacking=True, certain=True)
         coded = any(isinstance(pattern, Gray) for pattern in candidate.patterns)
-        how = "neighbouring cells are beside each other" if coded else "no second axis to check it by"
+        how = "neighbouring pixels are in neighbouring cells" if coded else "no second axis to check it by"
         return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
 
     def _decoded(self, candidate: Candidate) -> Matches | str:
-        """The matches, or why there are none that make sense."""
+        """The matches, or the reason why there are none."""
         key = candidate.patterns, candidate.projector_size
         if key not in self._found:
             try:
@@ -200,7 +202,7 @@ class _Judge:
             decoder.add(read_image(path))
         matches = decoder.finish().matches
         if not len(matches):
-            return "decodes to no match at all"
+            return "decodes to no matches"
         share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
         if share < _LEAST_ON_LINES:
             return f"decodes, but only {share:.0%} of the matches obey one epipolar geometry"

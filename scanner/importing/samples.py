@@ -15,7 +15,7 @@ from scanner.io import read_image
 from scanner.patterns import Axis
 
 _ACROSS = 160
-# Of the swing of well lit pixels, a percentile: less is not lit.
+# Share of the swing of well lit pixels (a percentile) below which a pixel is unlit.
 _LIT, _WELL_LIT = 0.2, 99.0
 _SEED = 1
 _LINES = 96
@@ -49,7 +49,7 @@ def take_samples(files: Sequence[Path]) -> Samples:
     """Read all frames. Raises InputError if one is no image, or of another size or kind than the first."""
     first = read_image(files[0])
     height, width = first.shape[:2]
-    # Not regular: a grid would beat with the stripes.
+    # Random, because a grid would beat with the stripes.
     rng = np.random.default_rng(_SEED)
     step = max(1, width // _ACROSS)
     rows, columns = (

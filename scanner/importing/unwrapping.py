@@ -1,4 +1,4 @@
-"""Fringes of several periods, or beside codes, at sampled pixels: where they agree, and how well."""
+"""Fringes of several periods, or with codes, at sampled pixels: the position where they agree, and how well."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from calib.numerics import Floats
 
-# Cosines of what is left of phases: chance leaves 0.9 of three fringes of a picture's 60 or 70.
+# Least cosine of the phase residuals: chance reaches 0.9 with three fringes of 60 or 70 periods.
 _AGREE = 0.955
-# Cycles by which a fringe may be off the others on average; begun a quarter of a cycle elsewhere it is by 0.012.
+# Largest mean deviation of a fringe, in cycles; an origin a quarter of a cycle off gives 0.012.
 _OFF = 0.007
-# And off a code, of which it may be that noise and lenses move its edges.
+# The same relative to a code, whose edges noise and blur may shift.
 _OFF_CODE = 0.1
 PLACES_OF_CYCLE, _WHOLE = 16, 0.02
 _MOST_CYCLES = 400
@@ -52,18 +52,18 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
         found[start : start + _CHUNK] = places[best]
         fit[start : start + _CHUNK] = likeness[np.arange(len(best)), best]
     if np.median(fit) < _AGREE:
-        return "agree on no place: are there other --periods to a picture?"
+        return "contradict each other: are there other --periods to a picture?"
     fitting = fit > _AGREE
     left = np.exp(2j * np.pi * (phases - found / waves))[:, fitting]
-    # What is left of all alike is where between two places it is.
+    # The common residual is the position between two samples.
     left *= np.exp(-1j * np.angle(left.sum(axis=0)))
     if np.abs(np.angle(left.mean(axis=1))).max() / (2 * np.pi) > _OFF:
-        return "begin elsewhere than at the picture's edge"
+        return "do not begin at the picture's edge"
     return Agreement(found, step, float(1 - np.median(fit)))
 
 
 def off_code(phase: Floats, period: float, coordinate: Floats) -> bool:
-    """Whether a fringe's phases (N,) are off, on average, those at the middle of the cells (N,) that codes tell."""
+    """Whether the phases (N,) of a fringe deviate, on average, from those at the middle of the cells (N,) of a code."""
     mean = np.exp(2j * np.pi * (phase - coordinate / period)).mean()
     return bool(abs(np.angle(mean)) / (2 * np.pi) > _OFF_CODE or abs(mean) < 2 / np.pi - _OFF_CODE)
 

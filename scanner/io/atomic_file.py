@@ -1,8 +1,8 @@
-"""Files that appear whole or not at all, several of them together, and never over others unless that is asked for.
+"""Files that appear completely or not at all, also several together, and replace others only on request.
 
-They are written under hidden names, `.TOKEN.partial.NAME`. `.TOKEN.names` beside them is locked by the process that
-writes, and says which they are when all are whole: from then on, whoever begins next in that folder completes what was
-broken off. A partial file without that is removed.
+They are written under hidden names, `.TOKEN.partial.NAME`. `.TOKEN.names` beside them is locked by the writing process,
+and lists them when all are complete. From then on, the next process that writes to the folder completes an interrupted
+replacement. A partial file without that list is removed.
 """
 
 import fcntl
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 _LOCK, _PARTIAL = ".names", ".partial."
 _TOKEN_BYTES = 6
-_MOST_BYTES = 1 << 16  # of names
+_MOST_BYTES = 1 << 16  # bytes of names
 _NOT_OPEN = -1
 
 
@@ -40,7 +40,7 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
 
 @contextmanager
 def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A hidden file beside `path` to write into; else as `new_files`."""
+    """A hidden file to write, which becomes `path`; otherwise like `new_files`."""
     with new_files(path.parent, [path.name], overwrite=overwrite) as (partial,):
         yield partial
 
@@ -70,7 +70,7 @@ def new_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> Iterato
 
 @contextmanager
 def _made(folder: Path) -> Iterator[None]:
-    """A folder, and those on the way to it; where nothing comes of it, those that were made for it vanish."""
+    """Create a folder and its parents; after a failure, those that were created are removed."""
     missing: list[Path] = []
     try:
         try:
@@ -99,9 +99,9 @@ class _Partial:
     def begin(self) -> None:
         """Take the lock. Raises OSError."""
         self._file = os.open(self._lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        with suppress(OSError):  # a file system without locks, where nobody settles anything
+        with suppress(OSError):  # a file system without locks, where nothing is settled
             fcntl.flock(self._file, fcntl.LOCK_EX)
-        if not self._lock.exists():  # taken for what a killed program has left
+        if not self._lock.exists():  # another program took it for a leftover
             os.close(self._file)
             self.begin()
 
@@ -132,7 +132,7 @@ class _Partial:
             self.path(name).replace(self._lock.with_name(name))
 
     def settle(self) -> str:
-        """Complete what was whole, and remove the rest; a sentence on it, if there was anything."""
+        """Complete what was finished, and remove the rest; a sentence about it, if there was anything."""
         whole = os.pread(self._file, _MOST_BYTES, 0).decode(errors="replace").splitlines()
         left = sorted(path.name.partition(_PARTIAL)[2] for path in self._partial_files())
         for name in left:
@@ -140,14 +140,14 @@ class _Partial:
                 if name in whole:
                     self.path(name).replace(self._lock.with_name(name))
         self.end()
-        told, folder = ", ".join(left), self._lock.parent
+        names, folder = ", ".join(left), self._lock.parent
         if left and whole:
-            return f"A program was killed when its files were whole: {told} in {folder} took their places now."
-        return f"What a program that was killed had written of {told} in {folder} is removed." if left else ""
+            return f"A program was killed after its files were complete: {names} in {folder} are in place now."
+        return f"Incomplete files of a killed program were removed: {names} in {folder}." if left else ""
 
     def end(self) -> None:
         """Remove the lock and every file that has not been moved to its final name."""
-        with suppress(OSError):  # of a disk that takes nothing, which is said already
+        with suppress(OSError):  # a disk error has been reported already
             for path in self._partial_files():
                 path.unlink(missing_ok=True)
             self._lock.unlink(missing_ok=True)

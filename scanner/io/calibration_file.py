@@ -14,7 +14,7 @@ from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
 from scanner.io.validation import Entry, Number, Whole, validate
 from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, read_yaml
 
-# Far beyond any device and any unit of length, and near enough for the squares and products of them to be numbers.
+# Beyond any device and unit of length, but small enough that products are finite.
 _LARGEST, _SMALLEST = 1e9, 1e-9
 _Focal = Annotated[Number, Field(ge=0.1, le=1e7)]
 _Pixel = Annotated[Number, Field(ge=-1e7, le=1e7)]
@@ -101,9 +101,9 @@ class _CalibrationEntry(Entry):
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration; keys beyond the format are ignored, a distortion of fewer than five terms ends in zeros.
+    """Read a calibration; unknown keys are ignored, a distortion of fewer than five terms is padded with zeros.
 
-    Raises InputError for a missing file, a missing or wrong key, or a rotation that is none.
+    Raises InputError for a missing file, a missing or wrong key, or an invalid rotation.
     """
     return _calibration(read_yaml(path), str(path))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from scanner.errors import StorageError
 
-# Text files, folders and what a file system needs for itself.
+# Reserve for text files, folders and the file system itself.
 _MARGIN_BYTES = 4_000_000
 
 

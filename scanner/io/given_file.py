@@ -15,13 +15,13 @@ from scanner.errors import InputError
 
 MOST_PIXELS = int(os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"])  # as scanner/__init__.py sets it, unless the user has
 LONGEST_SIDE_PX = 65_535
-MOST_IMAGE_BYTES = 3 * MOST_PIXELS  # as it lies in memory: as many pixels in 8-bit colour
-MOST_IMAGE_FILE_BYTES = MOST_IMAGE_BYTES + 10_000_000  # stored as it is, with what is said about it
+MOST_IMAGE_BYTES = 3 * MOST_PIXELS  # in memory: as many pixels in 8-bit colour
+MOST_IMAGE_FILE_BYTES = MOST_IMAGE_BYTES + 10_000_000  # stored uncompressed, with metadata
 _MOST_UNPACKED_BYTES = 256_000_000
-_MOST_UNPACKED_OF_DISK = 64  # what is beyond these bytes takes its place on the disk, too, but for compression
-_ON_DISK_BLOCK = 512  # of st_blocks, whatever the file system's is
+_MOST_UNPACKED_OF_DISK = 64  # ratio of unpacked to packed size that compression may reach beyond these bytes
+_ON_DISK_BLOCK = 512  # unit of st_blocks on any file system
 _PIECE_BYTES = 1 << 20
-# Where there is no such thing as a pipe among files, there is no need not to wait for it.
+# Systems without pipes in the file system do not need it.
 _WITHOUT_WAITING = getattr(os, "O_NONBLOCK", 0)
 
 
@@ -43,7 +43,7 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
     Raises InputError if it is missing, cannot be read, is a folder, pipe or device, or is larger than `most_bytes`.
     """
     try:
-        # Opened without waiting and looked at afterwards: what is opened is what was looked at.
+        # Opened without blocking and checked afterwards, so that the checked file is the opened one.
         with open(path, "rb", opener=_open_without_waiting) as file:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode):
@@ -76,7 +76,7 @@ def read_whole(path: Path) -> bytes:
 
 def copy_given(source: Path, target: Path, most_bytes: int | None = None) -> None:
     """Copy a regular file, holes and all. Raises InputError as `opened` does, OSError if the copy cannot be written."""
-    # What is written is written outside of `opened`, which would take a full disk for a file that cannot be read.
+    # Writing happens outside `opened`, which would report a full disk as an unreadable file.
     with target.open("wb") as copy:
         copy.writelines(_pieces(source, most_bytes))
 
@@ -90,13 +90,13 @@ def _pieces(path: Path, most_bytes: int | None) -> Iterator[bytes]:
 def refuse_bomb(path: Path, file: BinaryIO, needed: int) -> None:
     """Raise InputError if what is read from the file takes `needed` bytes of memory, out of hardly any on the disk."""
     found = os.fstat(file.fileno())
-    # A small file may be kept in its directory entry, and has no block; a file with holes has fewer than its size.
+    # A small file may be stored in its directory entry without blocks; a sparse file has fewer blocks than its size.
     blocks = getattr(found, "st_blocks", None)
     on_disk = found.st_size if blocks is None else min(found.st_size, blocks * _ON_DISK_BLOCK)
     if needed > max(_MOST_UNPACKED_BYTES, _MOST_UNPACKED_OF_DISK * on_disk):
         raise InputError(
-            f"{path}: would take {megabytes(needed)} of memory, and has {megabytes(on_disk)} on the disk: this is no "
-            "measurement but a file that unpacks to nothing much"
+            f"{path}: would take {megabytes(needed)} of memory, but only {megabytes(on_disk)} of the disk: such a file "
+            "holds no measurement"
         )
 
 

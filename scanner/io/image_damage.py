@@ -16,20 +16,20 @@ from scanner.io.image_size import PNG_START, UNREADABLE
 from scanner.io.jpeg_check import problem_of_jpeg
 from scanner.io.jpeg_markers import SCAN, segments
 
-_WITHOUT_CHECK = {"TIFF"}  # of what OpenCV lets pass, these tell their damage
+_WITHOUT_CHECK = {"TIFF"}  # formats that OpenCV reads despite damage, which is reported here
 _COMPRESSION, _DEFLATE = 259, (8, 32946)
 _PARTS = ((273, 279), (324, 325))  # offsets and lengths, of strips and of tiles
 _AT_ONCE_BYTES = 1_000_000
-_MOST_SCANS = 100  # of a JPEG, each of which goes over all pixels; encoders make 14 at most
+_MOST_SCANS = 100  # scans of a JPEG, each of which visits all pixels; encoders write at most 14
 _NOT_DAMAGE = ("not available", "unknown", "unsupported", "not supported")
 
 
 def damage(data: bytes) -> str | None:
-    """Return what is wrong with an image file, even one that OpenCV accepts; None if no damage is known."""
+    """Return the damage of an image file, even one that OpenCV accepts; None if none is known."""
     if data.startswith(PNG_START):
         return _damage_of_png(data)
     if data.startswith(b"\xff\xd8"):
-        # One before a start of scan may be that of an embedded thumbnail.
+        # A size before a start of scan may be that of an embedded thumbnail.
         end = data.rfind(b"\xff\xd9")
         if end < 0 or b"\xff\xda" in data[end:]:
             return "truncated, its end is missing"
@@ -68,7 +68,7 @@ def _damage_of_tiff(image: Image.Image, data: bytes) -> str | None:
 
 def _damage_of_deflated(tags: Mapping[int, Any], data: bytes) -> str | None:
     """Strips or tiles end in a check sum, which neither library asks for once it has all pixels."""
-    left = MOST_IMAGE_BYTES  # of all together: a thousand strips may share one place, and each be a bomb
+    left = MOST_IMAGE_BYTES  # for all strips together, which may share one place
     for offsets, lengths in _PARTS:
         for offset, length in zip(tags.get(offsets, ()), tags.get(lengths, ()), strict=False):
             unpacking = zlib.decompressobj()

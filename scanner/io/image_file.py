@@ -1,4 +1,4 @@
-"""Image files: whatever OpenCV reads, as it is in the file."""
+"""Image files in all formats of OpenCV, unchanged."""
 
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
     _refuse_large(path, data, min(most, MOST_IMAGE_BYTES))
     if found := damage(data):
         raise InputError(f"{path}: the image is damaged: {found}; copy the file again")
-    # imdecode, because imread fills what is missing of a JPEG with grey and returns it.
+    # imdecode, because imread fills missing parts of a JPEG with grey.
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -53,7 +53,7 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
 
 
 def _without_alpha(image: NDArray[Any]) -> NDArray[Any]:
-    """The first three channels of an image (H, W, C), moved together where they are: a copy could be large."""
+    """The first three channels of an image (H, W, C), compacted in place, because a copy could be large."""
     height, width, channels = image.shape
     if channels == _COLOUR:
         return image
@@ -64,7 +64,7 @@ def _without_alpha(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _refuse_large(path: Path, data: bytes, most: int) -> None:
-    """Raise InputError for more pixels than anyone has, or if nobody can tell how many there are."""
+    """Raise InputError for more pixels than the limit, or if their number cannot be determined."""
     found = size_in_header(data)
     if found is None:
         raise InputError(f"{path}: {_NO_IMAGE}")

@@ -18,12 +18,12 @@ from PIL import Image, TiffImagePlugin
 from calib.geometry import Size
 from scanner.io.jpeg_markers import FRAMES, PROGRESSIVE, SCAN, segments
 
-# Of what Pillow cannot read at all.
+# For formats that Pillow cannot read.
 UNREADABLE = (OSError, SyntaxError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError)
 PNG_START = b"\x89PNG\r\n\x1a\n"
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _CODESTREAM = b"\xff\x4f\xff\x51"
-_COLOUR = 3  # also of palettes, which OpenCV resolves
+_COLOUR = 3  # also for palettes, which OpenCV expands
 _WITH_ALPHA = 4
 # By the colour type in a PNG's header (ISO/IEC 15948, table 11.1).
 _PNG_CHANNELS = {0: 1, 2: _COLOUR, 3: _COLOUR, 4: _WITH_ALPHA, 6: _WITH_ALPHA}
@@ -36,16 +36,16 @@ _HELD_BESIDE = {
     "AVIF": 4,
     "GIF": 2,
     "WEBP": 1,
-}  # bytes of a channel that a decoder takes beyond the picture itself
+}  # bytes per channel that a decoder needs beyond the picture
 
-# Pillow's own limit is lower than today's photos have pixels; ours is held against what is told here.
+# Pillow's limit is below the size of today's photos; ours is checked against the size returned here.
 Image.MAX_IMAGE_PIXELS = None
 
 
 def size_in_header(data: bytes) -> tuple[Size, int] | None:
-    """Width and height that an image file promises, and the bytes of memory that it takes to decode it.
+    """Width and height in the header of an image file, and the bytes of memory to decode it.
 
-    None if nobody can tell.
+    None if they cannot be determined.
     """
     measure: Callable[[bytes], tuple[int, int, int]] = _by_pillow
     if data.startswith(PNG_START):
@@ -96,7 +96,7 @@ def _coefficient_bytes(factors: bytes) -> int:
 
 def _of_bmp(data: bytes) -> tuple[int, int, int]:
     (header_bytes,) = struct.unpack_from("<I", data, 14)
-    old = header_bytes == 12  # of OS/2: shorter numbers
+    old = header_bytes == 12  # OS/2 headers have shorter numbers
     width, height, _, bits = struct.unpack_from("<HHHH" if old else "<iiHH", data, 18)
     return abs(width), abs(height), _WITH_ALPHA if bits > 24 else _COLOUR
 
@@ -121,7 +121,7 @@ def _by_pillow(data: bytes) -> tuple[int, int, int]:
 
 
 def _depth(image: Image.Image, data: bytes) -> int:
-    """Bytes of a channel, where Pillow's mode does not tell."""
+    """Bytes per channel, if Pillow's mode does not determine them."""
     tiles = getattr(image, "tile", None)
     layout = str(tiles[0][3]) if tiles else ""
     match image.format:

@@ -48,7 +48,7 @@ def problem_of_jpeg(data: bytes) -> str | None:
     pixels = np.frombuffer(data, np.uint8)
     while at + 4 <= len(data):
         if data[at] != 0xFF:
-            return None  # rubbish between segments: the decoder's to judge
+            return None  # garbage between segments is left to the decoder
         marker = data[at + 1]
         if marker in (0xFF, 0x01) or 0xD0 <= marker <= 0xD8:
             at += 1 if marker == 0xFF else 2
@@ -68,7 +68,7 @@ def problem_of_jpeg(data: bytes) -> str | None:
             else:
                 _note(read, marker, segment)
         except (LookupError, ValueError, ZeroDivisionError):
-            return None  # a header that makes no sense: the decoder's to judge
+            return None  # an invalid header is left to the decoder
     return None
 
 
@@ -113,7 +113,7 @@ def _runs(lookup: NDArray[np.int32]) -> NDArray[np.int32]:
     for bits in range(len(lookup)):
         used, places = 0, 0
         while True:
-            # Behind the last bit come zeros, which no code that is whole in the 16 bits reaches.
+            # Zeros follow the last bit; no complete code in the 16 bits reaches them.
             code = lookup[(bits << used) & 0xFFFF]
             symbol = code & 255
             more = (code >> 8) + (symbol & 15)
@@ -166,7 +166,7 @@ def _follow_blocks(
     runs: NDArray[np.int32],
 ) -> tuple[int, int]:
     """Where `units` of `blocks` (n, 2: tables of DC and AC) end that begin `at`; 0, or the number of the problem."""
-    held, count, size = np.int64(0), 0, len(data)  # bits read and not used, and how many these are
+    held, count, size = np.int64(0), 0, len(data)  # unused bits, and their number
     for unit in range(units):
         if interval > 0 and unit > 0 and unit % interval == 0:
             while at < size - 1 and data[at] == 0xFF and data[at + 1] == 0xFF:
@@ -181,7 +181,7 @@ def _follow_blocks(
             while number < 64:
                 # A code has 16 bits at most, and as many bits of a coefficient may follow it.
                 if count < 32 and at + 4 <= size:
-                    word, is_plain = np.int64(0), True  # after 255 comes a marker, or a zero that means nothing
+                    word, is_plain = np.int64(0), True  # 255 is followed by a marker, or by a stuffed zero
                     for ahead in range(4):
                         word = word << 8 | np.int64(data[at + ahead])
                         is_plain &= data[at + ahead] != 0xFF
@@ -218,7 +218,7 @@ def _follow_blocks(
                     number += (symbol >> 4) + 1
                     if number > 64:
                         return at, 1
-    # Whole bytes that are left, but for those with which some fill up to the next marker.
+    # Remaining whole bytes, except those that pad up to the next marker.
     while count >= 8:
         count -= 8
         rest = held >> count & 255

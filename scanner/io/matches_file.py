@@ -24,7 +24,7 @@ MATCHES_FILE = "matches.npz"
 
 _MEASURED = "projector_measured"
 
-# Of what zipfile, its decompressors and NumPy's reader of headers, which is Python's own parser, stumble over.
+# Exceptions of zipfile, its decompressors and NumPy's header reader, which is Python's parser.
 _UNREADABLE = (
     *(
         OSError,
@@ -39,12 +39,12 @@ _UNREADABLE = (
     ),
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError, MemoryError),
 )
-# Decoders know pixels to some thousandths; what is stated beyond these is no number of pixels.
+# Decoders are accurate to thousandths of a pixel; a sigma beyond these bounds is not one in pixels.
 _LEAST_SIGMA_PX, _MOST_SIGMA_PX = 1e-9, 1e6
 _FARTHEST_PX = 1e6
 
 _REQUIRED = ("camera_px", "projector_px")
-_EXPECTED = {  # what it must be, and numpy's letters for the types that are
+_EXPECTED = {  # expected types, and the letters of the numpy types accepted
     "camera_px": ("numbers", "fiu"),
     "projector_px": ("numbers", "fiu"),
     "face": ("whole numbers", "iu"),
@@ -102,7 +102,7 @@ def read_matches(path: Path) -> Matches:
 
 
 def _numbers(array: NDArray[Any]) -> Floats:
-    with np.errstate(over="ignore"):  # a longer type than ours becomes infinite, and is refused as that
+    with np.errstate(over="ignore"):  # a wider type becomes infinite, and is refused as such
         return array.astype(np.float64)
 
 

@@ -15,7 +15,7 @@ from scanner.io.yaml_text import read_yaml
 
 
 class _NetworkDevice(DeviceEntry, PlacedEntry):
-    # It becomes the name of a file.
+    # It becomes a file name.
     name: str = Field(min_length=1, max_length=200, pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")
     kind: Literal["camera", "projector"]
 

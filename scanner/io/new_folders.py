@@ -1,4 +1,4 @@
-"""Folders that are made on the way to a result, and vanish where nothing comes of it."""
+"""Folders that are created for a result, and removed if it fails."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -11,7 +11,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
-    """Take folders away, deepest first; those that are not there, or that somebody has put something in, stay so."""
+    """Remove folders, deepest first; missing and non-empty ones are skipped."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()

@@ -39,7 +39,7 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "<f8"),
 }
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-_PIECE = 1 << 15  # points to be written at once, from the processor's cache
+_PIECE = 1 << 15  # points per write, within the processor's cache
 _LONGEST_HEADER = 1 << 16
 _COUNT = re.compile(r"[0-9]{1,12}")
 _END = b"end_header\n"
@@ -103,7 +103,7 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
     arrays += [] if match is None else [match.reshape(-1, 1)]
     there = np.isfinite(arrays[0][:, 2])
     vertices = np.empty(_PIECE, [(column.name, _TYPES[column.kind], len(column.components)) for column in columns])
-    # The unit comes from a file that a person wrote: whatever it says, it must not end the comment or the header.
+    # The unit comes from a user file: it must not end the comment or the header.
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -130,8 +130,9 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
 
 @compiled
 def _gather(there: Bools, values: NDArray[np.generic], vertices: NDArray[np.generic]) -> int:
-    """Copy the rows of `values` (P, components) that are there to the beginning of `vertices`, which are as many, at
-    whatever address of the memory; returns how many there are.
+    """Copy the existing rows of `values` (P, components) to the beginning of `vertices`, at any memory alignment.
+
+    Returns their number.
     """
     count = 0
     for i in range(len(there)):
@@ -167,7 +168,7 @@ def read_cloud(path: Path) -> CloudPoints:
     match = vertices[_MATCH.name] if _MATCH.name in (layout.names or ()) else None
     if match is not None and match.dtype.kind not in "iu":
         raise InputError(f"{path}: expected the numbers of matches to be whole, found {match.dtype}")
-    with np.errstate(invalid="ignore"):  # colours that are none are some colour
+    with np.errstate(invalid="ignore"):  # invalid colours become some colour
         rgb = colours.astype(np.uint8)
     whole = None if match is None else match.astype(np.int64)
     return CloudPoints(points.astype(np.float64), normals.astype(np.float64), rgb, whole)

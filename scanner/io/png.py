@@ -1,9 +1,8 @@
-"""Writing PNG, by all processors at once: a camera should not have to wait for it.
+"""Writing PNG on all processors, so that a camera need not wait.
 
-A PNG's pixels are one stream of deflated data, but a stream may be made of parts that were compressed by themselves
-(RFC 1950, 1951): strips of the image, each in a thread. One filter for all rows, the difference from the pixel to the
-left, is what noise and stripes leave least of; in noise there is nothing to be found again, so only its frequent values
-get short codes (Huffman).
+The pixels of a PNG are one deflate stream, but a stream may consist of independently compressed parts (RFC 1950, 1951):
+strips of the image, one per thread. One filter for all rows, the difference from the pixel to the left, suits noise and
+stripes best. Noise has no repetitions, so only Huffman codes are used.
 """
 
 import struct
@@ -22,8 +21,8 @@ _DEPTHS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
 _LEFT = 1  # the filter's number (PNG, section 9.2)
 _ZLIB_HEADER = b"\x78\x01"  # deflate, a window of 32 kB, fastest
 _WINDOW_BITS, _MEMORY = -15, 9  # without header and check sum
-_LEAST_BYTES = 1 << 18  # of a strip
-_STRIPS_PER_PROCESSOR = 2  # others have work for the processors, too
+_LEAST_BYTES = 1 << 18  # least bytes per strip
+_STRIPS_PER_PROCESSOR = 2  # the other processors are busy too
 _ADLER = 65521
 
 
@@ -87,7 +86,7 @@ def _compressed(strip: Image, pixel_bytes: int, *, is_last: bool) -> _Part:
     filtered[:, 0], filtered[:, 1 : 1 + pixel_bytes] = _LEFT, rows[:, :pixel_bytes]
     np.subtract(rows[:, pixel_bytes:], rows[:, :-pixel_bytes], out=filtered[:, 1 + pixel_bytes :])
     deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, _MEMORY, zlib.Z_HUFFMAN_ONLY)
-    # What is not the last part ends at a whole byte, and with no mark of an end.
+    # All parts but the last end at a whole byte, without an end mark.
     data = deflate.compress(filtered.data) + deflate.flush(zlib.Z_FINISH if is_last else zlib.Z_SYNC_FLUSH)
     return _Part(_chunk(b"IDAT", data), _CheckSum(zlib.adler32(filtered.data), filtered.size))
 

@@ -15,7 +15,7 @@ from scanner.io.yaml_text import flow_yaml, read_yaml
 _Cosine = Annotated[Number, Field(ge=-2, le=2)]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
 _Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
-_ROUNDED = 1e-6  # of a rotation that someone has written with few digits
+_ROUNDED = 1e-6  # rounding error of a rotation written with few digits
 
 
 class _PoseEntry(Entry):
@@ -42,5 +42,5 @@ def read_poses(path: Path, count: int) -> tuple[Floats, ...]:
     for number, pose in enumerate(poses, start=1):
         turned = pose[:, :3] @ pose[:, :3].T
         if np.abs(turned - np.eye(3)).max() > _ROUNDED:
-            raise InputError(f"{path}: the rotation of camera {number} is none: its rows are not orthonormal")
+            raise InputError(f"{path}: the rotation of camera {number} is invalid: its rows are not orthonormal")
     return poses

@@ -16,7 +16,7 @@ _Cosine = Annotated[Number, Field(ge=-2, le=2)]
 _Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
 Unit = Annotated[str, Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
-_ROUNDED = 1e-6  # of a rotation that someone has written with few digits
+_ROUNDED = 1e-6  # rounding error of a rotation written with few digits
 
 
 class PlacedEntry(Entry):
@@ -26,10 +26,10 @@ class PlacedEntry(Entry):
     translation: tuple[_Length, _Length, _Length]
 
     def place(self, what: str) -> Motion:
-        """Raises InputError about `what` if the rotation is none."""
+        """Raises InputError about `what` if the rotation is invalid."""
         rotation = np.array(self.rotation)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0:
-            raise InputError(f"{what}: its rotation is none: the rows are not orthonormal and right-handed")
+            raise InputError(f"{what}: its rotation is invalid: the rows are not orthonormal and right-handed")
         return Motion(rotation, np.array(self.translation))
 
 
@@ -61,7 +61,7 @@ class StoredRoom:
 
 
 def write_room(path: Path, entries: dict[str, Any]) -> None:
-    """Write a room's entries, each item of a list on a line of its own. Raises OSError."""
+    """Write a room's entries, each item of a list as one line. Raises OSError."""
     lines = []
     for key, value in entries.items():
         if isinstance(value, list) and value:

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 from scanner.errors import InputError
 from scanner.shown_text import harmless, shortened, shown
 
-# Strict, or else `true` would pass for 1 and '5' for 5.
+# Strict, because otherwise `true` would be accepted as 1 and '5' as 5.
 Whole = Annotated[int, Field(strict=True)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Flag = Annotated[bool, Field(strict=True)]

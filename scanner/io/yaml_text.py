@@ -13,9 +13,9 @@ from scanner.shown_text import harmless, shortened
 
 _MOST_TEXT_BYTES = 1_000_000
 _MOST_VALUES = 30_000
-_LONG_TEXT = 1000  # characters, which count as a value
+_LONG_TEXT = 1000  # characters that count as one value
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
-_NUMBERS = {  # no longer than 64 bits, or than anyone would write
+_NUMBERS = {  # at most 64 bits, and no longer than anyone would write
     _INT: re.compile(r"[-+]?(0|[1-9][0-9_]{0,18}|0x[0-9a-fA-F_]{1,15}|0o?[0-7_]{1,20}|0b[01_]{1,60})$"),
     _FLOAT: re.compile(
         r"[-+]?(\d[\d_]{0,400}\.[\d_]{0,400}([eE][-+]?\d{1,9})?|\.\d[\d_]{0,400}([eE][-+]?\d{1,9})?"
@@ -25,10 +25,10 @@ _NUMBERS = {  # no longer than 64 bits, or than anyone would write
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is none.
+    """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is not.
 
-    What aliases stand for is counted as often as they stand there, or ten lines of them are billions of values. Whole
-    numbers beyond 64 bits are left as text, as are control characters replaced: no reader has a use for them.
+    Values behind aliases are counted at each occurrence, because ten lines of them can be billions of values. Integers
+    beyond 64 bits stay text, and control characters are replaced, because no reader uses them.
     """
 
     yaml_implicit_resolvers = {  # noqa: RUF012
@@ -94,7 +94,7 @@ def parse_yaml(text: str, where: str) -> Any:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
         raise InputError(f"{place}: not valid YAML: {_words(error.problem or error.context)}") from error
-    except (LookupError, AttributeError, TypeError, ArithmeticError) as error:  # as of '!!bool perhaps'
+    except (LookupError, AttributeError, TypeError, ArithmeticError) as error:  # for example for '!!bool maybe'
         raise InputError(f"{where}: not valid YAML: a value does not match its type tag") from error
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{where}: not valid YAML: {_words(str(error))}") from error
@@ -135,12 +135,12 @@ def read_text(path: Path) -> str:
 
 def flow_yaml(value: object) -> str:
     """A value as YAML on one line; numbers are written so that they read back the same."""
-    # In a list, because a lone number would be followed by a line with an end-of-document mark.
+    # In a list, because a lone number would be followed by an end-of-document mark.
     return yaml.safe_dump([value], default_flow_style=True, sort_keys=False, width=float("inf")).strip()[1:-1]
 
 
 def block_yaml(mapping: Mapping[str, Any]) -> str:
-    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers read back the same."""
+    """A mapping as YAML, lists of plain values on one line each and the rest in blocks; numbers are preserved."""
     return yaml.safe_dump(
         dict(mapping), default_flow_style=None, allow_unicode=True, sort_keys=False, width=float("inf")
     )

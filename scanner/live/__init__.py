@@ -1,1 +1,1 @@
-"""Clouds while one looks: a short sequence over and over, decoded beside the camera; what is kept becomes stations."""
+"""Live clouds from a short sequence, decoded during the capture; kept clouds become stations."""

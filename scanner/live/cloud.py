@@ -17,13 +17,13 @@ from scanner.live.unwrapping import Map, Reasons, leave_out_isolated, unwrap
 
 _ROWS = 64
 _POINTS = 1 << 14
-_STEP = 4.0  # of the projector's pixels that neighbours are apart on a surface seen face on
-# Of the lit pixels: where as many contradict themselves, a frame is not what it should be, or all moves.
+_STEP = 4.0  # factor on the projector pixels between neighbours on a surface seen face on
+# Share of inconsistent lit pixels: beyond it, a frame is wrong, or everything moves.
 _MOST_CONTRADICTING = 0.4
-# How much more one frame differs from that of the round before than any other: noise and motion are in all of them.
+# Factor by which the change of one frame exceeds that of any other; noise and motion affect all.
 _MOST_FOREIGN = 1.3
 _BY_CHANCE = 4.0  # standard deviations of a mean of squares
-_SAMPLED, _CLIPPED = 5, 9.0  # every fifth row and column; squares of larger differences are alike
+_SAMPLED, _CLIPPED = 5, 9.0  # every fifth row and column; squared differences are clipped here
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +40,12 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class LiveCloud:
-    """What a round shows. `coordinate` (H, W) along the sequence's axis, NaN where there is none, `variance` (H, W);
-    `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where its brightness is not what it was in the round before.
+    """The result of a round. `coordinate` (H, W) along the sequence's axis, NaN for none, `variance` (H, W).
 
-    `foreign`: how much more, beyond chance, one frame has changed since then than any other of the six.
-
-    `pixel` (N,) is the place of each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit;
-    `sigma` (N,): standard deviation along its ray, from noise and motion.
+    `reason` (H, W): a `MaskReason`; `moving` (H, W): 1 where the brightness has changed since the last round.
+    `foreign`: by how much more, beyond chance, one frame has changed than any other of the six. `pixel` (N,): index of
+    each point in (H, W); `points` (N, 3) in the camera's frame and the calibration's unit; `sigma` (N,): standard
+    deviation along its ray, from noise and motion.
     """
 
     taken: Round

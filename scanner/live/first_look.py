@@ -15,7 +15,7 @@ from scanner.patterns import ProjectorResponse
 
 _WHITES, _BLACKS = 4, 3
 _ROUNDING = 1 / 12
-# Squares of larger differences are left out: 3.5 standard deviations, which takes 0.2 % off a normal distribution.
+# Larger squared differences are left out: 3.5 standard deviations, which removes 0.2 % of a normal distribution.
 _MOST_SIGMAS = 3.5
 _LEAST_LIT = 500
 
@@ -33,10 +33,10 @@ class FirstLook:
 
 
 def look(rig: Rig, config: Config) -> FirstLook:
-    """Photograph white, black and, where the configuration has no response, a ramp of grey pictures.
+    """Photograph white, black and, without a configured response, a ramp of grey pictures.
 
-    Three steps of a fringe take a bent response for a shift of up to a twentieth of a cycle. So it is measured through
-    the camera, whatever part of it is the camera's. Raises DeviceError; RefusalError where nothing is lit.
+    With three steps, a nonlinear response shifts a fringe by up to a twentieth of a cycle. So the response of projector
+    and camera together is measured. Raises DeviceError; RefusalError if nothing is lit.
     """
     light = photograph_light(rig, _WHITES, _BLACKS)
     lit = light.well_lit

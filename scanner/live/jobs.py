@@ -30,13 +30,13 @@ from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.rooms.document import given_rig
 from scanner.ui import Progress, Terminal
 
-# So many rounds without a cloud that can be kept are enough where nobody but the program waits for one.
+# Rounds without a usable cloud after which an unattended run gives up.
 _PATIENCE = 100
 _SILENT = Terminal(quiet=True)
 
 
 class Watcher:
-    """Who looks, and may want things. Called from several threads; does nothing by itself."""
+    """An observer, which may make requests. It is called from several threads; this one does nothing."""
 
     def begin(self, calibration: Calibration, wishes: "Wishes") -> None:
         """Clouds of a calibrated rig are about to come; the wishes may be added to until they end."""
@@ -48,7 +48,7 @@ class Watcher:
         """There is a new cloud; or none, for the frames of this round contradict each other."""
 
     def tell(self, sentence: str) -> None:
-        """Something that is to be known."""
+        """Receive a sentence."""
 
 
 @dataclass
@@ -121,11 +121,12 @@ def scan_live(
     progress: Progress | None = None,
     watcher: Watcher,
 ) -> Looked:
-    """Until `wishes` or Ctrl-C end it. What was kept becomes `out`, also where a device fails; nothing does if nothing
-    was. `depths`: between which everything is, in the calibration's unit. `progress` is told of it in place of the
-    `terminal`.
+    """Scan until `wishes` or Ctrl-C end it. What was kept becomes `out`, also after a device failure; without any,
+    there is no folder.
 
-    Raises InputError, DeviceError, RefusalError; KeyboardInterrupt, also where `wishes` end it with nothing kept.
+    `depths`: range of the scene, in the calibration's unit. `progress` receives the progress instead of the `terminal`.
+
+    Raises InputError, DeviceError, RefusalError; KeyboardInterrupt, also if `wishes` end it with nothing kept.
     """
     start = given_rig(calibration, config)
     known = scaled(start.given or start.calibration, None, config.scale)
@@ -203,19 +204,19 @@ class Keeper:
 
     @property
     def has_ended(self) -> bool:
-        """Whether nobody wants more."""
+        """Whether the scan should end."""
         return self.wishes.end.is_set() or self.begun == self.wishes.number
 
     def offer(self, cloud: LiveCloud | None, sequence: LiveSequence, rig: Rig) -> None:
-        """A round that has just come. Raises RefusalError where so many clouds are wanted, and none is to be had."""
+        """Process a new round. Raises RefusalError if a number of clouds is wanted and none can be had."""
         if not self.wishes.due(self.begun, self._last_s):
             return
         if cloud is None or not len(cloud.points):
             self.useless += 1
             if self.wishes.number is not None and self.useless == _PATIENCE:
                 raise RefusalError(
-                    f"No cloud came of the last {_PATIENCE} rounds: "
-                    + ("nothing of the fringes is seen." if cloud else "their frames contradict each other."),
+                    f"The last {_PATIENCE} rounds gave no cloud: "
+                    + ("the fringes are not visible." if cloud else "their frames contradict each other."),
                     "Check exposure, light and synchronisation with scan check, and hold the rig still.",
                 )
         else:

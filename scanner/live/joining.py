@@ -10,7 +10,7 @@ from scanner.objects.solve import advice_on, brief, outside_text, stations_outsi
 from scanner.results import Decoded
 from scanner.rooms.live import Comparison
 
-_FEWEST = 4  # of a thing's stations; of fewer, what rests is not told from what was turned
+_FEWEST = 4  # stations of a thing; with fewer, background and thing are not separable
 _LEAVING_S = 60.0
 
 
@@ -21,21 +21,21 @@ def joined_text(captures: Sequence[Decoded], calibration: Calibration) -> list[s
     outside = stations_outside(captures, calibration)
     placed = len(captures) - len(outside)
     if placed < 2:
-        return [f"No two stations lie on each other yet: {outside_text(outside)}. {advice_on(outside)}"]
+        return [f"No two stations fit together yet: {outside_text(outside)}. {advice_on(outside)}"]
     if not outside:
-        return [f"{placed} stations lie on each other."]
+        return [f"{placed} stations fit together."]
     names = brief([each.name for each in outside])
-    return [f"{placed} stations lie on each other, but not yet {names}: put stations between them and the others."]
+    return [f"{placed} stations fit together, but not yet {names}: put stations between them and the others."]
 
 
 @contextmanager
 def joining(
     calibration: Calibration, tell: Callable[[str], None], *, of_room: bool
 ) -> Iterator[Callable[[Sequence[Decoded]], None]]:
-    """What takes all stations kept so far, and has them joined in a thread of its own, the newest ones only.
+    """A function that takes all stations kept so far, and joins the newest ones in a thread.
 
-    The last ones are joined before the context ends, if that takes no more than a minute. What fails there is told,
-    for the stations are safe.
+    The last ones are joined before the context ends, if that takes at most a minute. Errors are reported and not
+    raised, because the stations are safe.
     """
     slot = Newest[Sequence[Decoded]]()
     comparison = Comparison() if of_room else Comparison(compare=joined_text)

@@ -21,9 +21,9 @@ from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups
 
 log = logging.getLogger(__name__)
 
-# So many in a row are one capture for the rig: it keeps what proves their frames, and waits for the first light once.
+# This many in a row are one capture for the rig: frames are verified, and the latency is waited for once.
 _IN_A_ROW = 20
-_MOST_LOST = 10  # one after the other: what is lost by then is the camera
+_MOST_LOST = 10  # consecutive lost rounds that indicate a camera failure
 
 
 def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:

@@ -1,9 +1,8 @@
-"""The shortest sequence that tells where a point is: two fringes of three steps along one axis.
+"""The shortest unambiguous sequence: two fringes of three steps along one axis.
 
-The longer fringe is longer than the part of an epipolar line on which a pixel's point can be, so that it is
-unambiguous there. The shorter one is as short as the errors of the longer one allow, which a first round with a quarter
-of the longer period shows: its noise, and light from other surfaces, which shifts long fringes by up to a sixteenth of
-their period in the corner of a room.
+The longer fringe is longer than the possible part of an epipolar line, and so unambiguous. The shorter one is as short
+as the errors of the longer one allow. A first round with a quarter of the longer period measures these errors: noise,
+and interreflection, which shifts long fringes by up to a sixteenth of their period in the corner of a room.
 """
 
 from dataclasses import dataclass, replace
@@ -20,16 +19,16 @@ from scanner.patterns import Axis, Phase
 
 STEPS = 3
 FRAMES = 2 * STEPS
-# A pixel is a period off where the longer fringe errs by a period less what passes for agreement: beyond the largest
-# error of 999 of 1,000 pixels. The faintest tenth is left out where it is too faint for this.
+# A pixel slips a period where the longer fringe errs by a period minus the tolerance, beyond the largest error of 999
+# of 1,000 pixels. If the faintest tenth is too faint for this, it is left out.
 _BRIGHTER, _MOST, _MARGIN_OF_ORDER = 0.9, 0.999, 1.1
 _MARGIN = 1.05
 _LEAST_PERIOD_PX, _CAMERA_PIXELS = 6.0, 4.0
-_LARGEST = 0.25  # of the longer period
-_LEAST_TOLD = 100  # pixels
+_LARGEST = 0.25  # share of the longer period
+_LEAST_USABLE = 100  # pixels
 _GRID = 24
 _FARTHEST = 1e4  # in baselines
-_LEAST_SHIFT = 0.05  # of what the whole way along an epipolar line is
+_LEAST_SHIFT = 0.05  # share of the length of an epipolar line
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     spans = [np.ptp(_ends(grid, axis, calibration, depths), axis=0) for axis in (0, 1)]
     longest = [float(np.nanmax(span, initial=0.0)) for span in spans]
-    # Along a line that runs down the picture, x is known to be where it is, and tells nothing.
+    # Along an epipolar line down the picture, x is constant and gives no depth.
     told = [np.nanmedian(_slope(grid, axis, calibration, depths)) for axis in (0, 1)]
     axis = int(np.argmax(told))
     if not told[axis] > _LEAST_SHIFT:
@@ -90,13 +89,13 @@ def shortened(widest: LiveSequence, taken: Image, look: FirstLook, calibration: 
     # With I_n = m + a cos(θ + 2πn/3), Σ I_n exp(−2πin/3) = 3/2 a exp(iθ).
     long, short = (2 / STEPS * np.tensordot(turns, taken[first::2].astype(np.float32), 1) for first in (0, 1))
     variance = 2 / STEPS * (look.noise[0] + look.noise[1] * taken.mean(axis=0, dtype=np.float32))
-    told = look.lit & (taken.max(axis=0) < look.saturated) & (np.abs(short) > LEAST_SIGNAL * np.sqrt(variance))
-    sigma = long_px / (2 * pi) * np.sqrt(variance[told]) / np.maximum(np.abs(long[told]), 1e-3)
-    if len(sigma) < _LEAST_TOLD:
+    usable = look.lit & (taken.max(axis=0) < look.saturated) & (np.abs(short) > LEAST_SIGNAL * np.sqrt(variance))
+    sigma = long_px / (2 * pi) * np.sqrt(variance[usable]) / np.maximum(np.abs(long[usable]), 1e-3)
+    if len(sigma) < _LEAST_USABLE:
         return widest
-    coarse = long_px / (2 * pi) * np.angle(long[told])
-    coarse += long_px * np.rint((widest.middle[told] - coarse) / long_px)
-    off = coarse - short_px / (2 * pi) * np.angle(short[told])
+    coarse = long_px / (2 * pi) * np.angle(long[usable])
+    coarse += long_px * np.rint((widest.middle[usable] - coarse) / long_px)
+    off = coarse - short_px / (2 * pi) * np.angle(short[usable])
     off = np.abs(off - short_px * np.rint(off / short_px))[sigma <= np.quantile(sigma, _BRIGHTER)]
     passes = BEYOND_SIGMAS * float(np.quantile(sigma, _BRIGHTER)) + UNSTRAIGHT * long_px
     least_px = max(_LEAST_PERIOD_PX, _CAMERA_PIXELS * _projector_px_per_camera_px(calibration))
@@ -110,7 +109,7 @@ def _uneven(period_px: float) -> float:
 
 
 def _projector_px_per_camera_px(calibration: Calibration) -> float:
-    """As far as focal lengths tell: the devices are about as far from what they see."""
+    """By focal lengths, assuming that both devices are equally far from the scene."""
     return calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
 
 
@@ -126,7 +125,7 @@ def _ends(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[flo
     length = calibration.projector.size[axis]
     far, near = _inverse_depths(calibration, depths)
     begin, towards, end = (_seen_at(pixels, each, calibration)[:, axis] for each in (far, 1.01 * far, near))
-    # What comes near leaves the picture there, or goes behind the projector.
+    # Close points leave the picture there, or are behind the projector.
     edge = np.where(towards > begin, length - 0.5, -0.5)
     ends = np.stack([begin, edge if depths is None else np.where(np.isnan(end), edge, end)])
     found: Floats = np.clip(ends, -0.5, length - 0.5)

@@ -1,4 +1,4 @@
-"""What is said of clouds while one looks."""
+"""Texts about live clouds."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +31,7 @@ def advice(cloud: LiveCloud) -> Iterator[str]:
 
 
 def round_texts(cloud: LiveCloud | None, account: Account, unit: str) -> list[str]:
-    """What is said of the newest round, also where there is no cloud in it."""
+    """Texts about the newest round, with or without a cloud."""
     if cloud is None:
         return ["No cloud: frames contradict each other, as where nearly everything moves. Hold still for a moment."]
     left_out = cloud.share(MaskReason.INCONSISTENT, MaskReason.MOVED, MaskReason.ISOLATED)

@@ -19,19 +19,19 @@ _ISOLATED = int(MaskReason.ISOLATED)
 
 _STEPS = 3
 LEAST_SIGNAL = 5.0  # amplitude over noise
-_ORDER_SIGMAS = 4.0  # half a short period over the sigma of the long fringe: one of 15,000 would be off by a period
+_ORDER_SIGMAS = 4.0  # half a short period over the sigma of the long fringe: one pixel in 15,000 slips a period
 BEYOND_SIGMAS = 4.5
-_UNEVEN = 0.03  # of an amplitude: what a response that is not quite undone leaves between the means
-UNSTRAIGHT = 0.004  # of a long period: the same, and light from other surfaces
-_FLICKER = 0.007  # of a level
-# χ² of six frames that are compared with those of the round before: one still pixel of 10,000 is beyond it.
-# Five of them, but for one of 100: what moves changes most frames, and a late frame is one.
+_UNEVEN = 0.03  # share of an amplitude: difference of the means left by an imperfectly corrected response
+UNSTRAIGHT = 0.004  # share of a long period: the same, and interreflection
+_FLICKER = 0.007  # share of a level
+# Limit on χ² of six frames compared with the round before: one static pixel in 10,000 exceeds it.
+# The same for five frames and one pixel in 100: motion changes most frames, a late frame is a single one.
 _MOVED_CHI2, _STILL_CHI2 = 28.0, 15.0
-# Frames at −2, 0 and 2: motion by δ between frames sways the phase by 2/√3 δ, as twice the phase goes round.
+# Frames at times −2, 0 and 2: motion by δ between frames shifts the phase by up to 2/√3 δ.
 _SWAY_PER_FRAME = 1.1547
-_MOST_SWAY = 0.08  # of a short period
-# The mean that changes by d in a round of six frames does so by d/6 from frame to frame, and shifts a phase by this
-# times d over the amplitude, rms.
+_MOST_SWAY = 0.08  # share of a short period
+# If the mean changes by d in a round of six frames, it changes by d/6 per frame, and shifts a phase by this times d
+# over the amplitude (rms).
 _SHIFT_BY_BRIGHTNESS = 0.22
 
 
@@ -51,9 +51,10 @@ def unwrap(
     reason: Reasons,
     moving: Reasons,
 ) -> None:
-    """Fill in `coordinate` (H, W), NaN where there is none, its `variance`, the `reason` why not, and whether it is
-    `moving`, from `frames` (6, H, W): long and short fringes in turns. `before` and `coordinate_before` are of a round
-    so many `rounds_apart`; 0: there is none.
+    """Fill in `coordinate` (H, W), NaN for none, its `variance`, the `reason` for a mask, and whether it is `moving`.
+
+    `frames` (6, H, W): long and short fringes alternate. `before` and `coordinate_before` are of the round
+    `rounds_apart` earlier; 0: there is none.
 
     With I_n = m + a cos(θ + 2πn/3), n = 0, 1, 2: a cos θ = ⅔ Σ I_n cos(2πn/3), a sin θ = −⅔ Σ I_n sin(2πn/3) (Creath
     1988), and the variance of θ is ⅔ σ²/a².
@@ -118,7 +119,7 @@ def unwrap(
             if moving[row, column] == 1:
                 past = coordinate_before[row, column]
                 sway = _SWAY_PER_FRAME * abs(fine - past) / (6.0 * rounds_apart)
-                if not sway < _MOST_SWAY * short_px:  # also where there was nothing
+                if not sway < _MOST_SWAY * short_px:  # also for NaN
                     reason[row, column] = _MOVED
                     continue
                 limit += sway
@@ -149,6 +150,6 @@ def leave_out_isolated(coordinate: Map, variance: Map, step_px: float, reason: R
                 for left in range(max(0, column - 1), min(width, column + 2)):
                     apart = coordinate[up, left] - coordinate[row, column]
                     limit = step_px + BEYOND_SIGMAS * np.sqrt(variance[up, left] + variance[row, column])
-                    near += abs(apart) <= limit  # NaN is none
-            if near < 4:  # itself among them
+                    near += abs(apart) <= limit  # false for NaN
+            if near < 4:  # including itself
                 reason[row, column] = _ISOLATED

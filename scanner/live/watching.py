@@ -1,4 +1,4 @@
-"""The loop: rounds are taken here, and decoded in a thread beside; whoever is too slow gets the newest, and not all."""
+"""The loop: rounds are taken here, and decoded in another thread; slow observers get only the newest cloud."""
 
 import logging
 import time
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-_RECENT = 20  # clouds that rate and delay are of
+_RECENT = 20  # clouds used for rate and delay
 _LEAVING_S = 60.0
 
 
@@ -120,7 +120,7 @@ def watch(
 
     def decode() -> None:
         earlier: list[LiveCloud] = []
-        first = True  # of which there is nothing to compare it with
+        first = True  # there is nothing to compare it with
         try:
             while (following := slot.take()) is not None:
                 cloud = proven(decoder, following, earlier)

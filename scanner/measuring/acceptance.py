@@ -19,7 +19,7 @@ from scanner.results import FinishedScan
 
 # Placements that VDI/VDE 2634 part 2 asks for: spheres for probing errors, lines for spacing, planes for flatness.
 PROBING_PLACEMENTS, SPACING_PLACEMENTS, FLATNESS_PLACEMENTS = 10, 7, 6
-# Points that may be left out as outliers; beyond that the standard's form error is larger than what is told here.
+# Share of outliers allowed; beyond it, the standard's form error is larger than the stated one.
 ALLOWED_STRAYS = 0.003
 _DISPERSION = 0.95
 
@@ -34,11 +34,11 @@ class BallBar:
 
 @dataclass(frozen=True)
 class Error:
-    """One error: `value` is measured minus calibrated, or a range that is due to the scanner and the artefact only.
+    """One error: measured minus calibrated `value`, or a range due to the scanner and the artefact only.
 
-    `quantity`: PF, PS, SD or F; `of`: what it was measured on; `placement`: the result's name. `budget`: of the
-    measured value, None for ranges. `dispersion`: for ranges, the one that contains 95 % of the points. `strays`: share
-    of the points that were removed before.
+    `quantity`: PF, PS, SD or F; `of`: what it was measured on; `placement`: name of the result. `budget`: of the
+    measured value, None for ranges. `dispersion`: for ranges, that of 95 % of the points. `strays`: share of the points
+    removed before.
     """
 
     quantity: str

@@ -74,10 +74,10 @@ def remarks(acceptance: Acceptance) -> Iterator[str]:
     if strays > ALLOWED_STRAYS:
         yield (
             f"On a sphere {percent(strays)} of the points were left out as strays, where the standard allows 0.3 %: "
-            "they belong to what stands before or behind its rim, or PF is larger than stated."
+            "they belong to objects in front of or behind its rim, or PF is larger than stated."
         )
     if acceptance.of("F"):
-        yield "F was measured on the faces of the corner: their own unevenness is in it. A flat of its own is the test."
+        yield "F was measured on the faces of the corner and contains their unevenness. A calibrated flat is the test."
     yield "Spheres and planes were fitted with Tukey's weights, which in clean points are least squares."
 
 

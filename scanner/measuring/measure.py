@@ -25,7 +25,7 @@ def read_scene(folder: Path, calibration: Calibration) -> Scene:
 def measure(
     scan: FinishedScan, scene: Scene, sphere_diameters: list[float], pixel_pairs: list[PixelPair]
 ) -> Measurements:
-    """A sphere for each diameter (in the scan's unit), a distance for each pair of camera pixels, beside the `scene`.
+    """A sphere for each diameter (in the scan's unit), a distance for each pair of camera pixels, and the `scene`.
 
     Raises InputError for pixels without a point, NoMeasurementError if a sphere is not found.
     """

@@ -8,7 +8,7 @@ from calib.diagnostics import Budget, Spread, SystematicErrors
 from calib.numerics import Floats, Ints
 from scanner.measuring.scene_errors import ONLY_SCATTER, KnownLengths
 
-# Share of the points that a form error speaks of; the rest may be strays.
+# Share of the points in a form error; the rest may be outliers.
 FORM_SHARE = 0.997
 _DIAMETER = np.array([[0.0, 0.0, 0.0, 2.0]])  # from centre and radius
 
@@ -45,9 +45,9 @@ class FitErrors:
 class SphereMeasurement:
     """A sphere of nominally known diameter.
 
-    `diameter` and `centre` (3,) are fitted together, and `errors` are from that fit; `nominal_errors` from a fit of the
-    centre alone with the nominal diameter. `spread`: of centre and radius. `strays` is how many points of its image,
-    besides, are so far off that they are of something else. `image_px`: centre (x, y) and radius of its image.
+    `diameter` and `centre` (3,) are fitted together, and `errors` are relative to that fit; `nominal_errors` to a fit
+    of the centre with the nominal diameter. `spread`: of centre and radius. `strays`: number of points in its image
+    that belong to something else. `image_px`: centre (x, y) and radius of its image.
     """
 
     nominal_diameter: float

@@ -25,10 +25,10 @@ from scanner.measuring.scene_errors import known_lengths, rig_errors
 from scanner.quantities import FACE_NAMES
 from scanner.rendering import cells_over, one_in_cells
 
-# Neighbouring points of a face err alike; squares of this share of the camera's image width count as independent.
+# Errors of neighbouring points of a face correlate; squares of this share of the image's width count as independent.
 _ALIKE_OF_WIDTH = 1 / 64
 _FEWEST_POINTS = 100
-# Planes through so many points are as good as through all, and known at once.
+# A plane fit to this many points is as accurate as to all, and faster.
 _MOST_POINTS = 100_000
 
 
@@ -60,8 +60,8 @@ def _sample(matches: Matches, calibration: Calibration) -> Ints:
 
 @dataclass(frozen=True)
 class _Face:
-    """A face with its matches, whose errors are alike in each `cluster` (N,); the `spread` of its plane's parameters,
-    and that of its form.
+    """A face with its matches, whose errors are equal within each `cluster` (N,); the `spread` of its plane's
+    parameters, and that of its form.
     """
 
     label: int

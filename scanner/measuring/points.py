@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from scanner.measuring.measurements import DistanceMeasurement, PointAngle, Scene
 from scanner.results import FinishedScan
 
-# Of a sine: below, three points are on one line, where no angle has a derivative.
+# Sine below which three points are collinear, where an angle has no derivative.
 _LEAST_ACROSS = 1e-6
 
 
@@ -31,7 +31,7 @@ def angle_at(scan: FinishedScan, scene: Scene, ends: tuple[int, int, int]) -> Po
     to_first, to_last = points[0] - points[1], points[2] - points[1]
     first, last = to_first / np.linalg.norm(to_first), to_last / np.linalg.norm(to_last)
     cosine, sine = float(first @ last), float(np.linalg.norm(np.cross(first, last)))
-    # An end that moves across its line, in the plane of both, turns it by that over its length.
+    # An end that moves by d perpendicular to its line rotates the line by d over its length.
     by_first = (cosine * first - last) / (max(sine, _LEAST_ACROSS) * np.linalg.norm(to_first))
     by_last = (cosine * last - first) / (max(sine, _LEAST_ACROSS) * np.linalg.norm(to_last))
     gradient = np.degrees(np.concatenate([by_first, -by_first - by_last, by_last]))

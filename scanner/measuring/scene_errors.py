@@ -37,7 +37,7 @@ class KnownLengths:
                 "whose own length is not known."
             )
         shown = shown_unit(self.unit)
-        # The longest power of ten that is no longer than the scene is far away.
+        # The largest power of ten below the distance of the scene.
         length = 10.0 ** floor(log10(shown.factor * float(np.linalg.norm(self.middle))))
         whole = f"{length / 1000:g} m" if shown.name == "mm" and length >= 1000 else f"{length:g} {shown.name}"
         exact = "" if self.scale_sigma else f", taking {self.anchor} that was given as exact"

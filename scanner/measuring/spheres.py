@@ -1,4 +1,4 @@
-"""The test with a ball: find it, fit it, and tell how far its points are from a sphere."""
+"""The test with a ball: detection, fit, and the deviations of its points from a sphere."""
 
 from itertools import combinations
 
@@ -12,15 +12,15 @@ from scanner.measuring.measurements import DistanceMeasurement, FitErrors, Spher
 from scanner.quantities import percent, shown_unit
 from scanner.results import FinishedScan
 
-# Points farther than this share of the radius from the surface are of something in front of the ball.
+# Points farther than this share of the radius from the surface belong to other objects.
 _GATE = 0.2
-# Within that, points off by more than this many sigmas are so, too. Everything else is the ball's error.
+# Closer points are outliers beyond this many sigmas. All else counts as the ball's error.
 _STRAY_SIGMAS = 10.0
-# The ball counts as far as it faces the camera within so many degrees: at the rim a pixel sees what is behind, too.
+# The part of the ball within this angle of the camera is used: at the rim, a pixel also sees the background.
 _FARTHEST_FROM_FACING_DEG = 75.0
 _REFITS = 3
-# Neighbouring points err alike, because they share the decoder's patterns: squares of so many pixels, or of a fifth of
-# the ball.
+# Errors of neighbouring points correlate, as they share patterns. Squares of this many pixels, or of a fifth of the
+# ball, count as independent.
 _ALIKE_PX, _ALIKE_OF_IMAGE = 8, 0.2
 _FEWEST_POINTS = 50
 _LEAST_OF_IMAGE = 0.4

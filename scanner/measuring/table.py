@@ -84,7 +84,7 @@ def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Ta
 
 
 def empty_table(title: str, *headings: str) -> Table:
-    """A table with a title and right-aligned columns under the headings, beside a column of names."""
+    """A table with a title, a column of names, and right-aligned columns under the headings."""
     table = Table(
         title=title,
         title_justify="left",

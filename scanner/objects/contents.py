@@ -1,4 +1,4 @@
-"""What is known of a thing: its stations, how they lie on each other, and its surface."""
+"""The estimate of a thing: its stations, their agreement, and its surface."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from scanner.rooms.contents import Station
 
 @dataclass(frozen=True)
 class OutlierStation:
-    """A capture that is no station of this thing, and why: in a word or two for programs, and in a sentence."""
+    """A capture that is no station of this thing: `cause` in a word or two for programs, `reason` as a sentence."""
 
     name: str
     cause: Literal["nothing seen", "no overlap", "does not fit"]
@@ -25,13 +25,14 @@ class OutlierStation:
 
 @dataclass(frozen=True, eq=False)
 class SolvedObject:
-    """In the thing's frame, z up, the unit of `calibration`. `stations` have clouds of the thing alone, and sigmas of
-    the turn and of the thing's origin against the first one; `numbers` of them among all captures.
+    """Everything in the thing's frame, z up, and the unit of `calibration`.
 
-    `overlap`, `residual`: by pair of stations (in their order), as of `JointEstimate`. `apart` (H, W) of each station:
-    how far its pixels' points are before the others' surfaces, NaN where nothing tells. `turntable`: None where the
-    places are not those of one; `axis` (2, 3): a point and a direction in the thing's frame. `loose`: stations that can
-    turn or slide. `rests`: share of what was seen that did not move and was left out.
+    `stations` have clouds of the thing alone, and sigmas of the rotation and of the thing's origin relative to the
+    first one; `numbers`: theirs among all captures. `overlap`, `residual`: by pair of stations (in their order), as of
+    `JointEstimate`. `apart` (H, W) of each station: distance of its points in front of the others' surfaces, NaN where
+    unknown. `turntable`: None if the poses are not those of one; `axis` (2, 3): a point and a direction in the thing's
+    frame. `loose`: stations that can rotate or slide. `rests`: share of the visible surfaces that did not move and was
+    left out.
     """
 
     calibration: Calibration
@@ -55,9 +56,10 @@ class SolvedObject:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The `mesh`, in the thing's frame; `closed`: without holes. `volume`, where it is closed, and `area` with their
-    standard deviations, in the mesh's unit; `bridged`: share of the area that no station saw. Where that is large, the
-    volume is None.
+    """The `mesh`, in the thing's frame; `closed`: without holes.
+
+    `volume`, if it is closed, and `area` with their standard deviations, in the mesh's unit. `bridged`: share of the
+    area that no station saw; if it is large, the volume is None.
     """
 
     mesh: Mesh

@@ -36,7 +36,7 @@ def scan_object(
 
     Raises InputError, DeviceError, RefusalError.
     """
-    open3d()  # or say at once that it is missing
+    open3d()  # fail early if it is missing
     start = given_rig(calibration, config)
     if not stations:
         if number < 2:

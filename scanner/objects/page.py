@@ -21,7 +21,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _FILES = {
     "object.ply": "one cloud of all stations, with normals and colours",
     "object.glb": "one mesh of it, under the stations' pictures",
-    "object.yaml": "where every station stood against the thing, with sigmas; its volume and area",
+    "object.yaml": "the poses of the stations relative to the thing, with sigmas; its volume and area",
     "calibration.yaml": "the rig, as it was given",
     "captures": "the stations, each a result of its own",
     "truth.yaml": "the simulated rig's true calibration",
@@ -93,7 +93,7 @@ def _station_rows(solved: SolvedObject) -> Iterator[tuple[str, ...]]:
 def _residuals(solved: SolvedObject) -> Iterator[tuple[str, ScaledMap]]:
     unit = shown_unit(solved.unit)
     for station, apart in zip(solved.stations, solved.apart, strict=True):
-        alt = f"how far the surface is before that of the others, over the camera's image of {station.name}"
+        alt = f"distance in front of the surface of the others, over the camera's image of {station.name}"
         yield station.name, residual_map(apart * np.float32(unit.factor), unit.name, alt)
 
 

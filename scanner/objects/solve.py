@@ -1,4 +1,4 @@
-"""Stations and a calibrated rig → a thing: what rests is left out, what moved is registered without a guess."""
+"""Stations of a calibrated rig → a thing: the static background is removed, and the rest registered without a guess."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,9 +38,9 @@ from scanner.ui import Progress
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
 _SIZE_GRAINS = 60.0
 _NAMED = 3
-_ALL_RESTS = 0.9  # of what was seen
-_RESTS = 0.2  # of what was seen, before tables and walls are looked for in few stations
-_TURNED_DEG = 0.3  # at least, between stations of a thing
+_ALL_RESTS = 0.9  # share of the visible surface
+_RESTS = 0.2  # share of the visible surface, before tables and walls are searched for in few stations
+_TURNED_DEG = 0.3  # least rotation between stations of a thing
 
 
 def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedObject:
@@ -54,14 +54,14 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     for capture, cloud in zip(captures, clouds, strict=True):
         with naming(capture, among=len(captures)):
             refuse_foreign(cloud.statistics, capture.metadata.projector_size)
-    with progress.step("Telling the thing from what rests"):
+    with progress.step("Separating the thing from the background"):
         views, rests = _views(clouds, captures, calibration.camera)
     if rests > _ALL_RESTS and not any(views):
         raise NoMeasurementError(
-            f"All of what was seen rests: its surface is at the same place in the {len(captures)} stations.",
+            f"Nothing moved: all surfaces are at the same place in the {len(captures)} stations.",
             "Turn the thing between stations. If it was turned, it is round about the axis of the turn, as balls and "
-            "plates are, and its shape cannot tell how far: stick scraps of paper to it, and put it down elsewhere "
-            "each time.",
+            "plates are, so that its shape does not show the angle: stick scraps of paper to it, and put it down "
+            "elsewhere each time.",
         )
     with progress.step("Registering"):
         registered = register_views(views)
@@ -81,18 +81,18 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
 
 
 def _refuse_unturned(places: Sequence[Motion]) -> None:
-    """Raise if none is turned against the first one: few stations fit together by what rests in all of them."""
+    """Raise if no station is rotated relative to the first: a few stations fit together by their background."""
     turns_deg = [np.degrees(Rotation.from_matrix(place.rotation).magnitude()) for place in places]
     if max(turns_deg) < _TURNED_DEG:
         raise NoMeasurementError(
-            f"Nothing was turned between the {len(places)} stations, or what rests around the thing outweighs it.",
+            f"Nothing was turned between the {len(places)} stations, or the background outweighs the thing.",
             f"Turn the thing between stations, and take {FEWEST_TO_REST} or more of them: from fewer, only flat tables "
-            "and walls can be told from the thing. Or let the rig see nothing but the thing.",
+            "and walls can be separated from the thing. Or let the rig see only the thing.",
         )
 
 
 def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> tuple[OutlierStation, ...]:
-    """Which stations of a thing lie on no other, as far as is known without an estimate of all."""
+    """The stations of a thing that fit no other one, without an estimate of all."""
     clouds = [build_cloud(each.matches, each.texture, calibration) for each in captures]
     return _outlier_stations(register_views(_views(clouds, captures, calibration.camera)[0]), captures)
 
@@ -116,14 +116,14 @@ def brief(names: Sequence[str]) -> str:
 
 
 def advice_on(outside: Sequence[OutlierStation]) -> str:
-    """What to do where no two stations lie on each other."""
+    """Advice if no two stations fit together."""
     if all(each.cause == "nothing seen" for each in outside):
-        return "Turn the thing between stations: what is the same in all of them is taken for what rests."
-    return "Turn the thing less between stations, so that half of what is seen is seen again."
+        return "Turn the thing between stations: what is the same in all of them is taken for background."
+    return "Turn the thing less between stations, so that each sees half of what the one before saw."
 
 
 def _views(clouds: Sequence[Cloud], captures: Sequence[Decoded], camera: Intrinsics) -> tuple[list[View | None], float]:
-    """Of the thing alone; and what share of all that was seen rests."""
+    """Views of the thing alone, and the share of the visible surfaces that is static."""
     depths = [cloud.points[..., 2] for cloud in clouds]
     noise = [relative_noise(cloud.points, cloud.normals) for cloud in clouds]
     rest = resting_depth(depths, noise)
@@ -163,7 +163,7 @@ def _finished(
     upright = _upright(joint, turntable)
     kept = confirmed([view for _, view in members], places)
     origin: Floats = -upright.rotation.T @ upright.translation
-    about = np.eye(6)  # from the shift of the estimate's middle to that of the thing's origin
+    about = np.eye(6)  # maps the shift of the estimate's middle to that of the thing's origin
     about[3:, :3] = -np.cross(np.eye(3), origin - joint.middle)
     stations, loose = [], []
     size = _SIZE_GRAINS * max(view.grain for _, view in members)

@@ -11,11 +11,11 @@ from scanner.objects.contents import SolvedObject, Surface
 from scanner.rooms.blended_cloud import blended_of, grid_of
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused_of
 
-_AROUND = 3.0  # of the size: within so large a cube a surface closes of which half was seen
-_DEEPEST = 9  # of the octree: 512 cells to a side
-# A surface that bridges a hole bulges, in or out, by a share of its width; beyond a share of all, volumes are guesses.
+_AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size
+_DEEPEST = 9  # depth of the octree: 512 cells per side
+# A surface that bridges a hole bulges by a share of its width; beyond this share of all, volumes are guesses.
 _BULGE, _MOST_BRIDGED = 0.2, 0.15
-_FAR = 4.0  # edges of the cloud's voxels from the nearest point, beyond which a vertex bridges a hole
+_FAR = 4.0  # distance from the nearest point, in edges of the cloud's voxels, beyond which a vertex bridges a hole
 
 
 def cloud_of(solved: SolvedObject) -> MergedCloud:

@@ -9,8 +9,8 @@ from scanner.quantities import shown_unit
 from scanner.results import Verdict
 
 _ADVICE = (
-    "Give it what makes its sides different, painted spots or scraps of paper stuck to it say, so that the pictures "
-    "tell how it was turned; or turn it less between stations."
+    "Make its sides different, for example with painted spots or scraps of paper, so that the pictures show how it was "
+    "turned; or turn it less between stations."
 )
 
 
@@ -25,8 +25,8 @@ def verdict_on(solved: SolvedObject) -> Verdict:
             "refused",
             "The stations fit together in more than one way.",
             (
-                f"{', '.join(of_capture[k] for k in doubtful)} could as well be turned otherwise, "
-                f"by {best.turn_deg:.0f}° for one: the thing looks the same from several sides, as balls do.",
+                f"The rotation of {', '.join(of_capture[k] for k in doubtful)} is ambiguous, for example by "
+                f"{best.turn_deg:.0f}°: the thing looks the same from several sides, as balls do.",
             ),
             _ADVICE,
         )
@@ -38,7 +38,11 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     if solved.outlier_stations:
         left = ", ".join(each.name for each in solved.outlier_stations)
         return Verdict("fair", f"{len(names)} stations are one thing; left out: {left}.", tuple(_reasons(solved)))
-    return Verdict("good", f"{len(names)} stations are one thing, each held by the others.", tuple(_reasons(solved)))
+    return Verdict(
+        "good",
+        f"{len(names)} stations are one thing, and the others determine the pose of each.",
+        tuple(_reasons(solved)),
+    )
 
 
 def _reasons(solved: SolvedObject) -> Iterator[str]:
@@ -46,14 +50,14 @@ def _reasons(solved: SolvedObject) -> Iterator[str]:
     others = solved.stations[1:]
     worst = max(float(np.linalg.norm(station.sigma)) for station in others)
     turned = max(float(np.linalg.norm(station.sigma_deg)) for station in others)
-    yield f"Where a station stood against the thing is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
+    yield f"Each station's pose relative to the thing is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
     if solved.turntable is not None:
         yield f"It was turned about one axis, by {_turns(solved.turntable.angles_deg)}: a turntable."
     residual = float(np.median(list(solved.residual.values())))
     pairs = "1 pair of stations" if len(solved.residual) == 1 else f"{len(solved.residual)} pairs of stations"
     yield f"{pairs} share surfaces, which are {unit.error(residual)} apart, noise included."
     if solved.rests > 0:
-        yield f"{solved.rests:.0%} of what was seen rested while the thing moved, and is left out."
+        yield f"{solved.rests:.0%} of the visible surfaces did not move with the thing, and are left out."
     for each in solved.outlier_stations:
         yield f"{each.name} is left out: {each.reason}."
 

@@ -1,4 +1,4 @@
-"""Patterns that light every place alike together: a pattern and its inverse, all steps of a fringe."""
+"""Groups of patterns that sum to uniform light: a pattern and its inverse, all steps of a fringe."""
 
 from collections import defaultdict
 from collections.abc import Hashable, Sequence
@@ -7,15 +7,15 @@ from math import isclose
 
 from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White, Xor
 
-_LEAST_STEPS = 3  # of fewer, the sum depends on how light follows the picture's grey levels
+_LEAST_STEPS = 3  # with fewer, the sum depends on the projector's response
 
 
 def level_groups(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
-    """The numbers of patterns that light every place alike together, steps of a fringe in the order of their shifts; a
-    pattern that is shown twice is in no group.
+    """Numbers of the patterns of each group that sums to uniform light; steps of a fringe in the order of their shifts.
 
-    That does not depend on how bright the projector makes a grey level: the steps of a whole cycle go through the same
-    levels everywhere, but for harmonics of the order of their number, which are small for 3 and nothing for 4.
+    A repeated pattern is in no group. The sum does not depend on the projector's response: over a whole cycle, the
+    steps take the same levels everywhere. Only harmonics of the order of their number remain, which are small for 3
+    steps and zero for 4.
     """
     of: dict[Hashable, list[int]] = defaultdict(list)
     for number, pattern in enumerate(patterns):

@@ -8,11 +8,10 @@ from scanner.patterns.pattern import Gray, Pattern, Xor
 
 
 def unpaired_bits(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
-    """The numbers of bits that are in no level group and shown once, in groups of two and more; no bit of a group is a
-    combination (exclusive or) of others.
+    """Numbers of the bits that are in no level group and shown once, in groups of at least two.
 
-    So frames of a group that show other pictures than their own, in whatever combination, do not add up to the same
-    parity: not so if XOR codes were among the Gray bits that they are made of, for g₀ ⊕ g₁ = x₀ ⊕ x₁.
+    No bit of a group is a combination (exclusive or) of others, so that any combination of wrong pictures changes the
+    parity. XOR codes would violate this among the Gray bits that they are made of, since g₀ ⊕ g₁ = x₀ ⊕ x₁.
     """
     paired = {number for group in level_groups(patterns) for number in group}
     shown = Counter(map(kind, patterns))
@@ -44,7 +43,7 @@ def _independent(bits: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
 
 
 def _rest(combination: int, reduced: Iterable[int]) -> int:
-    """What is left of a combination without those before, each of which has a highest one of its own."""
+    """The remainder of a combination after reduction by those before, each of which has its own highest bit."""
     for known in reduced:
         combination = min(combination, combination ^ known)
     return combination

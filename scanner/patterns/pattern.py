@@ -100,14 +100,14 @@ Pattern = White | Black | Gray | Xor | Phase
 def draw(pattern: Pattern, size: tuple[int, int]) -> NDArray[np.uint8]:
     """The 8-bit image (height, width) of a pattern for a projector of `size` = (width, height)."""
     width, height = size
-    # A row and a column, not all pixels: a live capture waits for its pictures, and most of them vary along one axis.
+    # Only a row and a column are drawn, because a live capture waits for its pictures, and most vary along one axis.
     x, y = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
     levels = np.rint(255 * pattern.brightness(x, y)).astype(np.uint8)
     return np.ascontiguousarray(np.broadcast_to(levels, (height, width)))
 
 
 def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) -> Iterator[Gray]:
-    """The bits that tell apart all cells along an axis of `length` pixels, each followed by its inverse."""
+    """The bits that distinguish all cells along an axis of `length` pixels, each followed by its inverse."""
     bits = max(1, ceil(log2(ceil(length / cell))))
     for bit in range(bits):
         for inverted in (False, True) if inverses else (False,):
@@ -117,9 +117,9 @@ def gray_sequence(axis: Axis, length: int, cell: int, *, inverses: bool = True) 
 def xor_sequence(
     axis: Axis, length: int, cell: int, *, inverses: bool = True, above_finest: int = 0
 ) -> Iterator[Gray | Xor]:
-    """The same cells by stripes that are nearly all two cells wide: the finest bit, and the others relative to it.
+    """The same cells by stripes of mostly two cells: the finest bit, and the others relative to it.
 
-    With a base so many bits above the finest, the bits above it are relative to it, and those below are shown plainly.
+    With a base `above_finest` bits above the finest, coarser bits are relative to it, and finer ones are shown plainly.
     """
     for shown in gray_sequence(axis, length, cell, inverses=inverses):
         base = shown.bits - 1 - above_finest

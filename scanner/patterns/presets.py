@@ -1,4 +1,4 @@
-"""The sequences that have names: what each shows, whatever the size of the projector. See docs/decoding.md."""
+"""The named sequences, for any size of the projector. See docs/decoding.md."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -30,12 +30,12 @@ class Preset:
         )
 
 
-# Two periods whose ratio is far from every fraction of small numbers (1.382, or 2.39) agree on no wrong fringe order
-# for long, and a wrong bit shows. None is a whole number of pixels where it decides: then the rounding to 256 grey
-# levels would fall on the same places of every cycle, and shift all coordinates by a thousandth of a pixel.
+# Two periods whose ratio is far from simple fractions (1.382, or 2.39) seldom agree on a wrong fringe order, so that a
+# wrong bit is detected. Deciding periods are not whole numbers of pixels: otherwise rounding to 256 grey levels would
+# repeat in each cycle, and shift all coordinates by a thousandth of a pixel.
 PRESETS: dict[PresetName, Preset] = {
     "standard": Preset("gray", cell=8, inverses=True, periods=(16.0, 6.7), shifts=4),
     "quick": Preset("gray", cell=8, inverses=False, periods=(12.3,), shifts=4),
-    # Two codes that fail in different places, and fringes that light does not carry around a corner.
+    # Two codes that fail in different places, and fringes short enough to cancel in interreflection.
     "concave": Preset("both", cell=8, inverses=False, periods=(8.43, 6.1), shifts=4),
 }

@@ -46,7 +46,7 @@ class ProjectorResponse:
     @cached_property
     def gamma(self) -> float:
         """Exponent of the power law that comes nearest, by least squares of the light."""
-        # A search in one number, and the curve is smooth: no optimiser is worth its options here.
+        # A smooth curve with one parameter needs no optimiser.
         exponents = np.linspace(0.3, 5.0, 941)
         levels = np.linspace(0, 1, len(self.light))
         misfit = np.sum((levels[None, :] ** exponents[:, None] - np.array(self.light)) ** 2, axis=1)

@@ -83,7 +83,7 @@ def pattern_to_dict(pattern: Pattern) -> dict[str, Any]:
 
 
 def frame_line(file: str, pattern: Pattern, **more: object) -> str:
-    """One item of `frames`, on a line of its own."""
+    """One item of `frames`, as one line."""
     entry = {"file": file, "pattern": pattern_to_dict(pattern), **more}
     return f"  - {flow_yaml(entry)}\n"
 

@@ -11,19 +11,19 @@ from calib.numerics import Floats, Image
 from calib.pointcloud import surface
 from scanner.photos.photo import Photo
 
-_LONGEST_SIDE = 1600  # of what is matched: beyond it memory and time grow, and detail hardly does
+_LONGEST_SIDE = 1600  # longest side of the matched photos; beyond it, cost grows more than detail
 _BLOCK = 5
-_DISPARITY_STEP = 16  # OpenCV searches whole multiples of so many pixels
+_DISPARITY_STEP = 16  # OpenCV searches multiples of this
 _MOST_DISPARITIES = 400
-_RAREST = 0.5  # per cent of the sparse matches that the pictures and the search may miss at either end
+_RAREST = 0.5  # per cent of the sparse matches left out at either end of the range
 _SPARE, _SPARE_PX = 0.05, 8.0
 
 
 @dataclass(frozen=True)
 class DenseCloud:
-    """Points (H, W, 3) in the first photo's frame, on the grid of its rectified picture, NaN where there is none.
+    """Points (H, W, 3) in the first photo's frame, on the grid of its rectified picture, NaN for none.
 
-    `colours` (H, W, 3) RGB, `normals` (H, W, 3) facing the first photo's place.
+    `colours` (H, W, 3) RGB, `normals` (H, W, 3) facing the first camera.
     """
 
     points: NDArray[np.float32]
@@ -54,7 +54,7 @@ class _Rectified:
     def picture(self, photo: Photo, camera: Intrinsics) -> Image:
         """The photo as it would be in this frame, without its lens."""
         pixels = camera.project(self.rays() @ self.rotation).astype(np.float32)
-        outside = np.float32(-1e6)  # where the lens model ends, like what lies outside of the photo
+        outside = np.float32(-1e6)  # beyond the lens model, as outside the photo
         maps = np.where(np.isfinite(pixels), pixels, outside)
         seen = cv2.remap(photo.pixels, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderValue=0)
         return np.asarray(seen, np.uint8)
@@ -119,7 +119,7 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
 
 
 def _match(left: Image, right: Image, least: int, count: int) -> Floats:
-    """Disparities (H, W) in columns, NaN where there is none."""
+    """Disparities (H, W) in columns, NaN for none."""
     channels = left.shape[2] if left.ndim == 3 else 1
     matcher = cv2.StereoSGBM.create(
         minDisparity=least,
@@ -133,7 +133,7 @@ def _match(left: Image, right: Image, least: int, count: int) -> Floats:
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    # The search starts beyond the picture's margin: room for it on the side from which it comes.
+    # The search starts beyond the picture's margin, so a margin is added on that side.
     margin = max(0, least + count)
     padded = [
         cv2.copyMakeBorder(picture, 0, 0, margin, max(0, -least), cv2.BORDER_REPLICATE) for picture in (left, right)

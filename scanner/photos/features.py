@@ -13,7 +13,7 @@ from calib.refusal import RefusalError
 
 _MOST_FEATURES = 8_000
 _CHUNK = 1000
-# SIFT keeps a dozen copies of four times as many numbers: of 200 megapixels 40 GB. Lenses resolve a fraction of them.
+# SIFT keeps a dozen copies of four times as many values: 40 GB for 200 megapixels. Lenses resolve a fraction of them.
 _MOST_SEARCHED_PX = 25_000_000
 _RATIO = 0.8  # Lowe 2004, section 7.1
 _ROOT_EPSILON = 1e-7
@@ -42,15 +42,15 @@ def find_features(photo: Pixels) -> Features:
     full_width, scale = grey.shape[1], max(1.0, float(np.sqrt(grey.size / _MOST_SEARCHED_PX)))
     if scale > 1:
         grey = cv2.resize(grey, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
-    # Without precise upscaling, features of different sizes are off by different fractions of a pixel.
+    # Without precise upscaling, features of different sizes are shifted by different fractions of a pixel.
     detector = cv2.SIFT.create(nfeatures=_MOST_FEATURES, contrastThreshold=0.02, enable_precise_upscale=True)
     keypoints, descriptors = detector.detectAndCompute(grey, None)
     if not keypoints:
         return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), full_width)
-    # Of the whole photo again; in x and y by what the rounded sizes of the reduced one are to it.
+    # Back to the full photo, by the ratio of the rounded sizes in x and y.
     steps = np.array([full_width / grey.shape[1], photo.shape[0] / grey.shape[0]])
     pixels = (np.array([keypoint.pt for keypoint in keypoints], np.float64) + 0.5) * steps - 0.5
-    # A place with several orientations has several features; counted once, or its error would count twice.
+    # A position with several orientations has several features; it counts once, or its error would count twice.
     _, first = np.unique(np.round(pixels, 2), axis=0, return_index=True)
     first.sort()
     chosen = descriptors[first]
@@ -65,7 +65,7 @@ def match_features(first: Features, second: Features) -> Matches:
     a, b = first.pixels[pairs[:, 0]], second.pixels[pairs[:, 1]]
     agreeing = _agreeing(a, b, _LIMIT_OF_WIDTH * first.width) if len(pairs) >= _FEWEST else np.zeros(len(pairs), bool)
     size = np.maximum(first.size_px[pairs[:, 0]], second.size_px[pairs[:, 1]])
-    # The place of a large blob is found less surely than that of a small one (Zeisl et al. 2009).
+    # The position of a large blob is less accurate than that of a small one (Zeisl et al. 2009).
     sigma = np.hypot(_LEAST_SIGMA_PX, _SIGMA_OF_SIZE * size)
     order = np.flatnonzero(agreeing)
     order = order[np.lexsort((a[order, 0], np.rint(a[order, 1])))]

@@ -16,10 +16,10 @@ from scanner.io import UNREADABLE, read_image, real_path
 
 _FULL_FRAME_DIAGONAL_MM = 43.2666  # of 36 × 24 mm, to which the 35 mm equivalent refers (CIPA DCG-001)
 _LONGEST_MM = 10_000
-# A result takes some 130 bytes a pixel. Lenses resolve no more, and sensors that have more bin them for most pictures.
+# A result takes about 130 bytes per pixel. Lenses resolve no more, and larger sensors mostly bin their pixels.
 _MOST_PX = 65_000_000
 _UPRIGHT = 1
-# EXIF orientation → how the stored array is turned upright.
+# EXIF orientation → transform that turns the stored array upright.
 _TURNS = {
     2: lambda pixels: pixels[:, ::-1],
     3: lambda pixels: pixels[::-1, ::-1],
@@ -33,9 +33,9 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo: `pixels` (H, W) or (H, W, 3) BGR as it is meant to be seen; `focal_px` by its EXIF data, or None.
+    """A photo: `pixels` (H, W) or (H, W, 3) BGR in upright orientation; `focal_px` by its EXIF data, or None.
 
-    `reduced`: so many pixels of the file, squared, are one of these.
+    `reduced`: pixels of the file per pixel, along each side.
     """
 
     path: Path
@@ -109,15 +109,15 @@ def _binned(pixels: Pixels, count: int) -> Pixels:
 
 
 def _exif(path: Path) -> tuple[int, float | None]:
-    """Orientation, and the focal length equivalent to 35 mm film; what a format or a file does not tell is left out."""
+    """Orientation, and the focal length equivalent to 35 mm film; missing values are left out."""
     try:
         with Image.open(path) as image:
             exif, is_tiff = image.getexif(), image.format == "TIFF"
             focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
             stated = exif.get(ExifTags.Base.Orientation, _UPRIGHT)
     except UNREADABLE:
-        return _UPRIGHT, None  # OpenCV reads formats, and damaged EXIF data, that Pillow does not
-    # OpenCV itself turns TIFF files upright, and no others where they are read unchanged.
+        return _UPRIGHT, None  # OpenCV reads formats and damaged EXIF data that Pillow cannot
+    # OpenCV rotates TIFF files itself, and no other format if read unchanged.
     orientation = stated if isinstance(stated, int) and stated in _TURNS and not is_tiff else _UPRIGHT
     focal_mm = float(focal) if isinstance(focal, int | float) and 0 < focal < _LONGEST_MM else None  # 0 is unknown
     return orientation, focal_mm

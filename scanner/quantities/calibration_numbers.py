@@ -18,7 +18,7 @@ _DEFAULT_SIGNIFICANT = 5
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number. `sigma` (0: held fixed) and `truth` are None where unknown; `meaning` explains it in a few words."""
+    """One number. `sigma` (0: fixed) and `truth` are None where unknown; `meaning` explains it briefly."""
 
     name: str
     value: float
@@ -58,7 +58,7 @@ class Quantity:
 
 
 def plain(value: float, decimals: int, *, signed: bool = False) -> str:
-    """A number for reading: a minus sign as long as the plus, and none of them before what is shown as zero."""
+    """Format a number with a typographic minus sign, and without a sign if it is shown as zero."""
     shown = f"{value:z.{decimals}f}"
     sign = "+" if signed and value > 0 and float(shown) else ""
     return f"{sign}{shown}".replace("-", "−")

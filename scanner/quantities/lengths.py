@@ -18,7 +18,7 @@ class ShownUnit:
     name: str
 
     def length(self, value: float, sigma: float | None = None) -> str:
-        """'50.812 ± 0.013 mm'; five significant digits where no sigma is known."""
+        """'50.812 ± 0.013 mm'; five significant digits without a sigma."""
         return f"{self.measured(value, sigma)} {self.name}"
 
     def measured(self, value: float, sigma: float | None = None) -> str:

@@ -41,10 +41,9 @@ def refuse_impossible(config: Config, count: int) -> None:
 def label(
     captures: Sequence[Decoded], reached: list[Stage], config: Config, masks: Bools | None = None
 ) -> list[Decoded]:
-    """Label matches with faces, which are found, drawn by hand, or labelled already.
+    """Label matches with faces, by segmentation, masks or existing labels.
 
-    `masks` (3, H, W) apply to the newest capture. Raises RefusalError; `reached` receives the stage that each capture
-    has reached.
+    `masks` (3, H, W) apply to the newest capture. Raises RefusalError; `reached` receives the stage of each capture.
     """
     labelled: list[Decoded] = []
     for number, capture in enumerate(captures):

@@ -16,7 +16,7 @@ from scanner.patterns import Phase
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, GivenMatches
 
-# Undistorted or extrapolated pixels may lie outside of the image, but not far.
+# Undistorted or extrapolated pixels may lie slightly outside the image.
 _MARGIN_OF_SIZE = 0.1
 
 
@@ -47,7 +47,7 @@ def _places(path: Path) -> Iterator[Path]:
         yield from sorted(inner, key=lambda place: int(place.name))
     if path.is_dir() and not (path / MATCHES_FILE).is_file():
         if (path / CAPTURES_FOLDER).is_dir():
-            return  # a scan that was broken off: what it had finished is all there is
+            return  # an interrupted scan: only its finished captures exist
         if (path / CAPTURE_FILE).is_file():
             raise InputError(
                 f"{path}: expected matches, found a recording: make a result of it first, with scan replay"
@@ -100,8 +100,7 @@ def _refuse_same(found: Decoded, other: Decoded) -> None:
     a, b = found.matches, other.matches
     if np.array_equal(a.camera_px, b.camera_px) and np.array_equal(a.projector_px, b.projector_px):
         raise InputError(
-            f"{found.name}: holds the same matches as {other.name}: a capture that is counted twice would make the "
-            "result look surer than it is"
+            f"{found.name}: holds the same matches as {other.name}: a capture counted twice would make sigmas too small"
         )
 
 

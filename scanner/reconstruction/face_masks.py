@@ -1,4 +1,4 @@
-"""Faces drawn by hand: three PNG of the camera's size, nonzero where the face is, as in the paper."""
+"""Hand-drawn faces: three PNG of the size of the camera, nonzero on the face, as in the paper."""
 
 from itertools import combinations
 from pathlib import Path

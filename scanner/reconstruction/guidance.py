@@ -16,7 +16,7 @@ from scanner.reconstruction.merge_clouds import overlap
 from scanner.results import MEASUREMENT_GRADE, Decoded, SelfCalibrated
 
 _LITTLE_OVERLAP = 0.1
-_NOT_A_STEP = 0.05  # of the longest part of it
+_NOT_A_STEP = 0.05  # share of the longest component of the step
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _what_next(newest: SelfCalibrated, sigma: float | None, *, enough: bool) -> 
 
 
 def where_to(view: NextView, calibration: Calibration) -> str:
-    """The way there for whoever carries the rig: a step, as the camera sees it, and a turn."""
+    """Directions to the next view for the operator: a step, as the camera sees it, and a rotation."""
     right, down, forward = calibration.baseline * view.step
     least = _NOT_A_STEP * float(np.abs(view.step).max()) * calibration.baseline
     steps = [

@@ -12,7 +12,7 @@ from scanner.results import CALIBRATION_FILE
 
 log = logging.getLogger(__name__)
 
-_SUREST = 1e-6  # nothing is known better of a term
+_SUREST = 1e-6  # smallest sigma of a term
 
 
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:
@@ -25,8 +25,7 @@ def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[
 def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
     """Return the lens priors of devices, given their image sizes.
 
-    Raises InputError if a named calibration belongs to none of them, or does not state the uncertainty of its lens
-    terms.
+    Raises InputError if a named calibration fits none of them, or does not state sigmas of its lens terms.
     """
     setting = config.lens
     ordinary = LensPrior().with_sigmas(setting.decentering, setting.k3)

@@ -1,4 +1,4 @@
-"""Captures of one corner → one cloud in the corner's frame, where it is certain how they belong together."""
+"""Captures of one corner → one cloud in the frame of the corner, if their relation is certain."""
 
 from collections.abc import Sequence
 
@@ -10,13 +10,13 @@ from calib.numerics import Bools, Floats, Image
 from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
 from scanner.results import SelfCalibrated
 
-# Corners whose angles differ by more than this were found to be different ones: shared angles are equal.
+# Corners whose angles differ by more than this are different ones.
 _SAME_ANGLE_DEG = 1e-6
 _CONSISTENCY_SAMPLE = 20_000
 
 
 def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[MergedCloud | None, tuple[str, ...]]:
-    """The merged cloud of captures of one corner, and how well they agree; or None, and why there is none."""
+    """The merged cloud of captures of one corner, and their agreement; or None, and the reason."""
     if not _one_corner(captures):
         return None, ("The captures do not show the same corner, so their clouds were not merged.",)
     views = [_view(capture, cloud) for capture, cloud in zip(captures, clouds, strict=True)]
@@ -28,9 +28,7 @@ def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[
 
 
 def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> float | None:
-    """The share of what the newest capture saw that an earlier one saw as well; None where it is not certain how they
-    belong together.
-    """
+    """Share of the newest capture that an earlier one saw as well; None if the relation of captures is uncertain."""
     if not _one_corner(captures):
         return None
     views = [_view(capture, cloud) for capture, cloud in zip(captures, clouds, strict=True)]
@@ -46,7 +44,7 @@ def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> floa
 
 
 def _one_corner(captures: Sequence[SelfCalibrated]) -> bool:
-    """The calibration shares the angles of captures unless their matches tell that they show different corners."""
+    """Whether the calibration shares the angles of captures, because their matches show the same corner."""
     angles = np.array([capture.solution.corner.angles_deg for capture in captures])
     return bool(np.ptp(angles, axis=0).max() < _SAME_ANGLE_DEG)
 

@@ -8,8 +8,8 @@ from calib.self_calibration import SelfCalibration
 from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.results import Decoded
 
-# What is left of a motion may cost the intrinsics so much, one standard deviation; or as much as they are unsure of
-# anyway, which a capture without it would not be spared.
+# Largest effect of a remaining motion on the intrinsics, one standard deviation; or as much as their uncertainty at
+# rest.
 _MOST_PERCENT = 0.5
 
 
@@ -42,16 +42,16 @@ def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCa
     """
     if solution.likely_percent > _MOST_PERCENT:
         cost = (
-            f"The remaining motion may cost {solution.likely_percent:.2g} % of the intrinsics, of which this "
-            f"view is unsure by {solution.at_rest_percent:.2g} % anyway. Both are part of their sigmas."
+            f"The remaining motion may change the intrinsics by {solution.likely_percent:.2g} %; at rest, this view "
+            f"determines them to {solution.at_rest_percent:.2g} %. Both are part of their sigmas."
         )
         solution = replace(solution, notes=(*solution.notes, cost))
     motions = [capture.decoding.motion for capture in captures if capture.decoding]
     if not any(motion is not None and motion.blind for motion in motions):
         return solution
     note = (
-        f"{UNSEEN_MOTION}: {SUSPECTED_PX:g} px would cost {solution.possible_percent:.2g} % of the intrinsics, "
-        "which is part of their sigmas; more would cost more. Keep the border of the projector's picture in view, or "
+        f"{UNSEEN_MOTION}: {SUSPECTED_PX:g} px would change the intrinsics by {solution.possible_percent:.2g} %, "
+        "which is part of their sigmas; a larger motion is not. Keep the border of the projector's picture in view, or "
         "show a fringe of the first axis again at the end."
     )
     return replace(solution, notes=(*solution.notes, note))

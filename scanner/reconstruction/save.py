@@ -112,7 +112,7 @@ def refusal_saved(
 
 
 def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
-    """The refusal, or where a capture is nearly black a refusal for that: whatever else is wrong may follow from it."""
+    """The refusal; if a capture is nearly black, a refusal for that, because it may cause any other."""
     for capture in captures:
         if capture.decoding is not None and capture.decoding.darkness is not None:
             what, _, to_do = capture.decoding.darkness.partition(". ")
@@ -154,7 +154,7 @@ def _save(
         if merged is not None:
             written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, merged))
             write_poses(folder / POSES_FILE, merged.from_cameras)
-        # The files are still being written while the reports that list them are made.
+        # The files are still being written while the reports list them.
         for place, capture in zip(places[:-1], captures[:-1], strict=True):
             _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth, made)
         rows = _rows(captures) if count > 1 else ()
@@ -167,7 +167,7 @@ def _write_report(
     folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None, made: Provenance
 ) -> None:
     """A capture's report, and its calibration, which says what the report concludes."""
-    # What is still being written has a name that begins with a dot.
+    # Names of unfinished files begin with a dot.
     files = {MATCHES_FILE, *(path.name for path in folder.iterdir() if not path.name.startswith("."))}
     if isinstance(capture, Refused):
         files.add(REFUSAL_FILE)

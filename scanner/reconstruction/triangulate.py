@@ -12,12 +12,12 @@ from scanner.reconstruction.moved_captures import refuse_moved
 from scanner.results import Calibrated, GivenCalibration, Reconstructed, Stage, naming
 from scanner.ui import Progress
 
-# A calibration whose rays miss each other by more than this, all over the image, is of another rig or of another pose.
+# Ray residuals beyond this over the whole image mean another rig or a changed pose.
 _LARGEST_MISS_OF_WIDTH = 0.01
 # A calibration from good faces leaves a few hundredths of a pixel; decoders with an uncorrected gamma some tenths.
 _LARGEST_MISFIT_PX = 0.5
 _LARGEST_MISFIT_OF_NOISE = 2.0
-# Wrong stripes and reflections are fewer; a calibration of another rig, or stripes along the baseline, concern most.
+# Wrong stripes and reflections affect fewer pixels; another rig, or stripes along the baseline, affect most.
 _MOST_UNCROSSED = 0.5
 _OF_CROSSINGS = (MaskReason.KEPT, MaskReason.ALONG_EPIPOLAR_LINE, MaskReason.OUTSIDE)
 _OF_ANOTHER_RIG = "Check that it belongs to this rig, and that nothing has moved since it was made."
@@ -39,7 +39,7 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
                 if decoded.decoding:
                     _refuse_uncrossed(decoded.decoding)
                 refuse_foreign(cloud.statistics, decoded.metadata.projector_size)
-            elif capture.solution.method == "refined":  # the paper's leaves out lenses: a misfit is to be expected
+            elif capture.solution.method == "refined":  # the paper's method ignores distortion, so a misfit is expected
                 refuse_misfit(cloud.statistics)
         reconstructed.append(found)
     return tuple(reconstructed)
@@ -71,22 +71,22 @@ def _refuse_uncrossed(decoding: Decoding) -> None:
         )
     if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:
         raise RefusalError(
-            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels cannot see the stripe that "
-            "they see: their epipolar lines cross it outside of the projector's image, or behind a device.",
+            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels see a stripe that their "
+            "epipolar line meets only outside the projector's image, or behind a device.",
             _OF_ANOTHER_RIG,
         )
 
 
 def refuse_misfit(statistics: CloudStatistics) -> None:
-    """Raise RefusalError if rays miss each other in a pattern that a calibration made from good faces does not leave.
+    """Raise RefusalError if ray residuals have a pattern that good faces do not leave.
 
-    All matches have to meet, whatever they are on, but only those on the faces took part in the calibration: where the
-    others miss, what was taken for faces of a corner was none.
+    All rays must meet, but only matches on the faces took part in the calibration. If the others miss, the assumed
+    faces were not those of a corner.
     """
     if statistics.calibration_px > max(_LARGEST_MISFIT_PX, _LARGEST_MISFIT_OF_NOISE * statistics.decoder_px):
         raise RefusalError(
             f"Beside the faces, rays that should meet miss by {statistics.calibration_px:.2g} projector pixels in a "
             f"pattern, where the decoder's noise is {statistics.decoder_px:.2g}.",
-            "What was taken for the faces of a corner may be bent, or not square; or a lens bends more than the method "
-            "allows for. Look at the faces in the report, and choose another corner or view.",
+            "The faces of the corner may be bent or not square, or a lens has more distortion than the method models. "
+            "Look at the faces in the report, and choose another corner or view.",
         )

@@ -1,5 +1,6 @@
-"""Exposure, line time, tone curve, and the beginning and slots of each loop, by robust least squares of the shares that
-the frames around all changes tell.
+"""Exposure, line time, tone curve, and start and slot length of each loop.
+
+They are estimated by robust least squares from the shares of the frames around all changes.
 """
 
 from dataclasses import replace
@@ -21,11 +22,11 @@ _READOUTS_S = np.linspace(-0.03, 0.03, 7)
 _STARTS = 3
 _LONGEST_READOUT_S, _SHORTEST_EXPOSURE_S = 0.045, 1e-4
 _MOST_ROUNDS, _SETTLED = 4, 0.1
-# What is believed of a tone curve before anything is seen: exponent and contrast with standard deviations.
+# Prior of the tone curve: exponent and contrast with standard deviations.
 _TONE_PRIOR = ((2.2, 0.4), (0.0, 0.25))
 _TONE_BOUNDS = ((1.0, 4.0), (-0.9, 0.9))
 _TONE_STEPS = (0.02, 0.02)
-_INDEPENDENT = 300  # of the shares: those of neighbouring rows err alike
+_INDEPENDENT = 300  # number of independent shares; those of neighbouring rows correlate
 
 
 def fit_clocks(samples: VideoSamples, programme: Programme, loops: tuple[Loop, ...]) -> Clocks:
@@ -67,7 +68,7 @@ def _fit_times(samples: VideoSamples, shares: Shares, start: Clocks) -> tuple[fl
 
     def clocks_of(values: Floats) -> Clocks:
         times = values[2:].reshape(-1, 2) * unit_s
-        # The middle of a loop and its slots: they are hardly correlated.
+        # The middle of a loop and its slot length hardly correlate.
         loops = tuple(
             Loop(loop.start_s + at - change / 2, loop.slot_s + change / len(start.shifts_s[0]))
             for loop, (at, change) in zip(start.loops, times, strict=True)
@@ -96,7 +97,7 @@ def _fit_times(samples: VideoSamples, shares: Shares, start: Clocks) -> tuple[fl
 
 
 def _fit_tone(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Clocks:
-    """Under which curve what brightens and what darkens tell the same shares: Gauss and Newton's steps."""
+    """The curve for which brightening and darkening pixels give the same shares, by Gauss–Newton steps."""
 
     def residuals(values: Floats) -> Floats:
         tone = ToneCurve(*values)

@@ -7,7 +7,7 @@ from scanner.recordings.clocks import Clocks
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 
-# Time left out next to a change, if there are frames enough: projectors answer and scan out for so long.
+# Time left out next to a change, if there are enough frames, for the response and scan-out of projectors.
 _LONG_MARGIN_S, _MARGIN_OF_SLOT = 0.02, 0.12
 
 

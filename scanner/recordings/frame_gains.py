@@ -9,10 +9,11 @@ from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 from scanner.recordings.steadiness import white_frames
 
-# Frames that differ from the others of their picture: by so much of the range, and so often the usual difference.
+# Frames are outliers of their picture if they differ by this share of the range, and this many times the usual
+# difference.
 _ODD, _ODD_TIMES = 0.04, 4.0
 _FEWEST = 3
-_WEAK = 0.05  # of white: so dark, a gain is half believed
+_WEAK = 0.05  # share of white: at this brightness, a gain has half its weight
 
 
 def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Floats:
@@ -35,7 +36,7 @@ def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
                 continue
             seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)
             middle = np.median(seen, axis=0)
-            # A dark picture tells little of how bright its frames are.
+            # A dark picture hardly determines the brightness of its frames.
             weak = len(middle) * (_WEAK * white) ** 2
             gain = (seen @ middle + weak) / (middle @ middle + weak)
             gains[group] = gain

@@ -105,8 +105,8 @@ def _on_changes(clocks: Clocks) -> tuple[str, ...]:
     if not late:
         return ()
     return (
-        f"{late} changes of the picture came up to {1e3 * shifts.max():.0f} ms off their time, which was followed: "
-        "the player or the camera dropped frames or showed some twice.",
+        f"{late} changes of the picture came up to {1e3 * shifts.max():.0f} ms off their time, which was taken into "
+        "account: the player or the camera dropped frames or showed some twice.",
     )
 
 

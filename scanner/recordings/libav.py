@@ -1,4 +1,4 @@
-"""PyAV, which reads and writes video, imported where it is used: it is an extra."""
+"""PyAV, an extra that reads and writes video; it is imported on demand."""
 
 from types import ModuleType
 
@@ -12,6 +12,6 @@ def av() -> ModuleType:
         import av as library
     except ImportError as error:
         raise InputError(VIDEO.missing("video", "av")) from error
-    library.logging.set_level(library.logging.PANIC)  # what is wrong with a file is told once, by an exception
+    library.logging.set_level(library.logging.PANIC)  # errors of a file are raised as exceptions instead
     module: ModuleType = library
     return module

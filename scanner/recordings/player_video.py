@@ -11,9 +11,9 @@ from scanner.recordings.libav import av
 from scanner.recordings.programme import BLACK, FRAMES_PER_SECOND, LEAD_IN_S, LEAD_OUT_S, WHITE, Programme
 
 CONTAINERS = (".mp4", ".mov", ".mkv")
-# A quality at which no grey level is off by more than one or two; lossless H.264 is a profile that few players have.
+# At this quality, grey levels err by one or two; few players support lossless H.264.
 _QUANTISER = "4"
-_BLACK_LEVEL, _LEVELS = 16, 219  # of luma (ITU-R BT.709): players know no other range for certain
+_BLACK_LEVEL, _LEVELS = 16, 219  # luma range (ITU-R BT.709); players may not support others
 _NO_COLOUR = 128
 _LIMITED_RANGE, _BT_709 = 1, 1
 

@@ -18,9 +18,9 @@ from scanner.errors import InputError
 from scanner.io import Entry, Number, Whole, read_yaml, validate
 from scanner.patterns import FORMAT, Pattern, PatternEntry, pattern_to_dict
 
-FRAMES_PER_SECOND = 60  # what a projector of 60 Hz shows without judder
+FRAMES_PER_SECOND = 60  # a projector of 60 Hz shows it without judder
 WHITE, BLACK = -1, -2
-# Barker's word of seven: shifted against itself it agrees with itself nowhere (Barker, 1953).
+# Barker code of length seven: its autocorrelation has no side peaks (Barker, 1953).
 _RHYTHM = (1, 1, 1, 0, 0, 1, 0)
 _ID_BITS = 8
 _SHORTEST_S, _LONGEST_S, _MOST_LOOPS = 0.05, 10.0, 20
@@ -46,7 +46,7 @@ class Programme:
 
     @cached_property
     def mark(self) -> tuple[int, ...]:
-        """The start mark: WHITE or BLACK in each slot of `hold_s`. Its last bits tell one sequence from another."""
+        """The start mark: WHITE or BLACK in each slot of `hold_s`. Its last bits identify the sequence."""
         shown = "".join(str(pattern_to_dict(pattern)) for pattern in self.patterns)
         number = zlib.crc32(f"{tuple(self.size)} {shown}".encode()) % (1 << _ID_BITS)
         bits = (0, *_RHYTHM, *(number >> bit & 1 for bit in range(_ID_BITS)), 0)

@@ -18,11 +18,11 @@ from scanner.ui import Progress
 Light = NDArray[np.float32]
 
 _ROWS, _COLUMNS = 40, 64
-_EDGE = 0.02  # of the height, above and below, where little is lit
+_EDGE = 0.02  # share of the height, above and below, that is hardly lit
 _SEED = 1
-_LIT = 0.25  # of the range of the best lit samples
+_LIT = 0.25  # share of the range of the best lit samples
 _WELL_LIT = 98.0
-_LEAST_RANGE = 0.04  # of the range of luma: less is noise
+_LEAST_RANGE = 0.04  # share of the luma range; less is noise
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class VideoSamples:
 def take_samples(video: VideoFile, progress: Progress) -> VideoSamples:
     """Read all of a recording once. Raises InputError."""
     width, height = video.size
-    rng = np.random.default_rng(_SEED)  # not regular: a grid would beat with the stripes
+    rng = np.random.default_rng(_SEED)  # random, because a grid would beat with the stripes
     rows = np.unique(np.linspace(_EDGE * height, (1 - _EDGE) * (height - 1), _ROWS).astype(np.intp))
     columns = np.sort(rng.choice(width, min(_COLUMNS, width), replace=False))
     times, codes = list[float](), list[NDArray[np.unsignedinteger[Any]]]()

@@ -10,16 +10,18 @@ from scanner.recordings.programme import Programme
 from scanner.recordings.samples import Light, VideoSamples
 
 _AROUND = 0.6  # slots before and after a change
-_FRAMES_PER_CHANGE = 10  # more of them, of a fast camera, tell no more
-_MIDDLE = 0.15  # slots: frames so near a slot's middle show its picture
-ROBUST = 0.05  # of a share: what is beyond it is no noise
-_LEAST_ENERGY = 1e-3  # of the usual: less tells nothing
+_FRAMES_PER_CHANGE = 10  # more frames, of a fast camera, add no information
+_MIDDLE = 0.15  # slots; frames this close to a slot's middle show its picture
+ROBUST = 0.05  # limit of a share; larger deviations are no noise
+_LEAST_ENERGY = 1e-3  # relative to the usual; less gives no information
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Of M frames near changes: numbers (M,) of `frame` and `change` (through all loops); `share` (M, R, 2), told by
-    what brightens and by what darkens, with `weight` of the same shape; `seen` (changes,): the sum of the weights.
+    """Shares of M frames near changes: numbers (M,) of `frame` and `change` (through all loops).
+
+    `share` (M, R, 2), from pixels that brighten and from those that darken, with `weight` of the same shape; `seen`
+    (changes,): sum of the weights.
     """
 
     frame: Ints
@@ -100,7 +102,7 @@ def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) 
 
 
 def _shares(seen: Light, before: Light, after: Light, samples: VideoSamples) -> tuple[Floats, Floats]:
-    """Shares (M, R, 2) by least squares over the columns, and what they rest on: the squared differences' sums."""
+    """Shares (M, R, 2) by least squares over the columns, and the sums of squared differences that determine them."""
     usable = samples.lit & (np.maximum(before, after) < 1)
     differences = np.where(usable, after - before, 0)
     shares, energies = [], []

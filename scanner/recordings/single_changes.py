@@ -11,9 +11,9 @@ from scanner.recordings.samples import VideoSamples
 from scanner.recordings.shares import ROBUST, Shares, loss, misfit, observe, summed
 
 _CANDIDATES = np.linspace(-0.45, 0.45, 91)  # shifts of a change, in slots
-_LEAST_SHIFT_S = 0.008  # half a refresh of a projector
-_AS_GOOD = 0.1  # of the loss of a robust deviation, for each row that was seen
-_GAIN_OF_SHIFT = 0.5  # a shift is believed that leaves less than this of the cost
+_LEAST_SHIFT_S = 0.008  # half a refresh period of a projector
+_AS_GOOD = 0.1  # share of the loss of a robust deviation, per row
+_GAIN_OF_SHIFT = 0.5  # a shift is accepted if it leaves less than this share of the cost
 
 
 def with_shifts(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Clocks:
@@ -21,7 +21,7 @@ def with_shifts(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
     measured = _measured_shifts(samples, programme, clocks)
     shifts = []
     for loop, (times, before, after) in zip(clocks.loops, measured, strict=True):
-        # What a change keeps on telling; where it tells nothing, as the one before.
+        # A change without information takes the shift of the one before.
         kept, current = np.zeros(len(times)), 0.0
         for number in range(len(times)):
             if np.isfinite(times[number]):
@@ -56,7 +56,7 @@ def _measured_shifts(
     for number, loop in enumerate(clocks.loops):
         of_loop = costs[:, number * slots : (number + 1) * slots]
         best = of_loop.min(axis=0)
-        # All shifts that fit as well, as where a change falls between two exposures: that next to none.
+        # Of all shifts that fit equally well, as for a change between two exposures, take the one closest to zero.
         seen = shares.seen[number * slots : (number + 1) * slots]
         fits = of_loop <= best + _AS_GOOD * ROBUST**2 * np.maximum(seen, 1)
         nearest = np.where(fits, np.abs(_CANDIDATES)[:, None], np.inf).argmin(axis=0)
@@ -68,7 +68,7 @@ def _measured_shifts(
 
 
 def _cost_of_changes(samples: VideoSamples, shares: Shares, clocks: Clocks, number: int, by_slots: float) -> Floats:
-    """(number,): of each change if it came later by so many slots."""
+    """Cost of each change if it came later by this many slots, (number,)."""
     moved = tuple(each + by_slots * loop.slot_s for each, loop in zip(clocks.shifts_s, clocks.loops, strict=True))
     losses = loss(misfit(samples, shares, replace(clocks, shifts_s=moved)))
     return summed(shares.change, losses.reshape(len(shares.change), -1).sum(axis=1), number)

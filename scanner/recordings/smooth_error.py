@@ -17,13 +17,13 @@ from scanner.recordings.averaging import Averaged
 from scanner.recordings.programme import Programme
 from scanner.recordings.weights import PictureWeights
 
-# What errs alike in both passes is not seen: true errors were 1 to 1.5 times those that are, and more on dark faces.
+# Errors common to both passes are not seen: true errors were 1 to 1.5 times the measured ones, and more on dark faces.
 _UNSEEN = 2.0
-_LEAST_SHARE = 0.25  # of a picture's weight, in either pass
-_LEAST_AMPLITUDE = 0.1  # of that of the best lit pixels
-_PARTS = 2  # of the height and of the width: about as large as faces
+_LEAST_SHARE = 0.25  # least share of a picture's weight, in either pass
+_LEAST_AMPLITUDE = 0.1  # least amplitude relative to the best lit pixels
+_PARTS = 2  # parts of the height and of the width, each about as large as a face
 _FEWEST = 30 * CUBIC
-_OUTLIER = 5.0  # times the median
+_OUTLIER = 5.0  # times the median is an outlier
 _WELL_LIT = 98.0
 
 
@@ -53,7 +53,7 @@ def _of_passes(
     for number, pattern in fringe:
         each, rows = weights[number], weights[number].weights[:, :: averaged.step]
         of_pass = np.stack([rows[~each.back].sum(axis=0), rows[each.back].sum(axis=0)])
-        # Frames that were unmixed are a picture only all together; some of their weights are negative.
+        # Unmixed frames form a picture only together; some of their weights are negative.
         complete &= (rows >= 0).all(axis=0) & (of_pass > _LEAST_SHARE * of_pass.sum(axis=0)).all(axis=0)
         scale = (np.exp(-2j * np.pi * pattern.shift) / np.maximum(of_pass, 1e-6)).astype(np.complex64)
         total += averaged.passes[:, number] * scale[..., None]

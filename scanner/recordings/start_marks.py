@@ -11,15 +11,15 @@ from scanner.errors import InputError
 from scanner.recordings.programme import WHITE, Programme
 from scanner.recordings.samples import VideoSamples
 
-# Of the player, likeliest first: 25 for 24 frames a second and the like.
+# Speed ratios of players, likeliest first: 25 for 24 frames a second, for example.
 _RATES = sorted(np.linspace(0.95, 1.05, 11), key=lambda rate: abs(rate - 1))
 _SLOW_MOTION = (2, 4, 8)
 _CERTAIN = 0.93
 _STEPS_PER_SLOT = 8
 _LEAST_CORRELATION = 0.85
-_LEAST_SWING = 0.5  # of all that the brightness does
+_LEAST_SWING = 0.5  # share of the full range of brightness
 _FEWEST_FRAMES_PER_SLOT, _GOOD_FRAMES_PER_SLOT = 1.5, 2.5
-_MOST_STRETCH = 0.012  # of a loop beside its marks: of a few frames that were dropped or shown twice
+_MOST_STRETCH = 0.012  # relative deviation of a loop: a few frames were dropped or repeated
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class FoundLoops:
 
 
 def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
-    """The loops that were filmed from mark to mark. Raises InputError if there is none."""
+    """The filmed loops from mark to mark. Raises InputError without any."""
     path = samples.video.path
     if programme.hold_s / samples.frame_interval_s < _FEWEST_FRAMES_PER_SLOT:
         raise InputError(
@@ -57,7 +57,7 @@ def find_loops(samples: VideoSamples, programme: Programme) -> FoundLoops:
         )
     loops, notes = list[Loop](), list[str]()
     if programme.hold_s / samples.frame_interval_s < _GOOD_FRAMES_PER_SLOT:
-        notes.append("So few frames to a picture hardly tell the clocks: a longer --hold makes the capture better.")
+        notes.append("So few frames per picture hardly determine the clocks: a longer --hold makes the capture better.")
     expected = programme.slots_between_marks * programme.hold_s * rate
     for first, second in pairwise(starts):
         if abs((second - first) / expected - 1) < _MOST_STRETCH:
@@ -107,7 +107,7 @@ def _at_rate(times: Floats, brightness: Floats, mark: tuple[int, ...], slot_s: f
     marks: list[tuple[float, float]] = []
     while scores.size and scores.max() > _LEAST_CORRELATION:
         best = int(scores.argmax())
-        # All starts around it that fit as well: the middle of them.
+        # The middle of all neighbouring starts that fit equally well.
         near = np.flatnonzero((np.abs(starts - starts[best]) < slot_s) & (scores > scores[best] - 0.02))
         marks.append((float(starts[near].mean()), float(scores[best])))
         scores = np.where(np.abs(starts - starts[best]) < length, 0.0, scores)

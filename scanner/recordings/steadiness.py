@@ -12,7 +12,7 @@ from scanner.recordings.programme import Programme
 from scanner.recordings.samples import Light, VideoSamples
 
 _TILES, _TILE_PX = 3, 256
-_CLEAR = 0.8  # of a correlation
+_CLEAR = 0.8  # least correlation
 _ITERATIONS = 30
 _NAMED_PX, _REFUSED_PX = 0.3, 2.0
 _NAMED_GAIN, _REFUSED_GAIN = 0.03, 0.4
@@ -38,7 +38,7 @@ def moved_px(whites: Mapping[int, Image]) -> float:
 
 
 def _shift_px(first: Light, other: Light) -> float:
-    """The median over tiles with a clear answer; 0 where there are none."""
+    """Median shift over tiles with a clear result; 0 without any."""
     height, width = (side // _TILES for side in first.shape)
     tall, wide = min(height, _TILE_PX), min(width, _TILE_PX)
     shifts = []
@@ -59,7 +59,7 @@ def _shift_of_tile(first: Light, other: Light) -> float | None:
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ITERATIONS, 1e-4)
     try:
         clear, move = cv2.findTransformECC(first, other, at_rest, cv2.MOTION_TRANSLATION, criteria)
-    except cv2.error:  # no texture, or it does not converge
+    except cv2.error:  # no texture, or no convergence
         return None
     return float(np.hypot(move[0, 2], move[1, 2])) if clear > _CLEAR else None
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calib.numerics import Floats
 
 _SRGB_EXPONENT, _SRGB_TOE = 2.4, 0.055
-_CLIPPED = 0.985  # of the range of codes: compression leaves nothing exactly at its end
+_CLIPPED = 0.985  # share of the range of codes; compression keeps nothing exactly at the end
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from scanner.recordings.frame_gains import frame_gains
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 
-_SHORT_MARGIN_S = 0.002  # next to a change, where no frame keeps the usual distance
-_NEIGHBOURS = 2  # pictures before and after that may be unmixed with one
-_RIDGE = 0.03  # what a share may be wrong by
+_SHORT_MARGIN_S = 0.002  # margin next to a change, where no frame keeps the usual one
+_NEIGHBOURS = 2  # number of pictures before and after that may be unmixed together
+_RIDGE = 0.03  # error of a share
 _LEAST_RESOLVED, _MOST_NOISE = 0.9, 4.0
 _MOST_ROWS_LOST = 0.3
 
@@ -45,7 +45,7 @@ def picture_weights(samples: VideoSamples, programme: Programme, clocks: Clocks)
     lost = max(float(np.mean(~each.weights.any(axis=0))) for each in found)
     if lost > _MOST_ROWS_LOST:
         raise InputError(
-            f"{samples.video.path}: in {lost:.0%} of the rows a picture cannot be told from the next. Each "
+            f"{samples.video.path}: in {lost:.0%} of the rows a picture cannot be separated from the next. Each "
             f"is shown for {programme.hold_s:.3f} s, at {1 / samples.frame_interval_s:.1f} frames a second and "
             f"exposures of 1/{1 / clocks.exposure_s:.0f} s. Expose shorter, or write the video with a longer --hold"
         )
@@ -105,7 +105,7 @@ def _unmixed(
         for other in range(first, last + 1):
             overlap = np.minimum(begins + clocks.exposure_s, changes[other + 1]) - np.maximum(begins, changes[other])
             share[..., unknown[programme.loop[other]]] += np.clip(overlap / clocks.exposure_s, 0, 1)
-        # A frame that shows others as well says nothing in that row.
+        # A frame that shows other pictures too has no weight in that row.
         share *= (share.sum(axis=2) > 1 - 1e-6)[..., None]
         shares.append(share)
         frames.append(seen)
@@ -118,7 +118,7 @@ def _unmixed(
     good = (resolved > _LEAST_RESOLVED) & (noise < _MOST_NOISE)
     both = np.union1d(number, frame)
     total = np.zeros((len(both), weights.shape[1]))
-    # A frame may be near both times that a picture is shown.
+    # A frame may be close to both times that a picture is shown.
     np.add.at(total, np.searchsorted(both, number), weights)
     np.add.at(total, np.ix_(np.searchsorted(both, frame), mixed[good]), solved[good].T)
     return both, total

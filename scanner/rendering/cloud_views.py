@@ -15,12 +15,12 @@ from scanner.rendering.splatting import RGBA, Floats32, facing, filled, halved, 
 RGB = tuple[int, int, int]
 
 _SUPERSAMPLING = 2
-# Of the picture as it is shown. More would hide each other.
+# Points per pixel of the shown picture; more would hide each other.
 _POINTS_PER_PIXEL = 1.0
 _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3
-# So many points tell how far the cloud reaches and how bright it is.
+# This many points determine the extent and brightness of the cloud.
 _SAMPLE, _COUNTED_ROWS = 50_000, 8
 
 
@@ -86,9 +86,9 @@ def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, proj
 
 
 def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wireframes: list[Wireframe]) -> RGBA:
-    """A picture (height, width, 4) of at most `size` = (width, height), transparent where nothing is.
+    """A picture (height, width, 4) of at most `size` = (width, height), transparent where empty.
 
-    Surfaces seen from behind are left out, so that one looks into a room through its walls.
+    Surfaces seen from behind are not drawn, so that walls do not hide the inside of a room.
     """
     seen, index = _facing(cloud, view, _POINTS_PER_PIXEL * size[0] * size[1])
     drawn = [wireframe.segments @ view.axes.T for wireframe in wireframes]
@@ -110,7 +110,7 @@ def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats
     """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
     is_image = cloud.points.ndim == 3
     points, normals = (each if is_image else each[None] for each in (cloud.points, cloud.normals))
-    # Every so many rows say well enough how many points there are.
+    # A subset of the rows suffices to count the points.
     total = _COUNTED_ROWS * np.count_nonzero(np.isfinite(points[::_COUNTED_ROWS, :, 2])) if is_image else len(points[0])
     step = ceil(max(1.0, total / most) ** (1 / cloud.points[..., 0].ndim))
     row_step = step if is_image else 1
@@ -118,7 +118,7 @@ def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats
 
 
 def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
-    """Corners of the picture in the view's plane, (2,) each: all but stray points, all lines, and a margin."""
+    """Corners of the picture in the view's plane, (2,) each: without outliers, with all lines and a margin."""
     ends = [np.array([[0.0, 0.0], [1.0, 1.0]])]
     if len(seen):
         some = seen[:: max(1, len(seen) // _SAMPLE), :2]

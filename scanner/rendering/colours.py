@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from calib.numerics import Floats
 from scanner.rendering.png import Pixels
 
-# Okabe & Ito (2008): told apart by every kind of colour vision, and in print.
+# Okabe & Ito (2008): distinguishable with any colour vision, and in print.
 ORANGE, SKY_BLUE, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
 BLUE, VERMILION, PURPLE, GREY = (0, 114, 178), (213, 94, 0), (204, 121, 167), (140, 140, 140)
 BLACK = (0, 0, 0)
@@ -34,8 +34,8 @@ def as_pixels(values: Floats) -> Pixels:
     return np.ascontiguousarray(np.rint(values), dtype=np.uint8)
 
 
-# All of them can be told from a white and from a black page, and by every kind of colour vision.
-# Whole tables, dark to bright; both have the same order of shades to every kind of colour vision.
+# All of them stand out on white and black pages, with any colour vision.
+# Complete tables, dark to bright; their order of shades is visible with any colour vision.
 VIRIDIS, CIVIDIS = part_of(cv2.COLORMAP_VIRIDIS, 0, 255), part_of(cv2.COLORMAP_CIVIDIS, 0, 255)
 # Around zero: blue below, light grey, red above.
 SIGNED = between((0, 84, 166), (226, 226, 226), (186, 62, 0))

@@ -9,7 +9,7 @@ from PIL import Image
 
 Pixels = NDArray[np.uint8]
 
-# Higher levels take several times as long for a few per cent.
+# Higher levels take several times as long to save a few per cent.
 _LEVEL = 1
 
 

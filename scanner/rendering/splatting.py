@@ -21,7 +21,7 @@ _OPAQUE = 255
 def facing(
     points: Floats32, normals: Floats32, axes: Floats32, row_step: int, column_step: int
 ) -> tuple[Floats32, Ints]:
-    """Select from `points` (H, W, 3), NaN for none, on every so many rows and columns those whose `normals` face the
+    """Select from `points` (H, W, 3), NaN for none, subsampled by rows and columns, those whose `normals` face the
     viewer.
 
     Returns them (N, 3) in the viewer's frame, whose `axes` (3, 3) are unit rows: right, down, forward; and their
@@ -109,7 +109,7 @@ def filled(picture: RGBA) -> RGBA:
             if picture[row, column, 3]:
                 continue
             beside = picture[row, column - 1, 3] | picture[row, column + 1, 3]
-            # Without any of these four, at most four of the eight are opaque.
+            # Without these four, at most four of the eight are opaque.
             if not (beside | picture[row - 1, column, 3] | picture[row + 1, column, 3]):
                 continue
             count, red, green, blue = 0, 0, 0, 0

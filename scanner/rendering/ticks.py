@@ -12,5 +12,5 @@ def even_ticks(low: float, high: float, most: int) -> list[float]:
 
 
 def tick_text(tick: float) -> str:
-    """A tick as it is written at an axis."""
+    """The label of a tick."""
     return f"{tick:.6g}".replace("-", "−")

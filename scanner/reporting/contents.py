@@ -21,8 +21,8 @@ _MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 class CaptureRow:
     """One of several captures that were calibrated together.
 
-    `report` is the path of its own report, relative to this one; '' for this one. `residual_px`, the cloud's
-    `statistics` and its `calibration` are None if the scan was refused before.
+    `report`: path of its own report, relative to this one; '' for this one. `residual_px`, the cloud's `statistics` and
+    its `calibration` are None if the scan was refused before.
     """
 
     name: str
@@ -48,10 +48,9 @@ class Company:
 
 @dataclass(frozen=True)
 class ReportInput:
-    """Everything that a report may tell of a capture: what became of it, and among which others.
+    """The input of a report: the outcome of a capture, and the captures calibrated with it.
 
-    `truth` belongs to a simulated rig. `files` are the names in the result folder. `provenance`: None where nothing is
-    published.
+    `truth`: of a simulated rig. `files`: names in the result folder. `provenance`: None if nothing is published.
     """
 
     outcome: Reconstructed | Refused

@@ -14,7 +14,7 @@ from scanner.reporting import plots
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.plots import local_minima
 
-# Enough for the curve's shape to the width of its line.
+# Enough samples for a smooth curve.
 _SAMPLE = 20_000
 _SQUARE = 0.0
 _AROUND_A_MINIMUM = 14

@@ -27,7 +27,7 @@ from scanner.rendering import (
 )
 
 _FACE_OPACITY = 0.5
-# Noise compresses badly; this many steps are as many as an eye tells apart in a map of it.
+# Noise compresses badly; the eye distinguishes about this many steps in a map.
 _RESIDUAL_STEPS = 25
 _EDGE_SAMPLES = 400
 _SAMPLE = 100_000
@@ -100,7 +100,7 @@ def face_overlay(labels: Pixels, camera_size: Size, corner: Corner | None, camer
 
 
 def _median_place(counts: Ints) -> float:
-    """The median of numbers from 0, of which there are so many each."""
+    """The median of the numbers 0, 1, …, which occur this often."""
     cumulated = np.cumsum(counts)
     return float(np.searchsorted(cumulated, cumulated[-1] / 2))
 
@@ -114,7 +114,7 @@ def _edge(vertex: Floats, leg: Floats, camera: Intrinsics) -> str:
         inside = np.all((pixels >= -0.5) & (pixels <= (camera.width - 0.5, camera.height - 0.5)), axis=1)
     if not inside.any():
         return ""
-    # Beyond the first way out the distortion's polynomial may bend the line back into the image.
+    # Beyond the first exit, the distortion polynomial may bend the line back into the image.
     first = int(np.argmax(inside))
     leaves = np.flatnonzero(~inside[first:])
     visible = pixels[first : first + int(leaves[0]) if len(leaves) else None]

@@ -33,8 +33,8 @@ _FILES = {
 }
 
 
-# What takes a while to make; the longest first, so that none of them is left for the end: the first of them measures
-# the scene, which the verdict and the tables tell of as well.
+# The slow parts, the slowest first, so that none remains for the end. The first also measures the scene, which the
+# verdict and the tables use.
 PARTS: dict[str, Callable[[ReportInput], object]] = {
     "flatness": flatness,
     "views": sections.cloud_views,

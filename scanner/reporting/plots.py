@@ -12,14 +12,14 @@ from scanner.reporting.svg import Plot, Scale
 
 _HISTOGRAM_BINS = 81
 _SIGMAS_SHOWN = 4.0
-_HIGHEST_OF_LOWEST = 300.0  # of the objective: what is above says no more
+_HIGHEST_OF_LOWEST = 300.0  # times the lowest objective; larger values are not plotted
 _ROOM_BELOW = 0.7
 
 
 def likelihood_plot(profile: Profile, chosen_focal_px: float) -> Markup:
     """The posterior in sigmas, √(−2 log posterior above the best), with the answer marked."""
     sigmas = np.sqrt(np.maximum(profile.cost, 0.0))
-    # A little more than what is shown, so that the curve leaves the picture instead of ending in it.
+    # Slightly larger than the plot, so that the curve leaves it at the edge.
     shown = np.flatnonzero(sigmas <= 1.5 * _SIGMAS_SHOWN)
     focal = profile.focal_px[shown]
     low, high = float(focal.min()), float(focal.max())
@@ -60,7 +60,7 @@ def objective_plot(focal_px: Floats, objective: Floats, chosen_focal_px: float |
 
 
 def local_minima(values: Floats) -> list[int]:
-    """Indices of a sampled curve's minima, without its ends; infinite where it is not defined."""
+    """Indices of the minima of a sampled curve, without its ends; infinite values are undefined."""
     padded = np.where(np.isfinite(values), values, np.inf)
     inner = np.arange(1, len(values) - 1)
     low = (padded[inner] < padded[inner - 1]) & (padded[inner] <= padded[inner + 1])
@@ -70,7 +70,7 @@ def local_minima(values: Floats) -> list[int]:
 def residual_histogram(
     residuals_px: Sequence[NDArray[np.floating]], noise_px: float | None, limit_px: float, label: str
 ) -> Markup:
-    """Plot histograms of residuals (n,), each sample filled in a tone of its own; `noise_px` draws a normal curve."""
+    """Plot histograms of residuals (n,), each sample in its own shade; `noise_px` draws a normal curve."""
     edges = np.linspace(-limit_px, limit_px, _HISTOGRAM_BINS + 1)
     shares = [_shares(residual, edges) for residual in residuals_px]
     curve_px = np.linspace(-limit_px, limit_px, 4 * _HISTOGRAM_BINS)
@@ -85,7 +85,7 @@ def residual_histogram(
 
 
 def _shares(residual_px: NDArray[np.floating], edges: Floats) -> Floats:
-    # Told how many bins there are, and not their edges, NumPy need not search for the bin of each.
+    # With a number of bins instead of their edges, NumPy need not search for each bin.
     counts, _ = np.histogram(residual_px[np.isfinite(residual_px)], len(edges) - 1, (edges[0], edges[-1]))
     return 100 * counts / max(1, int(counts.sum()))
 

@@ -26,10 +26,10 @@ def price_of_principal_point(solution: SelfCalibration | None) -> Price:
     if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
         return Price()
     by_pixel = solution.uncertainty.by_principal_point[[CAMERA.start, PROJECTOR.start]]  # of log f
-    told = [
+    effects = [
         f"{_SHIFT_PX:g} px in {axis} would move the camera's focal length by {plain(100 * camera, 2, signed=True)} % "
         f"and the projector's by {plain(100 * projector, 2, signed=True)} %"
         for axis, (camera, projector) in zip("xy", _SHIFT_PX * by_pixel.T, strict=True)
     ]
-    sentence = f"The camera's principal point was taken as known. Were it elsewhere: {'; '.join(told)}."
+    sentence = f"The camera's principal point was taken as known. If it is elsewhere: {'; '.join(effects)}."
     return Price((sentence,), float(np.linalg.norm(by_pixel, axis=1).max()))

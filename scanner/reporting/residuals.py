@@ -16,9 +16,9 @@ from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 
-# Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are beyond that.
+# Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are larger.
 _CELL_OF_WIDTH = 1 / 64
-# Of millions so many show the same, to the width of a histogram's line.
+# A sample of this size gives the same histogram as millions.
 _SAMPLE, _TESTED = 250_000, 100_000
 _HALF_PAGE = 480
 _SHOWN_SHARE = 99
@@ -87,7 +87,7 @@ def misses(report: ReportInput) -> Misses | None:
     """
     if report.reconstructed is None or not np.isfinite(report.reconstructed.cloud.residual_px).any():
         return None
-    if report.outcome.decoded.only_axis:  # the other coordinate was put where the rays meet
+    if report.outcome.decoded.only_axis:  # the other coordinate is defined by the intersection of the rays
         return None
     cloud = report.reconstructed.cloud
     statistics = cloud.statistics

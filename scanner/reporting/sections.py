@@ -41,7 +41,7 @@ from scanner.reporting.contents import ReportInput
 from scanner.results import Provenance
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
-_STEP = 8  # of rows and columns, which tell as well as all how bright an image is
+_STEP = 8  # subsampling of rows and columns for mean brightness
 FRUSTUM_LENGTH = 0.15  # of the scene's depth
 _VIEW_CAPTIONS = {
     "oblique": "From the side and above, with the camera (blue) and the projector (red).",

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 from calib.numerics import Floats
 from scanner.rendering import even_ticks, tick_text
 
-# One unit is one pixel where the plot is narrowest, so that the page's font sizes hold in it.
+# One unit is one pixel of the narrowest plot, so that the page's font sizes apply.
 WIDTH, HEIGHT = 680, 290
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 24, 48
 _ACROSS, _DOWN = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM

@@ -14,7 +14,7 @@ from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
 
-# Sigmas vary smoothly over the image, apart from the noise of single matches: so many of them draw the map.
+# Sigmas vary smoothly over the image, so this many samples suffice for the map.
 _SAMPLES = 40_000
 
 

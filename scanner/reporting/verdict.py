@@ -17,7 +17,7 @@ from scanner.reporting.principal_point import price_of_principal_point
 from scanner.results import MEASUREMENT_GRADE, Reconstructed, Refused, SelfCalibrated, Verdict
 
 _SYSTEMATIC_MISS_PX = 1.0
-# Smooth misses beyond the noise bend a cloud for all to see; a tenth of a pixel is left by good decoders in bad light.
+# Smooth residuals beyond the noise bend a cloud visibly. In bad light, good decoders leave a tenth of a pixel.
 _LEAST_SYSTEMATIC_PX, _SYSTEMATIC_OF_NOISE = 0.1, 2.5
 
 _THREE_CAPTURES = (
@@ -39,7 +39,7 @@ _LOOK_AT_THE_MISSES = (
 )
 _BOTH_AXES = "Project patterns along the other axis as well to check the calibration."
 _SHORTER_FRINGES = "Project a shorter fringe along each axis as well, or the patterns of 'scan patterns'."
-# What a calibration from boards leaves of the principal point.
+# Accuracy of the principal point after a calibration from boards.
 _CALIBRATED_CENTRE_PX = 1.5
 _MOST_BY_CENTRE = 0.01
 _FREE_THE_CENTRE = (
@@ -51,10 +51,10 @@ _CHECK_THE_CENTRE = (
     "Were the images cropped, or is camera.principal_point.known for another image size? Otherwise capture the "
     "corner again from another place."
 )
-# What a motion that is too small to be seen may have cost the intrinsics, one standard deviation.
+# Effect on the intrinsics of a motion too small to be seen, one standard deviation.
 _MOST_BY_MOTION_PERCENT = 0.5
 _IF_NOTHING_MOVED = "Calibrated, if nothing moved between the axes"
-_WITNESS = "Capture again with the patterns of 'scan patterns': they are in an order that shows what moves."
+_STANDARD_ORDER = "Capture again with the patterns of 'scan patterns': their order reveals motion."
 _IF_PIXELS_ARE_SQUARE = "Calibrated, if the projector does not correct its picture's shape"
 _TURN_OFF = "Turn off keystone correction, digital zoom and aspect correction in the projector's menu, and scan again."
 _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and that nothing has moved since it was made."
@@ -63,7 +63,7 @@ _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and th
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
     found = _of_outcome(report)
-    # What is a reason is not said once more.
+    # A sentence that is already a reason is not repeated.
     notes = tuple(note for note in (*report.warnings, *report.notes) if note not in found.reasons)
     found = replace(found, notes=notes)
     return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
@@ -139,7 +139,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
     if doubt := _doubtful_centre(calibration):
         return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
     if _misses_systematically(statistics):
-        return Verdict("fair", "Calibrated, but with errors that show", tuple(reasons), _LOOK_AT_THE_MISSES)
+        return Verdict("fair", "Calibrated, but with systematic errors", tuple(reasons), _LOOK_AT_THE_MISSES)
     price = price_of_principal_point(calibrated.solution)
     reasons += price.sentences
     if price.per_px * _CALIBRATED_CENTRE_PX > _MOST_BY_CENTRE:
@@ -148,7 +148,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
     reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
     unseen = [note for note in calibrated.solution.notes if note.startswith(UNSEEN_MOTION)]
     if unseen or calibrated.solution.possible_percent > _MOST_BY_MOTION_PERCENT:
-        return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _WITNESS)
+        return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _STANDARD_ORDER)
     if changed := [warning for warning in report.warnings if warning.startswith(CHANGED_SHAPE)]:
         return Verdict("fair", _IF_PIXELS_ARE_SQUARE, (*changed, *reasons), _TURN_OFF)
     if worst is not None and worst <= MEASUREMENT_GRADE:
@@ -165,7 +165,7 @@ def _doubtful_centre(calibration: Calibration) -> str | None:
     (x, y), (width, height) = camera.principal_point_px, (camera.width, camera.height)
     if 0 <= x < width and 0 <= y < height:
         return None
-    return f"The camera's principal point, ({x:.0f}, {y:.0f}), is outside of its image of {width} × {height} pixels."
+    return f"The camera's principal point, ({x:.0f}, {y:.0f}), is outside its image of {width} × {height} pixels."
 
 
 def _worst_focal_sigma(calibration: Calibration) -> float | None:

@@ -18,13 +18,13 @@ from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import FRUSTUM_LENGTH, typical_depth, upright
 from scanner.results import Reconstructed
 
-# Of twelve bytes each: about a megabyte on the page.
+# At twelve bytes each, about a megabyte of the page.
 _MOST_POINTS = 70_000
 _STEPS = 65_535
 _HULL_SAMPLE = 5_000
 _OFF_THE_FACE = 6.0
 _WHITE_PERCENTILE = 99
-# A square a little larger than the grid closes the gaps of surfaces that are seen at a slant.
+# Squares slightly larger than the grid close gaps on oblique surfaces.
 _SPLAT_OF_GRID = 1.9
 _UPRIGHT_OF_CORNER = np.array([0.0, 0.0, 1.0])
 
@@ -133,7 +133,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
         names = device_names(calibration, number, len(to_cloud))
         for name, pyramid, colour in zip(names, pyramids, ("--accent", "--second"), strict=True):
             path = np.concatenate([pyramid[4:, 0], pyramid[4:5, 0]])
-            named = any(line["text"] == name for line in lines)  # the first photo is of every pair
+            named = any(line["text"] == name for line in lines)  # the first photo is in every pair
             text = "" if named else name
             lines.append({"colour": colour, "text": text, "closed": False, "at": _moved(path, pose)})
             lines += [{"colour": colour, "text": "", "closed": False, "at": _moved(edge, pose)} for edge in pyramid[:4]]
@@ -157,7 +157,7 @@ def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]
 
 
 def _outline(points: Floats) -> Floats:
-    """Corners (n, 3) of the convex hull of points (N, 3) in their plane, strays left aside."""
+    """Corners (n, 3) of the convex hull of points (N, 3) in their plane, without outliers."""
     for _ in range(2):
         centre = np.median(points, axis=0)
         axes = np.linalg.svd(points - centre, full_matrices=False)[2]

@@ -13,8 +13,8 @@ _CLOUDS = {ROOM_FILE: ROOM_CLOUD_FILE, OBJECT_FILE: OBJECT_CLOUD_FILE}
 
 @dataclass(frozen=True, eq=False)
 class PlacedScan:
-    """The scan of a station, called `name`; X_room = rotation X_camera + t. `folder`: where it is, `known`: what is in
-    it, if it has been read.
+    """The scan of a station, called `name`; X_room = rotation X_camera + t. `folder`: its path; `known`: its content if
+    it has been read.
     """
 
     name: str

@@ -14,7 +14,7 @@ from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
 from scanner.results.names import CALIBRATION_FILE, CLOUD_FILE
 from scanner.results.older_results import find_matches, same_points
 
-# Of a cloud, so many points tell whether it comes from these matches.
+# This many points of a cloud suffice to check that it comes from these matches.
 _SAMPLE = 1000
 
 
@@ -39,7 +39,7 @@ class FinishedScan:
 
     @property
     def unit(self) -> str:
-        """The unit of `points`; 'baseline' where no length is known."""
+        """The unit of `points`; 'baseline' if no length is known."""
         return self.calibration.unit
 
     @property
@@ -49,7 +49,7 @@ class FinishedScan:
 
 
 def read_calibration_of(folder: Path) -> Calibration:
-    """The calibration of a result folder. Raises InputError if the folder is none or its capture was refused."""
+    """The calibration of a result folder. Raises InputError if it is no result or its capture was refused."""
     if (folder / CALIBRATION_FILE).is_file():
         return read_calibration(folder / CALIBRATION_FILE)
     if not folder.is_dir():
@@ -87,7 +87,7 @@ def _of_another_scan(folder: Path) -> InputError:
 
 
 def _has_own_pixels(pixel: Ints, calibration: Calibration) -> bool:
-    """Whether pixels (N, 2) are in the camera's image, and no two alike."""
+    """Whether pixels (N, 2) are in the camera's image and unique."""
     size = calibration.camera.size
     if np.any((pixel < 0) | (pixel >= size)):
         return False

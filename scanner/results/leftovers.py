@@ -22,9 +22,9 @@ _RECORDED_OF_SEVERAL = {CAPTURE_FOLDER, MATCHES_FILE}
 
 
 def settle(out: Path) -> list[str]:
-    """Settle what was left of `out`, and of whatever else in its folder; sentences on what became of it.
+    """Settle leftovers of `out`, and of others in its folder; returns sentences about them.
 
-    Raises InputError if `out` has no name, a process is making it now, or something else is in the way; StorageError.
+    Raises InputError if `out` has no name, a process is making it now, or something else blocks it; StorageError.
     """
     if out.name in ("", ".."):
         raise InputError(f"{out}: expected the name of a folder to make, as in --out scans/room")
@@ -56,9 +56,9 @@ def _settle(partial: Path, out: Path, *, in_the_way: bool) -> list[str]:
     claim = Claim(partial / STATE)
     try:
         if not claim.is_current:
-            return []  # it has just been settled by another
+            return []  # another program has just settled it
         if claim.state is None and not in_the_way:
-            return []  # another is just beginning there
+            return []  # another scan is just beginning there
         return _judged(claim.state, partial, out)
     finally:
         claim.release()
@@ -68,11 +68,11 @@ def _judged(state: State | None, partial: Path, out: Path) -> list[str]:
     if state in (State.WHOLE, State.REPLACING):
         place = out if _may_take(out, replacing=state is State.REPLACING) else unused(out)
         publish(partial, place)
-        return [f"A scan was killed when its result was whole: it is in {place} now."]
+        return [f"A scan was killed after its result was complete: it is in {place} now."]
     if state is State.LIVE and frames_in(partial):
         return [f"A scan was killed. {kept_words(keep_recording(partial, out))}"]
     shutil.rmtree(partial)
-    return [f"What was left of {out}, of a program that was killed, had no frames of its own and is removed."]
+    return [f"The remains of {out}, left by a killed program, held no frames and were removed."]
 
 
 def _may_take(out: Path, *, replacing: bool) -> bool:
@@ -86,8 +86,9 @@ def _may_take(out: Path, *, replacing: bool) -> bool:
 
 
 def keep_recording(partial: Path, out: Path) -> Path:
-    """Move the frames of an unfinished scan to a visible name, which is returned, and remove the rest, so that none of
-    it is taken for a result. Raises OSError.
+    """Move the frames of an unfinished scan to a visible name, which is returned, and remove the rest.
+
+    Nothing can then be mistaken for a result. Raises OSError.
     """
     for folder, recorded in [(partial, _RECORDED), *((each, _RECORDED_OF_SEVERAL) for each in _whole(partial))]:
         for path in folder.iterdir():
@@ -106,7 +107,7 @@ def kept_words(kept: Path, *, refuted: bool = False) -> str:
     """
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
     if _is_complete(recording):
-        makes = "says the same of them" if refuted else "makes a result of them"
+        makes = "gives the same refusal" if refuted else "makes a result of them"
         to_do = f"none is missing, and scan replay {recording} {makes}"
     else:
         to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} reconstructs what there is"
@@ -114,7 +115,7 @@ def kept_words(kept: Path, *, refuted: bool = False) -> str:
         return f"The {frames} frames captured so far are in {recording}: {to_do}."
     finished = len(_whole(kept))
     return (
-        f"What was captured so far is kept: {finished} whole capture{'s' if finished > 1 else ''} in "
+        f"What was captured so far is kept: {finished} complete capture{'s' if finished > 1 else ''} in "
         f"{kept / CAPTURES_FOLDER}, which scan calibrate takes, and {frames} frames in {recording}: {to_do}."
     )
 

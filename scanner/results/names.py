@@ -10,7 +10,7 @@ CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "truth.yaml"
 CLOUD_FILE = "cloud.ply"
 REPORT_FILE = "report.html"
-# Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict that.
+# Of boards: the calibration with lens terms that they left out, for captures of a corner that contradict it.
 REFUSAL_FILE = "refused.yaml"
 CAPTURE_FOLDER = "capture"
 CAPTURES_FOLDER = "captures"
@@ -67,7 +67,7 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
 
 
 def beside(result: Path, ending: str) -> Path:
-    """A name beside a result, made of its own: a result folder itself stays as the scan left it."""
+    """A path beside a result, derived from its name: the result folder itself is not changed."""
     folder = result.resolve()
     name = f"{folder.name}{ending}"
     return folder.parent / name if result.name in ("", ".", "..") else result.parent / name
@@ -96,7 +96,7 @@ def is_occupied(path: Path) -> bool:
 
 
 def refuse_to_lose(out: Path, *, overwrite: bool | None) -> None:
-    """Raise InputError unless what is at `out` is a result, and may be overwritten; None: nobody can ask for that."""
+    """Raise InputError unless `out` is a result and may be overwritten; None: there is no such option."""
     if not overwrite:
         instead = "" if overwrite is None else ", or replace an earlier result with --overwrite"
         raise InputError(f"{out}: already exists; choose another --out{instead}")

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from calib.geometry import Calibration, Corner, Matches, intersect
 from calib.numerics import Bools, Floats, Ints
 
-# Coordinates in the cloud are rounded to 24 bits; relative to a point's distance this is far more than that.
+# Cloud coordinates are rounded to 24 bits, far less than this share of a point's distance.
 _SAME_POINT = 1e-5
 
 

@@ -31,7 +31,7 @@ from scanner.ui import LogFile
 
 log = logging.getLogger(__name__)
 
-# Two that begin at the same moment may be in each other's way for as long.
+# Two scans that begin at the same moment may block each other for this long.
 _ATTEMPTS, _PAUSE_S = 20, 0.005
 
 
@@ -44,7 +44,7 @@ def new_result(
     keep_capture: bool = False,
     tell: Callable[[str], None] = log.warning,
 ) -> Iterator[Path]:
-    """The folder to write a result into, with a log in it; it becomes `out` as described at `OutputFolder`."""
+    """The folder of a new result, with a log in it; it becomes `out` as described at `OutputFolder`."""
     output = OutputFolder(out, overwrite=overwrite, keep_capture=keep_capture, tell=tell)
     with output, LogFile(output.folder / LOG_FILE):
         for sentence in output.settled:
@@ -54,18 +54,17 @@ def new_result(
 
 
 class OutputFolder:
-    """A hidden folder beside `out` that takes its place, in one step, when the `with` block ends well.
+    """A hidden folder beside `out` that replaces it in one step when the `with` block succeeds.
 
-    It ends well without an error, or with RefusalError: that a capture cannot be calibrated is a result too. Any other
-    error discards the folder, except that of a live capture (`keep_capture`) the frames are moved to
-    `<out>-incomplete`: it may not be possible to repeat. What became of it is added to the error as a note. An OSError
-    of the disk becomes a StorageError.
+    It succeeds without an error, or with RefusalError, because a refused capture has a result, too. Any other error
+    discards the folder, but the frames of a live capture (`keep_capture`) are moved to `<out>-incomplete`, as they may
+    not be repeatable. The outcome is added to the error as a note. An OSError of the disk becomes a StorageError.
 
-    While it is made, nobody else can make `out`. What programs have left there that were killed is settled first, and
-    `tell` is given a sentence on each.
+    Meanwhile no other process can make `out`. Leftovers of killed programs are settled first; `tell` receives a
+    sentence on each.
 
     Raises InputError if `out` exists, unless it is an empty folder, or a result of ours and `overwrite` is set (None:
-    nobody can ask for that), or if it is being made.
+    there is no such option), or if another process is making it.
     """
 
     def __init__(
@@ -106,9 +105,9 @@ class OutputFolder:
             try:
                 claim = Claim(self.folder / STATE, make=True)
             except FileNotFoundError:
-                continue  # taken for an empty folder that a killed program has left
+                continue  # another scan took it for an empty folder left by a killed program
             except HeldError as error:
-                held = error  # for a moment only, if it is another that looks whether this one was left behind
+                held = error  # held only for a moment, if another scan is checking for leftovers
                 time.sleep(_PAUSE_S)
                 continue
             if claim.is_current and claim.state is None:
@@ -136,7 +135,7 @@ class OutputFolder:
             raise named from error
 
     def _by_its_name(self, error: BaseException) -> Exception:
-        """The same error of the disk, as one of what would have been made: nobody knows the hidden folder."""
+        """The same disk error with the public name, because nobody knows the hidden folder."""
         if isinstance(error, OSError):
             return cannot_write(self._shown, error)
         return StorageError(str(error).replace(str(self.folder), str(self._shown)))
@@ -167,7 +166,7 @@ class OutputFolder:
             if replacing:
                 try:
                     refuse_to_lose(place, overwrite=self._overwrite)
-                except InputError as error:  # somebody was faster
+                except InputError as error:  # another scan was faster
                     place, trouble, replacing = unused(place), error, False
             self._claim.say(State.REPLACING if replacing else State.WHOLE)
             publish(self.folder, place)
@@ -184,5 +183,5 @@ class OutputFolder:
         return kept_words(self._shown.with_name(kept.name), refuted=refuted)
 
     def _discard(self) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)  # what is left of it is settled by the next
+        shutil.rmtree(self.folder, ignore_errors=True)  # the next scan settles what remains
         remove_empty(self._new_parents)

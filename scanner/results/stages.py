@@ -24,9 +24,9 @@ from scanner.patterns import Axis
 
 @dataclass(frozen=True)
 class GivenMatches:
-    """Matches that were not decoded now: `photograph` is the lit scene, None where there is no picture of it.
+    """Matches of an earlier decoding: `photograph` is the lit scene, None without a picture.
 
-    `smooth_px`: as of `Decoding`. Of other decoders it is taken that they err as this one does. `only_axis`: as there.
+    `smooth_px`, `only_axis`: as of `Decoding`. Other decoders are assumed to have the smooth errors of this one.
     """
 
     photograph: Image | None = None
@@ -187,12 +187,12 @@ class Scan:
 
 
 def decoded_of(stage: Stage) -> Decoded:
-    """The capture as matches, whatever else is known of it."""
+    """The matches of a capture at any stage."""
     return stage if isinstance(stage, Decoded) else stage.decoded
 
 
 def solution_of(stage: Stage) -> SelfCalibration | None:
-    """Return the self-calibration of the capture; None where there is none, or the calibration was given."""
+    """Return the self-calibration of the capture; None without one, or if the calibration was given."""
     match stage:
         case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
             return solution

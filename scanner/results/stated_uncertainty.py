@@ -1,4 +1,4 @@
-"""The part of calibration.yaml beside the calibration: the verdict on the result, and its covariance."""
+"""The additional parts of calibration.yaml: the verdict on the result, and its covariance."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,11 +22,11 @@ COLUMNS = (
     *(f"rotation_{axis}_rad" for axis in "xyz"),
     *(f"translation_{axis}" for axis in "xyz"),
 )
-# Files of before there were more lens terms have all but these, which their calibrations took for zero.
+# Files written before further lens terms existed lack these, which their calibrations fixed to zero.
 _FURTHER = tuple(f"{device}_{term}" for device in ("camera", "projector") for term in ("p1", "p2", "k3"))
 
 _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
-_MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 in a focal length; in pixels more than any image has
+_MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 of a focal length; more pixels than any image has
 _ROUNDED, _NOTHING = 1e-6, 1e-9
 
 
@@ -98,7 +98,7 @@ def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
 def read_verdict(path: Path) -> Verdict | None:
     """Read the verdict from a result's calibration file, or from that of a refusal.
 
-    Returns None if there is none, as in older files. Raises InputError.
+    Returns None without one, as in older files. Raises InputError.
     """
     entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
     if entry is None:
@@ -141,7 +141,7 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
 
 
 def _with_further_terms(entry: _CovarianceEntry) -> _CovarianceEntry:
-    """Of a file without their columns, with zeros there; what is not as long as the columns stays as it is."""
+    """Fill missing columns of older files with zeros; entries of wrong length are unchanged."""
 
     def filled(numbers: list[float]) -> list[float]:
         if len(numbers) != len(entry.columns):
@@ -183,7 +183,7 @@ def _is_covariance(values: Floats) -> bool:
     sigma = np.sqrt(np.clip(np.diag(values), 0.0, None))
     if np.any(np.diag(values) < 0) or sigma.max() > _MOST_SIGMA or sigma[_LOG_FOCALS].max() > _MOST_LOG_SIGMA:
         return False
-    scale = np.where(sigma > _NOTHING * sigma.max(), sigma, 1.0)  # of what is held fixed, rounding is all there is
+    scale = np.where(sigma > _NOTHING * sigma.max(), sigma, 1.0)  # rounding errors of fixed parameters
     correlation = values / np.outer(scale, scale)
     if not np.allclose(correlation, correlation.T, atol=_ROUNDED):
         return False

@@ -1,13 +1,13 @@
-"""A folder that is being made: who makes it, how far it has come, and what becomes of it if that is broken off.
+"""A folder in the making: who makes it, its progress, and what happens to it after an interruption.
 
-`.NAME.partial` beside NAME holds what is written for NAME. The file `STATE` in it says how far that is, and is locked
-by the process that writes; a state that nobody holds was left behind by one that was killed. It is removed last of all,
-so that every moment in between can be told:
+`.NAME.partial` beside NAME holds what is written for NAME. The file `STATE` in it holds the progress, and is locked by
+the writing process; an unlocked state was left behind by a killed one. It is removed last, so that every moment can be
+identified:
 
-    .NAME.partial, state 'live' or 'made'        not whole; of a live capture the frames are worth keeping
-    .NAME.partial, state 'whole' or 'replacing'  whole, and not yet in its place
-    NAME with a state                            in its place; an older result may be left, in .NAME.partial, which is
-                                                 where the exchange puts it, or in .NAME.replaced, on its way out
+    .NAME.partial, state 'live' or 'made'        incomplete; the frames of a live capture are worth keeping
+    .NAME.partial, state 'whole' or 'replacing'  complete, and not yet in its place
+    NAME with a state                            in its place; an older result may be left, in .NAME.partial, where the
+                                                 exchange puts it, or in .NAME.replaced, before its removal
 """
 
 import fcntl
@@ -76,7 +76,7 @@ class Claim:
         except OSError as error:
             holder = self._words()[1:]
             if make and not holder and not isinstance(error, BlockingIOError):
-                return  # a file system without locks, where nobody is at work
+                return  # a file system without locks: assume that nobody is at work
             os.close(self._file)
             by = f" (process {holder[0]})" if holder else ""
             raise HeldError(

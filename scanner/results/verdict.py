@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Literal
 
-# Of a focal length, one standard deviation: then of 130 results one errs by over 2 %, which bends a room by about twice
-# as much as its walls are off square.
+# Largest sigma of a focal length: of 130 results, one then errs by over 2 %, which bends a room by about twice the
+# deviation of its walls from square.
 MEASUREMENT_GRADE = 0.0075
 
-# Reasons that are said wherever a verdict is: how well lengths are known, and what the grade rests on.
+# Number of reasons shown with every verdict: the accuracy of lengths, and the basis of the grade.
 DECISIVE = 2
 
 Grade = Literal["good", "fair", "refused"]

@@ -29,7 +29,7 @@ def spacing_px(there: Bools) -> float:
 
 
 def index_of(there: Bools) -> Ints:
-    """The number of each pixel (H, W) that has a point, NONE where there is none."""
+    """The index of each pixel (H, W) with a point, NONE for others."""
     return np.where(there, np.arange(there.size).reshape(there.shape), NONE)
 
 
@@ -56,7 +56,7 @@ def blended_of(
         normals = station.cloud.normals[there].astype(np.float64) @ station.place.rotation.T
         own.normals = o3d.utility.Vector3dVector(normals)
         own.colors = o3d.utility.Vector3dVector(station.cloud.colours[there] / 255.0)
-        # Each by itself first, so that memory is that of one station; then the stations with each other.
+        # Each station first by itself, to limit memory; then all together.
         together += own.voxel_down_sample(grid / 2)
     thinned = together.voxel_down_sample(grid)
     normals = np.asarray(thinned.normals)

@@ -17,11 +17,11 @@ from scipy.sparse.linalg import spsolve
 
 from calib.numerics import Bools, Floats, Ints, evenly
 
-_NODES = 17  # along a picture's longer side
-_POINTS = 4000  # of two pictures
-_SMOOTH, _HELD = 1.0, 0.03  # weights of neighbouring nodes that differ, and of nodes that differ from no change
-_DARK = 8.0  # levels of 255, below which light tells little
-_FARTHEST = 1.5  # of logarithms: pictures that differ more than that do not show the same
+_NODES = 17  # nodes along a picture's longer side
+_POINTS = 4000  # points per pair of pictures
+_SMOOTH, _HELD = 1.0, 0.03  # weights of differences between neighbouring nodes, and of differences from no change
+_DARK = 8.0  # of 255 levels; darker pixels carry little information
+_FARTHEST = 1.5  # largest difference of logarithms; pictures that differ more do not show the same
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,10 @@ from scanner.results import Decoded
 
 @dataclass(frozen=True, eq=False)
 class RigStart:
-    """A rig before its room is known, in baselines. `corners`: the stations from whose corners it was calibrated, by
-    number, with their faces; empty where the calibration was `given`, in a unit of its own. `uncertainty`: None where a
-    given one states none.
+    """The rig before its room is estimated, in baselines.
+
+    `corners`: the stations from whose corners it was calibrated, by number, with their faces; empty if the calibration
+    was `given`, in its own unit. `uncertainty`: None if a given one states none.
     """
 
     calibration: Calibration
@@ -57,7 +58,7 @@ class Station:
 
 @dataclass(frozen=True)
 class OutlierStation:
-    """A capture that is no station of this room, and why: in a word or two for programs, and in a sentence."""
+    """A capture that is no station of this room: `cause` in a word or two for programs, `reason` as a sentence."""
 
     name: str
     cause: Literal["changed rig", "another room", "no overlap", "something moved", "nothing seen"]
@@ -66,12 +67,12 @@ class OutlierStation:
 
 @dataclass(frozen=True, eq=False)
 class SolvedRoom:
-    """All in the room's frame, z up, and the unit of `calibration`; `estimate` is as it was made, in baselines.
+    """Everything in the room's frame, z up, and the unit of `calibration`; `estimate` is the original, in baselines.
 
-    `stations` are those of `group`, in its order, `names` are of all captures; `pairs` are of these by number.
-    `uncertainty`: of the calibration, None where it is not known. `floor`: which plane it is. `areas` (P,): how much
-    was seen of each plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation, after which
-    lengths are multiplied by `factor`.
+    `stations` are those of `group`, in its order; `names` are of all captures; `pairs` refer to them by number.
+    `uncertainty`: of the calibration, None if unknown. `floor`: number of its plane. `areas` (P,): visible area of each
+    plane, in squares of the unit. `upright`: X_room = rotation X_estimate + translation; then lengths are multiplied by
+    `factor`.
     """
 
     calibration: Calibration

@@ -1,9 +1,8 @@
-"""A rig's calibration from the stations that happen to show a corner, good enough to register all of them.
+"""A rig's calibration from stations that show a corner, accurate enough to register all of them.
 
-Each corner calibrates the rig by itself; what they say is put together as Gaussians, without those that contradict the
-others. Where corners are at odds, for the rig was changed between them or one was mistaken, those count on whose
-epipolar lines most of the stations are. The room's estimate is made from the same matches again and takes nothing of
-it but where to begin.
+Each corner calibrates the rig by itself. The estimates are combined as Gaussians, without outliers. If corners
+contradict each other, because the rig changed or one is wrong, those are used whose epipolar lines fit most stations.
+The room's estimate uses the same matches again, and takes only its start from here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,8 @@ from scanner.rooms.contents import RigStart
 from scanner.rooms.epipolar_lines import line_offsets, usual_px
 from scanner.ui import Progress
 
-# The sigmas of a single corner are those of walls that are off square: in real rooms they are a little too small.
+# Sigmas of a single corner assume a small deviation of the walls from square; in real rooms they are slightly too
+# small.
 _CONTRADICTS = 5.0
 _SIGMAS_OF_CORNER = 2.0
 _FAR = _CONTRADICTS * _SIGMAS_OF_CORNER
@@ -67,8 +67,8 @@ def rig_from_corners(stations: Sequence[Decoded], config: Config, progress: Prog
 
 def rig_of(corners: Mapping[int, SeenCorner], stations: Sequence[Decoded]) -> RigStart:
     """What corners, by the numbers of their stations, say together; at least one."""
-    told = {k: corner.uncertainty for k, corner in corners.items()}
-    kept, rig, covariance = _of_most_stations(told, stations)
+    estimates = {k: corner.uncertainty for k, corner in corners.items()}
+    kept, rig, covariance = _of_most_stations(estimates, stations)
     calibration = _calibration(rig, stations)
     match_px = float(np.median([corners[k].uncertainty.match_px for k in kept]))
     uncertainty = Uncertainty(rig, covariance, None, match_px)
@@ -78,15 +78,17 @@ def rig_of(corners: Mapping[int, SeenCorner], stations: Sequence[Decoded]) -> Ri
 def _of_most_stations(corners: dict[int, Uncertainty], stations: Sequence[Decoded]) -> tuple[list[int], State, Floats]:
     """As `_together`, of the corners that agree with each other and explain most stations."""
     agreeing = {frozenset(j for j in corners if _apart(corners[k], corners[j]) < _FAR) for k in corners}
-    answers = [_together({k: corners[k] for k in some}) for some in sorted(agreeing, key=lambda some: sorted(some))]
-    if len(answers) == 1:
-        return answers[0]
-    rigs = [_calibration(rig, stations) for _, rig, _ in answers]
+    candidates = [
+        _together({k: corners[k] for k in group}) for group in sorted(agreeing, key=lambda group: sorted(group))
+    ]
+    if len(candidates) == 1:
+        return candidates[0]
+    rigs = [_calibration(rig, stations) for _, rig, _ in candidates]
     offsets = [[line_offsets(each.matches, rig) for each in stations] for rig in rigs]
     usual = min(usual_px(of_rig) for of_rig in offsets)
     on_lines = [sum(each.far_px(usual) is None for each in of_rig) for of_rig in offsets]
-    best = max(range(len(answers)), key=lambda n: (on_lines[n], len(answers[n][0])))
-    return answers[best]
+    best = max(range(len(candidates)), key=lambda n: (on_lines[n], len(candidates[n][0])))
+    return candidates[best]
 
 
 def _calibration(rig: State, stations: Sequence[Decoded]) -> Calibration:
@@ -95,7 +97,7 @@ def _calibration(rig: State, stations: Sequence[Decoded]) -> Calibration:
 
 
 def _together(corners: dict[int, Uncertainty]) -> tuple[list[int], State, Floats]:
-    """Which corners agree, the rig that they agree on, and its covariance (21, 21)."""
+    """Which corners agree, their common rig, and its covariance (21, 21)."""
     kept = list(corners)
     while True:
         rig, covariance = _combined([corners[k] for k in kept])
@@ -110,7 +112,7 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
     """The product of Gaussians, about the first one's rig."""
     first = corners[0].rig
     precision, pull = np.zeros((SHARED, SHARED)), np.zeros(SHARED)
-    free = _told(corners[0])
+    free = _observed(corners[0])
     for each in corners:
         own = np.zeros_like(precision)
         own[np.ix_(free, free)] = inverse_of(each.covariance[np.ix_(free, free)])
@@ -124,12 +126,12 @@ def _combined(corners: Sequence[Uncertainty]) -> tuple[State, Floats]:
 
 def _distance(corner: Uncertainty, rig: State) -> float:
     """Of a corner's rig from another, in its own sigmas."""
-    return _in_sigmas(corner.rig.step_to(rig), corner.covariance, _told(corner))
+    return _in_sigmas(corner.rig.step_to(rig), corner.covariance, _observed(corner))
 
 
 def _apart(one: Uncertainty, other: Uncertainty) -> float:
     """Of two corners' rigs, in the sigmas of their difference."""
-    return _in_sigmas(one.rig.step_to(other.rig), one.covariance + other.covariance, _told(one) & _told(other))
+    return _in_sigmas(one.rig.step_to(other.rig), one.covariance + other.covariance, _observed(one) & _observed(other))
 
 
 def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
@@ -138,7 +140,7 @@ def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
     return float(np.sqrt(step[free] @ inverse @ step[free] / np.count_nonzero(free)))
 
 
-def _told(corner: Uncertainty) -> Bools:
-    """The columns that a corner tells of, (21,)."""
-    told: Bools = np.diag(corner.covariance) > _HELD**2
-    return told
+def _observed(corner: Uncertainty) -> Bools:
+    """The columns that a corner determines, (21,)."""
+    observed: Bools = np.diag(corner.covariance) > _HELD**2
+    return observed

@@ -1,9 +1,9 @@
-"""What a station sees of its planes, with the noise of single matches taken off.
+"""A station's view of its planes, with reduced noise.
 
-How far a plane's points are from it is filtered in the image: each deviation is drawn to the mean of those around it
-as far as these vary no more than noise does (Lee, "Digital image enhancement and noise filtering by use of local
-statistics", IEEE PAMI 2, 1980). So bent walls stay bent, and relief that stands out of the noise stays. In inverse
-depth, where the noise of triangulation is alike near and far.
+The deviations from a plane are filtered in the image: each is moved to the mean of its neighbours as far as their
+variance is that of noise (Lee, "Digital image enhancement and noise filtering by use of local statistics", IEEE PAMI 2,
+1980). So bent walls stay bent, and relief above the noise stays. The filter works on inverse depth, where the noise of
+triangulation does not depend on the distance.
 """
 
 import cv2
@@ -15,11 +15,11 @@ from scanner.rooms.contents import SolvedRoom, Station
 
 _WINDOW = 7  # pixels
 _FEWEST = 12  # points of the plane in a window
-_SLACK = 1.5  # of the noise's variance: in so small a window it is estimated roughly
+_SLACK = 1.5  # factor on the noise variance, which a small window estimates roughly
 
 
 def denoised(room: SolvedRoom, station: Station) -> NDArray[np.float32]:
-    """Its points (H, W, 3) in the camera's frame; those on no plane are as they were."""
+    """The station's points (H, W, 3) in the camera's frame; those on no plane are unchanged."""
     points, there = station.cloud.points.copy(), station.cloud.there
     for number in np.unique(station.plane[there & (station.plane >= 0)]):
         on = there & (station.plane == number)
@@ -41,12 +41,12 @@ def _smoothed(points: NDArray[np.float32], on: Bools, plane: Floats) -> Floats:
     several = np.maximum(count, 2.0)
     mean = _summed(deviation) / several
     variance = np.maximum(_summed(deviation**2) / several - mean**2, 0.0) * several / (several - 1)
-    told = on & (count >= _FEWEST)
-    if told.any():
-        noise = _SLACK * float(np.median(variance[told]))
-        kept = np.where(told, np.clip(1 - noise / np.maximum(variance, noise), 0.0, 1.0), 1.0)
+    supported = on & (count >= _FEWEST)
+    if supported.any():
+        noise = _SLACK * float(np.median(variance[supported]))
+        kept = np.where(supported, np.clip(1 - noise / np.maximum(variance, noise), 0.0, 1.0), 1.0)
         deviation = mean + kept * (deviation - mean)
-    inverse = np.where(told, of_plane + deviation, 1 / depth)
+    inverse = np.where(supported, of_plane + deviation, 1 / depth)
     smoothed: Floats = (rays / inverse[..., None])[on]
     return smoothed
 

@@ -1,7 +1,7 @@
-"""Whether captures were made by one rig: their matches lie on that rig's epipolar lines, whatever they saw.
+"""Whether captures were made by one rig: their matches lie on its epipolar lines, whatever they show.
 
-Surfaces do not tell as much: what a changed rig measured is bent, but may be bent no more than what else is amiss, and
-is then taken for a part of the room.
+Surfaces are a weaker criterion: a changed rig bends them, but perhaps not beyond other errors, and they may then be
+taken for a part of the room.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints
 _TILE = 16  # pixels
 _FEWEST_IN_A_TILE = 30
 _FAR_OFF = 3.0  # sigmas of the median tile
-_LEAST_PX = 0.03  # a decoder's smooth errors, and a rig that bends a little when it is carried
+_LEAST_PX = 0.03  # smooth errors of a decoder, and slight deformation of a carried rig
 _DEVIATIONS_OF_MEDIAN = 1.2533 * SIGMA_PER_MEDIAN  # standard error of a median · √N, in median deviations from it
 
 
@@ -50,12 +50,12 @@ def line_offsets(matches: Matches, calibration: Calibration) -> LineOffsets:
     _, own, count = np.unique(tile, return_inverse=True, return_counts=True)
     median = _medians(off, own, count)
     error = _DEVIATIONS_OF_MEDIAN * _medians(np.abs(off - median[own]), own, count) / np.sqrt(count)
-    told = count >= _FEWEST_IN_A_TILE
-    return LineOffsets(median[told], error[told])
+    enough = count >= _FEWEST_IN_A_TILE
+    return LineOffsets(median[enough], error[enough])
 
 
 def usual_px(offsets: Sequence[LineOffsets]) -> float:
-    """By how much captures of one rig are off: as the better half is, for a rig is changed less often than not."""
+    """Root mean square over the tiles; infinite without any."""
     return max(_LEAST_PX, sorted(each.usual_px for each in offsets)[(len(offsets) - 1) // 2])
 
 
@@ -68,7 +68,7 @@ def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dic
     usual = usual_px(offsets)
     far = {k: each.far_px(usual) for k, each in enumerate(offsets)}
     return {
-        k: f"what it saw is {px:.2g} projector px off the epipolar lines of the others' rig"
+        k: f"its matches are {px:.2g} projector px off the epipolar lines of the others' rig"
         for k, px in far.items()
         if px is not None
     }

@@ -15,12 +15,12 @@ from calib.rooms.lengths import Measured, angle_deg, distance, gap, vertex
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.upright import ceiling_of, is_vertical
 
-_LEAST_OF_LARGEST = 0.04  # of the largest upright plane's area
-_BEHIND, _MOST_BEHIND = 0.02, 0.25  # of the room's size; of the points on the wall
+_LEAST_OF_LARGEST = 0.04  # share of the largest upright plane's area
+_BEHIND, _MOST_BEHIND = 0.02, 0.25  # distance over the room's size; share of the points on the wall
 _ENDS = (1.0, 99.0)  # percentiles
-_SAMPLE, _FEWEST = 20_000, 20  # points of a station; of a wall
+_SAMPLE, _FEWEST = 20_000, 20  # points per station; points per wall
 _MEET_DEG = 20.0
-_LONGEST_GAP = 0.5  # of what was seen of both walls
+_LONGEST_GAP = 0.5  # relative to the visible lengths of both walls
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def _lines(room: SolvedRoom) -> list[WallLine]:
         if room.areas[i] < _LEAST_OF_LARGEST * largest or len(own) < _FEWEST:
             continue
         normal = room.planes[i].normal[:2] / np.linalg.norm(room.planes[i].normal[:2])
-        along = np.array([normal[1], -normal[0]])  # the room, where the normal points, is to the left
+        along = np.array([normal[1], -normal[0]])  # the room is on the left, where the normal points
         low, high = np.percentile(own[:, :2] @ along, _ENDS)
         middle = own[:, :2].mean(axis=0)
         start, end = (middle + (place - middle @ along) * along for place in (low, high))
@@ -191,7 +191,7 @@ def _nearer_end(wall: WallLine, point: Floats) -> tuple[int, float]:
 def _corner(room: SolvedRoom, one: WallLine, other: WallLine) -> PlanCorner:
     angle = angle_deg(room.estimate, one.plane, other.plane)
     position = _crossing(one, other)
-    assert position is not None  # or it would be no candidate
+    assert position is not None  # a candidate has one
     if room.floor is not None:
         found = vertex(room.estimate, one.plane, other.plane, room.floor).position
         position = room.factor * (room.upright.rotation @ found + room.upright.translation)[:2]

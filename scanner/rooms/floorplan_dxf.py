@@ -1,4 +1,4 @@
-"""A floor plan as DXF, by ezdxf: walls, furniture, lengths and stations on layers of their own, in the room's unit."""
+"""A floor plan as DXF, by ezdxf: walls, furniture, lengths and stations on separate layers, in the room's unit."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A floor plan as SVG: for the page, and as a file of its own."""
+"""A floor plan as SVG, inside the page and as a file."""
 
 from collections.abc import Iterator
 
@@ -70,7 +70,7 @@ class _Drawing:
     def _dimension(self, line: WallLine, length: Measured) -> str:
         """Outside of the wall, along it; never upside down."""
         along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
-        outside = np.array([along[1], -along[0]])  # the room is to the left
+        outside = np.array([along[1], -along[0]])  # the room is on the left
         x, y = self._at((line.start + line.end) / 2 + 26 / self._scale * outside)
         turn = -float(np.degrees(np.arctan2(along[1], along[0])))
         turn = (turn + 90.001) % 180 - 90.001

@@ -36,13 +36,13 @@ def room(
     Raises InputError, RefusalError.
     """
     config.principal_point(config.camera_size)
-    open3d()  # or say at once that it is missing
+    open3d()  # fail early if it is missing
     known = given_rig(calibration, config) if calibration else None
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
         captures = read_stations(stations, config, terminal, known.given if known else None)
         start = known or rig_from_corners(captures, config, terminal)
         if any(each.only_axis for each in captures):
-            start = replace(start, uncertainty=None)  # one axis lies on the rig's epipolar lines, whatever they are
+            start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)
         _refuse_ambiguous(solved)

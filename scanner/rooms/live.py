@@ -30,13 +30,13 @@ from scanner.ui import Terminal
 _BINS = 36
 _LEAST_OPEN_DEG = 30.0
 _LEAST_OVERLAP = 0.1
-_COMMON = 1 / 3  # of a view, that the next station should still see
-_PATIENCE_S = 30.0  # that a person with the rig in hand waits to be told
+_COMMON = 1 / 3  # share of a view that the next station should still see
+_PATIENCE_S = 30.0  # longest wait for advice between stations
 
 
 def check_stations(config: Config, number: int, terminal: Terminal) -> None:
-    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it, or a file that the
-    calibration needs is no good.
+    """Raise InputError if the rig does not have this many poses, nobody can be asked to move it, or a file of the
+    calibration is invalid.
     """
     lenses_of(config, config.camera_size, config.projector_size)
     if not moves_by_itself(config.required_rig) and not terminal.can_ask:
@@ -51,7 +51,7 @@ def check_stations(config: Config, number: int, terminal: Terminal) -> None:
 
 
 def take_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> tuple[list[Decoded], RigStart]:
-    """Capture from so many places, or from fewer if the operator has enough. Raises DeviceError, RefusalError."""
+    """Capture from this many places, or fewer if the operator ends. Raises DeviceError, RefusalError."""
     captures: list[Decoded] = []
     corners: dict[int, SeenCorner] = {}
     refusal: RefusalError | None = None
@@ -83,7 +83,7 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
 
 
 def take_turned(config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool) -> list[Decoded]:
-    """Capture a thing so many times, or fewer if the operator has enough, while the rig rests. Raises DeviceError."""
+    """Capture a thing this many times, or fewer if the operator ends, with the rig at rest. Raises DeviceError."""
     captures: list[Decoded] = []
     for step in range(number):
         done = f"Station {step} of {number} is done. Turn the thing, or put it down another way; leave the rig as it is"
@@ -106,10 +106,10 @@ def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
 
 @dataclass
 class Comparison:
-    """Of the newest station with those before it: with all, or with as many of the last ones as there is time for.
+    """Comparison of the newest station with those before it, or with as many of the last ones as time allows.
 
-    `patience_s`: how long it may take. `pair_s`: how long two stations took each other the last time. `compare`: says
-    what the stations tell, of a room if not told otherwise.
+    `patience_s`: largest duration. `pair_s`: duration per pair the last time. `compare`: makes the sentences, by
+    default those about a room.
     """
 
     patience_s: float = _PATIENCE_S
@@ -125,7 +125,7 @@ class Comparison:
         return sentences
 
     def within_patience(self, count: int) -> int:
-        """How many of so many stations there is time for, at least two: every pair of them is compared."""
+        """How many of this many stations there is time for, at least two; every pair is compared."""
         return next((n for n in range(count, 2, -1) if self.pair_s * _pairs(n) <= self.patience_s), min(count, 2))
 
 
@@ -170,7 +170,7 @@ def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) 
 
 
 def _next(seen: Sequence[Seen], group: Group, newest: int, calibration: Calibration) -> str:
-    """Which way to turn the rig, towards what nobody has seen yet."""
+    """The direction to turn the rig, towards what has not been seen."""
     turn, _ = upright(group.places, group.planes, np.ones(len(group.planes)))
     places = {k: moved_place(place, turn) for k, place in zip(group.stations, group.places, strict=True)}
     middle = np.mean([place.translation[:2] for place in places.values()], axis=0)

@@ -19,13 +19,13 @@ from scanner.rooms.blended_cloud import grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.denoised import denoised
 
-_VOXELS = 1.5  # edges of the cloud's voxels
-_TRUNCATED = 4.0  # edges of this grid's voxels: signed distances are kept so far on either side of a surface
-_BLOCK, _MOST_BLOCKS = 16, 8000  # voxels to the edge of a block, of which each takes 80 kB
-_LEAST_PIECE = 200  # triangles
-_LEAST_WEIGHT = 0.5  # of a voxel: one station is enough
-_NO_NORMAL = np.array([0.0, -1.0, 0.0])  # of slivers
-# The room's axes (z up) as those of a camera that is held level, from which meshes are written.
+_VOXELS = 1.5  # in edges of the cloud's voxels
+_TRUNCATED = 4.0  # truncation of signed distances, in edges of this grid's voxels
+_BLOCK, _MOST_BLOCKS = 16, 8000  # voxels per edge of a block; each block takes 80 kB
+_LEAST_PIECE = 200  # triangles of a piece
+_LEAST_WEIGHT = 0.5  # weight of a voxel; one station is enough
+_NO_NORMAL = np.array([0.0, -1.0, 0.0])  # for degenerate triangles
+# From the room's axes (z up) to those of a level camera, in which meshes are written.
 CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -38,7 +38,7 @@ def fused(room: SolvedRoom) -> Mesh | None:
 def fused_of(
     stations: Sequence[Station], calibration: Calibration, depths: Sequence[NDArray[np.float32]]
 ) -> Mesh | None:
-    """The mesh of the stations' depths (H, W), NaN where there is none; or None if nothing hangs together.
+    """The mesh of the stations' depths (H, W), NaN for none; None if there is no connected surface.
 
     It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
     """
@@ -92,7 +92,7 @@ def _ideal(
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
     depth = filled(depths)
-    nearest = cv2.INTER_NEAREST  # between a surface and what is behind it there is nothing
+    nearest = cv2.INTER_NEAREST  # no interpolation between a surface and the one behind it
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
     seen = cv2.remap(depth, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
     colour = cv2.remap(station.cloud.colours, column, row, nearest, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

@@ -1,8 +1,8 @@
-"""Why a capture is no station of a room: its rig was changed, it is of another room, or it overlaps with nothing.
+"""Why a capture is no station of a room: its rig changed, it is of another room, or it does not overlap.
 
-Three things tell these apart. A capture's matches lie on the epipolar lines of the stations' rig, or its rig is another
-one, whatever it saw. Surfaces that fit nowhere without being looked through are
-of another room. And where the stations saw the room all round, a capture of it would show something that they show.
+Three criteria decide. The matches of an unchanged rig lie on the epipolar lines of the stations' rig. Surfaces that fit
+only where they violate free space are of another room. And after the stations saw the whole room, a capture without
+overlap is of another one.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from calib.rooms import LeftOut, Registration
 from scanner.results import Decoded
 from scanner.rooms.contents import OutlierStation, Station
 
-_SAMPLE = 20_000  # points of a station
-_OF_ITS_VIEW = 0.5  # the rest of what it saw would be in view of others, wherever it stood
+_SAMPLE = 20_000  # points per station
+_OF_ITS_VIEW = 0.5  # share of a view; the rest would be in view of others from any pose
 _ALL_ROUND = "the stations saw the whole room"
 
 
@@ -45,7 +45,7 @@ def outlier_stations_of(
 
 
 def widest_unseen_deg(stations: Sequence[Station]) -> float:
-    """How wide a sector it is, as seen from the middle of all stations, in which none of them saw anything."""
+    """The widest sector, seen from the middle of all stations, in which none of them saw anything."""
     middle = np.mean([station.place.translation[:2] for station in stations], axis=0)
     ahead = np.concatenate([_some_points(station) for station in stations]) - middle
     angles = np.sort(np.arctan2(ahead[:, 1], ahead[:, 0]))
@@ -57,21 +57,23 @@ def _left_out(name: str, left: LeftOut, all_round: bool) -> OutlierStation:
         return OutlierStation(name, "changed rig", f"its rig was changed: {left.reason}")
     if left.cause == "empty":
         return OutlierStation(name, "nothing seen", left.reason)
-    if left.cause == "looked through":
+    if left.cause == "free space":
         seen, _, _ = left.reason.partition(":")
         return OutlierStation(name, "another room", f"{seen}: it is of another room, or something was moved")
     if left.cause == "another shape":
         return OutlierStation(name, "something moved", left.reason)
     if all_round:
-        reason = f"it shows another room, for {_ALL_ROUND}, and hardly anything that it shows"
+        reason = f"it shows another room: {_ALL_ROUND}, and hardly anything that it shows"
         return OutlierStation(name, "another room", reason)
     return OutlierStation(name, "no overlap", left.reason)
 
 
 def _of_another_group(name: str, together: str, all_round: bool) -> OutlierStation:
     if all_round:
-        return OutlierStation(name, "another room", f"it is of another room, with {together}, for {_ALL_ROUND}")
-    reason = f"it is of another part, or of another room, with {together}: nothing seen connects it"
+        return OutlierStation(
+            name, "another room", f"it is of another room, with {together}: {_ALL_ROUND}, but not this"
+        )
+    reason = f"it is of another part, or of another room, with {together}: no common surface connects it"
     return OutlierStation(name, "no overlap", reason)
 
 

@@ -134,7 +134,7 @@ def _overlaps(room: SolvedRoom) -> list[list[Cell]]:
 
 
 def _pairs(room: SolvedRoom) -> Iterator[tuple[str, ...]]:
-    """Each pair that overlaps: what it is worth as evidence, and what it would have said alone."""
+    """Each overlapping pair: its weight as evidence, and its own solution."""
     unit = shown_unit(room.unit)
     order = {station: str(number) for number, station in enumerate(room.group.stations, start=1)}
     for pair in sorted(room.pairs, key=lambda pair: -pair.overlap):

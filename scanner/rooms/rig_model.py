@@ -34,7 +34,7 @@ def ideal_rig(calibration: Calibration) -> Calibration:
 
 
 def ideal_matches(matches: Matches, start: RigStart) -> Matches:
-    """As the ideal rig would have seen them where the rig is held: whatever terms its lenses have are taken out."""
+    """The matches of an ideal rig if the rig is fixed: the distortion of its lenses is removed."""
     if is_estimated(start):
         return matches
     given, ideal = start.calibration, ideal_rig(start.calibration)

@@ -1,4 +1,4 @@
-"""The files of a room: every station as a result of its own, and what all of them make together."""
+"""The files of a room: a result of every station, and the joint results."""
 
 from pathlib import Path
 from typing import Any

@@ -43,7 +43,7 @@ _FEWEST_ON_A_PLANE = 200
 _MOST_ROUNDS = 3
 _NO_FLOOR = "No floor was seen, so up is the top of the cameras' images."
 _BY_SURFACES = "The planes and the dense surfaces disagree about the poses: they were estimated from the surfaces alone"
-_MOST_ON_FACE = 0.5  # of a face's matches that have to be on one plane for the face to be that plane
+_MOST_ON_FACE = 0.5  # share of a face's matches that must be on one plane for the face to be that plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
         more = _turned(registered, estimate)
         if not more and (not is_estimated(start) or registered.is_settled_by(rig, turned)):
             break
-        # The first rig bends what is seen; by the one that some stations have measured, more may fit.
+        # The first rig bends surfaces; with the estimated rig more stations may fit.
         turned |= more
         again = _registered(captures, rig, turned, progress)
         if not more and len(again.members) < len(registered.members):
@@ -133,7 +133,7 @@ def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, str]:
     """Captures of a rig that others do not share, by what they saw of the room; and by how much it was turned."""
     stations = registered.registration.groups[0].stations
     return {
-        stations[each.station]: f"the planes that it saw say that its projector was turned by {each.turn_deg:.2g}° "
+        stations[each.station]: f"by the planes that it saw, its projector was rotated by {each.turn_deg:.2g}° "
         f"against the camera, which moves its light by {each.px:.2g} px"
         for each in changed_extrinsics(estimate)
     }
@@ -151,8 +151,9 @@ def _estimate(registered: _Registered, start: RigStart, config: Config, progress
 def _held_against_surfaces(
     registered: _Registered, estimate: RoomEstimate, start: RigStart, progress: Progress
 ) -> tuple[RoomEstimate, bool]:
-    """The estimate if the stations' surfaces lie on each other as it says, or else one by the surfaces alone, and
-    whether it is that. Raises RefusalError if these do not lie on each other either.
+    """The estimate, or one from the surfaces alone if the stations' surfaces contradict it, and whether it is that.
+
+    Raises RefusalError if the surfaces contradict each other as well.
     """
     members = registered.members
     matches = [ideal_matches(each.decoded.matches, start) for each in members]
@@ -166,9 +167,9 @@ def _held_against_surfaces(
         names = sorted({members[k].decoded.name for each in left for k in (each.first, each.second)})
         worst = max(left, key=lambda each: max(each.sigmas, each.apart))
         raise RefusalError(
-            f"The surfaces of {', '.join(names)} do not lie on each other: {_apart(worst)}.",
+            f"The surfaces of {', '.join(names)} do not coincide: {_apart(worst)}.",
             "Part of the scene moved between the stations: scan a thing on a turntable with "
-            "scan object, or let everything rest.",
+            "scan object, or let nothing move.",
         )
     return by_surfaces, True
 
@@ -176,7 +177,7 @@ def _held_against_surfaces(
 def _apart(worst: Disagreement) -> str:
     if worst.sigmas > 1:
         return f"they would need {worst.turn_deg:.2g}° more of rotation, far beyond what the matches' sigmas allow"
-    return f"{worst.apart:.0%} of what two of them saw is elsewhere in one than in the other"
+    return f"{worst.apart:.0%} of the surface that two of them saw is at different places"
 
 
 def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
@@ -254,7 +255,7 @@ def _faces(seen: Seen, plane_of: Sequence[int], corner: Decoded | None) -> tuple
 def _finished(
     registered: _Registered, estimate: RoomEstimate, start: RigStart, config: Config, by_surfaces: bool
 ) -> SolvedRoom:
-    """With its scale, upright, and the clouds by the rig as it is known now."""
+    """Apply the scale, turn the room upright, and make the clouds with the estimated rig."""
     registration, members = registered.registration, registered.members
     group = registration.groups[0]
     if by_surfaces:

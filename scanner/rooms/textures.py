@@ -17,8 +17,8 @@ from scanner.rooms.common_light import Shown, in_common_light
 from scanner.rooms.contents import Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, filled
 
-_EDGES = 2.0  # of the mesh: so far a vertex may be before or behind what a station measured there
-_STEP = 6.0  # the same, of a pixel's surroundings that lie at different depths: what is painted there is uncertain
+_EDGES = 2.0  # largest distance of a vertex from what a station measured there, in edges of the mesh
+_STEP = 6.0  # the same within the neighbourhood of a pixel; larger depth steps make its texture uncertain
 _LARGEST_PX, _JPEG_QUALITY = 2048, 90
 
 

@@ -18,9 +18,9 @@ _CAMERAS_UP = np.array([0.0, -1.0, 0.0])
 
 
 def upright(places: Sequence[Motion], planes: Sequence[RoomPlane], areas: Floats) -> tuple[Motion, int | None]:
-    """X_up = rotation X + translation, and which plane is the floor; None if there is none, and the cameras say it.
+    """X_up = rotation X + translation, and the number of the floor; None without a floor, if the cameras define up.
 
-    `areas` (P,): how much was seen of each plane.
+    `areas` (P,): visible area of each plane.
     """
     cameras_up = np.sum([place.rotation @ _CAMERAS_UP for place in places], axis=0)
     cameras_up /= np.linalg.norm(cameras_up)

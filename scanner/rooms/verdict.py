@@ -8,7 +8,7 @@ from scanner.quantities import shown_unit
 from scanner.results import Verdict
 from scanner.rooms.contents import SolvedRoom
 
-# Each station then counts for so many less: its smooth errors are those of all others, too.
+# Each station then has less weight, because its smooth errors are common to all.
 _MOST_ALIKE = 2.0
 
 AMBIGUOUS = "The stations fit together in more than one way"
@@ -27,8 +27,8 @@ def verdict_on(room: SolvedRoom) -> Verdict:
                 "the same from different places, or too little of it was seen.",
                 "Both are in room.yaml; cloud, mesh and plan are of the likelier one.",
             ),
-            "Put something into the room that makes its sides different, a box on the floor say, and scan again; or "
-            "add a station between two others.",
+            "Put something into the room that makes its sides different, such as a box on the floor, and scan again; "
+            "or add a station between two others.",
         )
     reasons = tuple(_reasons(room))
     loose = sorted({names[each.station] for each in room.estimate.undetermined})
@@ -42,15 +42,15 @@ def verdict_on(room: SolvedRoom) -> Verdict:
     if room.estimate.levels.alike > _MOST_ALIKE:
         return Verdict(
             "fair",
-            f"{len(names)} stations are one room, but the lenses bend light in a way that is not modelled.",
+            f"{len(names)} stations are one room, but the lenses have distortion that is not modelled.",
             ("Smooth errors are the same at all stations, so lengths may err by more than their sigmas.", *reasons),
-            "Calibrate the rig with a printed board (scan board), which finds how square pixels are, too, and give "
+            "Calibrate the rig with a printed board (scan board), which estimates the pixels' aspect, too, and give "
             "its result with --calibration.",
         )
     if room.outlier_stations:
         left = ", ".join(each.name for each in room.outlier_stations)
         return Verdict("fair", f"{len(names)} stations are one room; left out: {left}.", reasons)
-    return Verdict("good", f"{len(names)} stations are one room, and every station is held by the others.", reasons)
+    return Verdict("good", f"{len(names)} stations are one room, and the others determine the pose of each.", reasons)
 
 
 def _reasons(room: SolvedRoom) -> Iterator[str]:
@@ -73,6 +73,6 @@ def _reasons(room: SolvedRoom) -> Iterator[str]:
     if np.isfinite(residuals).any():
         residual = np.sqrt(np.nanmean(residuals**2))
         yield f"With planes shared by all stations, cells of matches are off by {residual:.3f} projector px."
-    for stranger in room.outlier_stations:
-        yield f"{stranger.name} is left out: {stranger.reason}."
+    for outlier in room.outlier_stations:
+        yield f"{outlier.name} is left out: {outlier.reason}."
     yield from room.remarks

@@ -14,18 +14,18 @@ from scanner.targets.target import Target
 
 _SB = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _FEWEST = 12  # points
-# AprilTag's lines meet at the corners without the bias that a blurred corner has, in pixels whose corners are whole
+# Lines of AprilTags meet at the corners without the bias of a blurred corner. In their pixels, corners are at whole
 # numbers.
 _APRILTAG_ORIGIN = 0.5
-_NO_SQUARES = 0.7  # of the usual contrast; where squares meet a white rim there is half of it
+_NO_SQUARES = 0.7  # share of the usual contrast; between squares and a white rim there is half of it
 _BESIDE_MARKERS = 0.35
-_STRAY = 0.15  # of a square: where a point is none of the board's
-# Dictionaries that boards are printed with; what a board has is found by trying.
+_STRAY = 0.15  # distance in squares beyond which a point is not on the board
+# Dictionaries of printed boards; a board's is found by trial.
 _DICTIONARIES = (
     *("DICT_5X5_1000", "DICT_4X4_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"),
     *("DICT_APRILTAG_36h11", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5"),
 )
-_BLOB_SHARES = (2e-5, 2e-2)  # of the image's area
+_BLOB_SHARES = (2e-5, 2e-2)  # shares of the image's area
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def detect(image: Image, target: Target) -> Detected:
     if found is None:
         raise NotFoundError(f"no {target} was found{_what_else(grey, target)}")
     if _is_another(_without(grey, found, target), target):
-        raise NotFoundError(f"there are two boards like {target} in the picture, and only one may be")
+        raise NotFoundError(f"there are two boards like {target} in the picture; expected one")
     return found
 
 
@@ -75,7 +75,7 @@ def _find(grey: Image, target: Target) -> Detected | None:
     found = None if found is None else _consistent(found, target)
     if found is None or target.kind not in ("chessboard", "charuco"):
         return found
-    # Beside a ChArUco board's corners there are markers.
+    # Chessboard corners between markers belong to a ChArUco board.
     free = target.square * (_BESIDE_MARKERS if target.kind == "charuco" else 1.0)
     return Detected(found.points, refined(grey, found.points, found.pixels, free))
 
@@ -118,12 +118,12 @@ def _chessboard(grey: Image, target: Target) -> Detected | None:
 
 
 def _largest(grey: Image, counts: tuple[int, int]) -> Floats | None:
-    """The corners (R, C, 2) of the chessboard that has these counts or more; None if there is none."""
+    """The corners (R, C, 2) of a chessboard with at least these counts; None if there is none."""
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, counts, _SB | cv2.CALIB_CB_LARGER)
     if not found:
         return None
     grid = _pixels(corners).reshape(*meta.shape[:2], 2)
-    # The rim of the board's sheet may pass for one more row of corners, but has no squares on either side.
+    # The rim of the sheet may look like another row of corners, but has no squares on either side.
     contrast = _contrast(grey, grid)
     usual = float(np.median(contrast))
     while (odd := _odd_side(contrast, usual)) is not None:
@@ -197,7 +197,7 @@ def _aprilgrid(grey: Image, target: Target) -> Detected | None:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     best: Detected | None = None
-    for border in (2, 1):  # Kalibr's tags have two, OpenCV's one
+    for border in (2, 1):  # Kalibr's tags have a border of two modules, OpenCV's of one
         parameters.markerBorderBits = border
         corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
         if ids is None or not len(corners):
@@ -260,8 +260,8 @@ def _what_else(grey: Image, target: Target) -> str:
                 return f", but {_counted(grid)}"
     if target.kind in ("charuco", "aprilgrid"):
         seen = max(_markers(grey), default=0)
-        return f", but markers as it may have, {seen} of them" if seen else ", and no markers either"
-    return ": it has to be lit and wholly in the picture, and counted as given"
+        return f", but {seen} markers of such a board" if seen else ", nor any markers"
+    return ": it must be lit, completely in the picture, and have these counts"
 
 
 def _markers(grey: Image) -> Iterator[int]:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.geometry import homography_between, mapped
 from calib.numerics import Floats, Image
 
-_RIM = 48  # points around a dot
+_RIM = 48  # samples around a dot
 _STEP = 1e-3  # of the dots' distance
 _WINDOW = 0.45  # half a window around a dot, in distances to its neighbour
 

@@ -12,11 +12,11 @@ import numpy as np
 from calib.geometry import homography_between, mapped
 from calib.numerics import Floats, Image
 
-_BLUR, _WINDOW = 0.08, 0.08  # of a square: standard deviations
+_BLUR, _WINDOW = 0.08, 0.08  # standard deviations, in squares
 _LEAST_BLUR_PX, _LEAST_WINDOW_PX = 0.8, 1.0
-_REACH = 1.5  # of the window's
+_REACH = 1.5  # in standard deviations of the window
 _STEPS = 8
-_FARTHEST = 0.2  # of a square, from where the detector put it
+_FARTHEST = 0.2  # largest distance in squares from the detected position
 
 
 def refined(grey: Image, points: Floats, pixels: Floats, square: float) -> Floats:
@@ -63,7 +63,7 @@ def _saddle(smooth: Image | np.ndarray, start: Floats, side: float) -> Floats:
 def _fit(half: int, window: float) -> Floats:
     """Takes a patch, row by row, to the six coefficients of the quadratic that fits it best around its middle."""
     y, x = (axis.ravel().astype(np.float64) for axis in np.mgrid[-half : half + 1, -half : half + 1])
-    weight = np.exp(-(x * x + y * y) / (4 * window**2))  # the root of a Gaussian's
+    weight = np.exp(-(x * x + y * y) / (4 * window**2))  # the square root of a Gaussian
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1) * weight[:, None]
     fit: Floats = np.asarray(np.linalg.pinv(terms), np.float64) * weight
     return fit

@@ -15,13 +15,13 @@ KINDS = {
     "acircles": "dots in a row, and rows, every other of which is shifted by half",
 }
 UNIT = "mm"
-# The board that --print charuco:A4 prints.
+# The board of --print charuco:A4.
 CHARUCO_A4 = (6, 9)
 _SHEETS = {"A4": CHARUCO_A4}
-TAG_SPACING = 0.3  # between the tags of an AprilGrid, as a share of their side: Kalibr's
+TAG_SPACING = 0.3  # gap between tags over their side, as in Kalibr
 _MOST = 100
 _SQUARES = (1e-3, 1e6)  # in `UNIT`
-_MARGIN = 0.8  # of a square around the points, where the board still is
+_MARGIN = 0.8  # margin of the board around the points, in squares
 
 
 @dataclass(frozen=True)

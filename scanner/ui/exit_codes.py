@@ -52,7 +52,7 @@ def _failure(code: int, error: BaseException, introduction: str = "", *more: str
 
 
 def _on_a_screen(message: str, *more: str) -> str:
-    """The message, and less of it where it is longer than a screen: what it quotes may be of any length."""
+    """The message, shortened to a screen: quotations may be of any length."""
     lines = [shortened(line, _LONGEST_LINE) for line in message.splitlines()]
     if len(lines) > _MOST_LINES:
         lines[_MOST_LINES - 1 :] = [f"(and {len(lines) - _MOST_LINES + 1} lines more)"]

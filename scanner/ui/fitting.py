@@ -1,4 +1,4 @@
-"""Text and tables in a terminal as wide as it is: no line is broken inside a number, and no digit is left out."""
+"""Text and tables fitted to the width of the terminal: no line breaks within a number, and no digit is lost."""
 
 import shutil
 import textwrap

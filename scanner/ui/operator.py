@@ -14,7 +14,7 @@ class Operator(Protocol):
         """Wait until what is asked for in a sentence is done; False if the operator goes on with what there is."""
 
     def tell(self, *sentences: str) -> None:
-        """Say what is to be known now."""
+        """Show sentences to the operator."""
 
     def note(self, text: str) -> None:
         """Say what is to be known whether or not what is being done succeeds."""

@@ -8,10 +8,10 @@ T = TypeVar("T")
 
 
 class Progress(Protocol):
-    """Told of everything that takes a while. May raise, to have it stopped there."""
+    """Receives the progress of long operations. May raise, to stop them."""
 
     def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
-        """Pass `items` on, of which there are `total`, and tell how many went by."""
+        """Pass `items` on, of which there are `total`, and report their number."""
 
     def step(self, what: str) -> AbstractContextManager[None]:
-        """Tell what is being done for as long as the block runs."""
+        """Report an operation that lasts until the block ends."""

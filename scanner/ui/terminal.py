@@ -65,7 +65,7 @@ class Terminal:
                 self._out.print(shown)
 
     def tell(self, *sentences: str) -> None:
-        """Print what an operator is to know now."""
+        """Print sentences for the operator."""
         self.show(*sentences)
 
     def note(self, text: str) -> None:

@@ -1,1 +1,1 @@
-"""A finished result in 3-D, in the browser. Only scene, panel, server and view know viser; the rest is arrays, text."""
+"""A finished result in 3-D, in the browser. Only scene, panel, server and view use viser."""

@@ -15,16 +15,16 @@ from scanner.viewing.result import CaptureCloud, CloudWithSigma, ViewedCloud
 _FACE_WORDS = ("orange", "sky blue", "green")
 _SHOWN_SHARE = (0.01, 0.99)
 _NOISE_ALONE = (
-    "It is that of a single point, from the decoder's noise; errors of the calibration move neighbouring points "
-    "alike and are stated below."
+    "It contains the decoder's noise, which is independent at each point. Errors of the calibration, which move "
+    "neighbouring points together, are stated below."
 )
 _BOTH = (
-    "It comes from the decoder's noise, which moves each point by itself, and from the calibration's covariance, which "
-    "moves neighbouring points alike. The unit of length is not part of it."
+    "It contains the decoder's noise, which is independent at each point, and the calibration's covariance, which "
+    "moves neighbouring points together. The uncertainty of the scale is not part of it."
 )
 _DEVIATION = (
-    "Distance of each point from the plane through its face, + towards the camera; grey: on no face. It is what the "
-    "flatness below sums up."
+    "Distance of each point from the plane through its face, + towards the camera; grey: on no face. The "
+    "flatness below summarises it."
 )
 
 

@@ -10,10 +10,10 @@ from scanner.measuring import Scene
 from scanner.results import FinishedScan
 from scanner.viewing.decimation import shuffled
 
-# So many points tell as well as all how far a face reaches.
+# This many points determine the extent of a face.
 _OUTLINED_POINTS = 100_000
 
-# A face ends where nearly all of its points do: strays would make it as large as the room behind them.
+# The extent of a face ignores outliers, which would make it as large as the room behind them.
 _REACH_QUANTILE = 0.995
 
 

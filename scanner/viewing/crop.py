@@ -11,7 +11,7 @@ from scanner.io import CloudPoints, write_merged_ply, write_ply, write_room_ply
 from scanner.quantities import FACE_NAMES
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 
-# Strays, which are few and far, make a range no longer: at its ends a box has no walls.
+# Outliers do not extend a range: at its ends a box is open.
 _STRAYS = 0.001
 _EDGES = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b).bit_count() == 1]
 
@@ -70,7 +70,7 @@ def frame_of(cloud: ViewedCloud) -> Frame:
     names: tuple[str, ...] = ("x", "y", "z")
     if isinstance(cloud, CaptureCloud) and cloud.corner is not None:
         corner = cloud.corner.corner
-        # Its axes are right-handed: of legs that are numbered the other way round, two have changed places.
+        # Its axes are right-handed: for legs numbered clockwise, two have been exchanged.
         order = [0, 1, 2] if np.linalg.det(corner.legs) > 0 else [0, 2, 1]
         axes, origin = corner.axes[order], corner.vertex
         names = tuple(f"From face {name}" for name in FACE_NAMES)

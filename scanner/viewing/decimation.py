@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.numerics import Ints
 
-# What a laptop without a graphics card of its own still turns smoothly, and what is sent in a second.
+# Points that a laptop without a graphics card rotates smoothly and receives in a second.
 DEFAULT_SHOWN = 500_000
 
 _SEED = 0

@@ -13,7 +13,7 @@ from scanner.viewing.result import ViewedCloud
 _SAMPLED = 20_000
 _TICKS_WANTED = 4
 FIELD_OF_VIEW_RAD = float(np.radians(50.0))
-# Of a window beside the panel, width over height, until it says what it is.
+# Aspect ratio of a window beside the panel, until the browser reports it.
 USUAL_ASPECT = 1.0
 _MARGIN = 1.1
 _ABOVE, _BESIDE = 0.7, 0.5
@@ -47,14 +47,14 @@ def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
     level = level - (level @ cloud.up) * cloud.up
     level /= np.linalg.norm(level)
     aside = np.cross(level, cloud.up)
-    # On the far side of the camera from the projector neither stands before the other.
+    # Seen from beyond the camera, neither device hides the other.
     aside *= -1.0 if len(devices) and (devices.mean(axis=0) - eye) @ aside > 0 else 1.0
     backward = _ABOVE * cloud.up - level + _BESIDE * aside
     backward /= np.linalg.norm(backward)
     right = np.cross(cloud.up, backward)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(backward, right), backward])
-    near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # strays may be out of sight
+    near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # outliers may be out of sight
     seen = np.concatenate([points[near], devices]) @ axes.T
     centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
     seen -= centre

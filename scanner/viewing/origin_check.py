@@ -28,7 +28,7 @@ _NO_REQUEST = "This is not a request for a page.\n"
 _NO_TOKEN = "Open the address that the program has printed, with its token.\n"
 
 
-# Only the browser knows whether it is dark around it; viser is told by the address.
+# Only the browser knows its colour scheme; viser is told by the address.
 _TO_THE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><title>Opening …</title>
 <script>location.replace(matchMedia("(prefers-color-scheme: dark)").matches ? "/?darkMode" : "/")</script>
 """
@@ -105,7 +105,7 @@ def _serve(
         try:
             refused = origin_check.answer(request.path, request.headers)
             return process_request(connection, request) if refused is None else refused
-        except (LookupError, OSError, ValueError):  # a header that is there twice, a name that no file can have
+        except (LookupError, OSError, ValueError):  # a duplicate header, or a name that no file can have
             return _response(http.HTTPStatus.BAD_REQUEST, _NO_REQUEST)
 
     return serve(*arguments, process_request=asked, **options)

@@ -1,4 +1,4 @@
-"""Beside the 3-D view: what the result says of itself, and the controls for what is shown of it."""
+"""The panel beside the 3-D view: the result's statements, and the controls of the view."""
 
 from collections.abc import Callable
 from functools import partial
@@ -56,7 +56,7 @@ class ResultPanel:
         Raises InputError if a file is missing or damaged.
         """
         name = name or result.names[0]
-        cloud = result.cloud(name)  # before anything is removed: a damaged result replaces nothing
+        cloud = result.cloud(name)  # before anything is removed, so that a damaged result replaces nothing
         with self._lock, self._place:
             self._remove()
             title = result.folder.name or str(result.folder)

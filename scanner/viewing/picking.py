@@ -10,9 +10,9 @@ from scanner.quantities import shown_unit
 from scanner.viewing.result import CaptureCloud
 from scanner.viewing.scale import KnownScale, scale_from
 
-# How far beside the ray of a click a point may be, as an angle: about eight pixels of a window.
+# Largest angle between a picked point and the ray of a click: about eight pixels of a window.
 _REACH_RAD = 0.008
-# Of two points within reach the nearer one is meant, unless it is as good as beside the other.
+# Of two points within reach the nearer one is picked, unless it is about as close to the other.
 _SAME_DEPTH = 0.02
 _MOST = 3
 
@@ -38,7 +38,7 @@ class Picked:
     points: tuple[int, ...] = ()
 
     def with_point(self, point: int) -> "Picked":
-        """Add a point. After three points, or at a point that is already picked, start anew with this one."""
+        """Add a point. After three points, or at a point that is already picked, start again with this one."""
         begins = len(self.points) == _MOST or point in self.points
         return Picked(self.cloud, (point,) if begins else (*self.points, point))
 

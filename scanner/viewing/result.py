@@ -110,7 +110,7 @@ class CaptureCloud(ViewedCloud):
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """The calibration's; None where it is not known."""
+        """The calibration's uncertainty; None if unknown."""
         return self.scene.errors.uncertainty
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import Calibration
 from scanner.measuring import DistanceMeasurement
 
-_LARGEST_SHARE = 0.2  # of a length, that its sigma may have in a configuration
+_LARGEST_SHARE = 0.2  # largest share of a length that its sigma may have in a configuration
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ def scale_from(
 ) -> KnownScale | None:
     """Return the scale from two points whose distance is `known_m` ± `sigma_m`; None if the points are too uncertain.
 
-    The scan measures the baseline relative to the distance, whatever its unit: the sigma does not include that of the
-    result's present scale.
+    The scan measures the baseline relative to the distance, in any unit: the sigma does not include that of the present
+    scale.
     """
     baseline_m = calibration.baseline / distance.distance * known_m
     budget = distance.budget

@@ -28,11 +28,11 @@ from scanner.viewing.result import PlacedRig, ViewedCloud
 from scanner.viewing.surface import Surface
 from scanner.viewing.texts import angle_name
 
-# The browser's camera is made for scenes of a few units: clouds of any unit are drawn in this size.
+# The browser's camera is made for scenes of a few units, so clouds are scaled to this size.
 _DRAWN_SIZE = 2.0
 _FRUSTUM_OF_SIZE = 0.25
 _FACE_OPACITY = 0.15
-# As far from a white page as from a dark one.
+# Equally visible on white and dark pages.
 _INK = (118, 118, 118)
 _LINE_PX = 2.0
 _POINT_OF_SIZE = 0.9
@@ -124,7 +124,7 @@ class Scene:
             f"{CLOUD}/points",
             points=self._drawn(cloud.points[chosen]),
             colors=paint.colours,
-            # Points as large as their distance on surfaces that fill the view: no gaps, no blobs.
+            # The point size equals their spacing on surfaces that fill the view.
             point_size=_POINT_OF_SIZE * _DRAWN_SIZE / np.sqrt(max(share * len(cloud.points), 1)),
             point_shape="circle",
             point_shading="flat",
@@ -144,7 +144,7 @@ class Scene:
         self._scene.remove_by_name(f"{CLOUD}/points")
         self._scene.remove_by_name(_MESH)
         if triangles:
-            # Turned from glTF's y up to the camera's y down.
+            # Rotated from glTF's y up to the camera's y down.
             self._scene.add_glb(_MESH, data, scale=self._factor, wxyz=(0.0, 1.0, 0.0, 0.0))
         return Shown(0, 0, triangles, paint)
 
@@ -258,7 +258,7 @@ class Scene:
         self._lines(f"{FACES}/ruler", lines, _INK)
         step = nice_step(reach)
         text = f"{shown.factor * step:g} {shown.name}"
-        # Beside one of its divisions about the edge's middle: the vertex has a name, and the end an angle.
+        # Next to a tick near the edge's middle, because its ends carry a name and an angle.
         place = (max(0, round(reach / (2 * step) - 0.5)) + 0.5) * step
         self._label(f"{LABELS}/ruler", text, vertex + place * edge, "top-center")
 

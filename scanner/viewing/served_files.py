@@ -1,7 +1,7 @@
-"""Files of results under addresses of the page's own server, so that a report opens with its links and pictures.
+"""Files of results at addresses of the page's server, so that a report opens with its links and pictures.
 
-Only files in folders that were offered are answered, whatever the address says. A result may be a stranger's: its pages
-run no script but the report's own viewer, and load nothing; everything else is downloaded, never shown.
+Only files in offered folders are served, for any address. A result may be of unknown origin: its pages run only the
+report's own viewer script, and load nothing; everything else is downloaded, never shown.
 """
 
 import http
@@ -44,7 +44,7 @@ class ServedFiles:
             return None
         found = self._file([unquote(part) for part in rest.split("/")])
         if found is not None:
-            with suppress(InputError):  # one that unpacks to nothing much, or may not be read
+            with suppress(InputError):  # one that is a decompression bomb, or unreadable
                 return _response(http.HTTPStatus.OK, read_whole(found), _headers(found))
         return _response(http.HTTPStatus.NOT_FOUND, b"There is no such file.\n", {"Content-Type": "text/plain"})
 
@@ -55,9 +55,9 @@ class ServedFiles:
         if folder is None or not names or any(not name or "\0" in name for name in names):
             return None
         try:
-            found = folder.joinpath(*names).resolve()  # also where a link leads
+            found = folder.joinpath(*names).resolve()  # also follows links
             return found if found.is_relative_to(folder) and found.is_file() else None
-        except (OSError, RuntimeError):  # a name that is too long, links in a circle
+        except (OSError, RuntimeError):  # a name that is too long, or circular links
             return None
 
 

@@ -36,11 +36,11 @@ def serving(title: str, host: str, wanted_port: int | None) -> Iterator[Serving]
     Raises InputError if it cannot be had at that address.
     """
     port = free_port(host, wanted_port)
-    # What somebody sends who does not speak the page's language is no news for the terminal.
+    # Malformed messages of clients are not shown in the terminal.
     logging.getLogger("websockets").addHandler(logging.NullHandler())
     served_files = ServedFiles()
     origin_check = OriginCheck(host, served_files.answer)
-    with origin_check.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is ours to say
+    with origin_check.watching(), redirect_stdout(StringIO()):  # viser prints a banner; the address is printed by us
         server = viser.ViserServer(host, port, label=title, verbose=False)
     try:
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=_BRAND)

@@ -31,7 +31,7 @@ def notes_text(verdict: Verdict | None) -> str:
 
 
 def link_html(address: str, text: str) -> str:
-    """A link that opens beside the page."""
+    """A link that opens in another tab."""
     return f'<p class="scan-link"><a href="{escape(address)}" target="_blank" rel="noopener">{escape(text)}</a></p>'
 
 
@@ -48,9 +48,9 @@ def bar_html(bar: ColourBar | None) -> str:
 
 
 def verdict_text(verdict: Verdict | None) -> str:
-    """The verdict with what it rests on, or where to look for it."""
+    """The verdict with its reasons, or where to find it."""
     if verdict is None:
-        return "This result does not say how far it can be trusted. Its report.html does."
+        return "This result does not state its verdict. Its report.html does."
     lines = [f"**{verdict.sign} {escaped(verdict.headline)}**", ""]
     lines += [f"- {escaped(reason)}" for reason in verdict.reasons[:DECISIVE]]
     if verdict.advice:
@@ -59,7 +59,7 @@ def verdict_text(verdict: Verdict | None) -> str:
 
 
 def calibration_text(calibration: Calibration, truth: Calibration | None) -> str:
-    """Return every parameter with its sigma, beside the truth where that is known."""
+    """Return every parameter with its sigma, and the truth if it is known."""
     known = truth is not None
     lines = [f"| | value | sigma |{' truth |' if known else ''}", f"|:--|--:|--:|{'--:|' if known else ''}"]
     baseline = [quantity for quantity in pose_quantities(calibration, truth) if quantity.name == "baseline"]

@@ -1,4 +1,4 @@
-"""`scan view`: a result on a page of its own."""
+"""`scan view`: a page for one result."""
 
 from pathlib import Path
 

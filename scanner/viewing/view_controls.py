@@ -21,8 +21,8 @@ from scanner.viewing.texts import bar_html, bold
 _PARTS = {"Devices": RIGS, "Faces, ruler": FACES, "Names": LABELS}
 _WHOLE_PERCENT = 100
 _POINTS, _SURFACE = "Points", "Surface"
-_STEPS = 200  # in a range, at least
-PLAIN = (90, 98, 106)  # of buttons that are not what one usually presses next
+_STEPS = 200  # least number of steps in a range
+PLAIN = (90, 98, 106)  # colour of secondary buttons
 
 
 class ViewControls:
@@ -64,7 +64,7 @@ class ViewControls:
     def box(self) -> Box:
         """The crop box."""
         chosen = np.array([field.value for field in self._ranges])
-        # What was not changed is the end of the cloud, whatever was rounded.
+        # An unchanged end of a range is that of the cloud, regardless of rounding.
         whole = np.stack([self._frame.low, self._frame.high], axis=1)
         factor = shown_unit(self._cloud.unit).factor
         return box_within(self._frame, np.where(chosen == np.array(self._ends), whole, chosen / factor))

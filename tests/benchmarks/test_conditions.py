@@ -1,4 +1,4 @@
-"""The page of conditions says what it should of captures whose outcome is known."""
+"""The benchmark of conditions judges captures with known outcomes correctly."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +53,7 @@ SIGMA = Sigmas(DeviceSigmas((1.0, 1.0)), DeviceSigmas((3.0, 3.0), (0.5, 0.5)))
         (0.1, Sigmas(), True, True),  # a calibration that states no sigma
     ],
 )
-def test_wrong_is_beyond_either_limit_and_useful_within_either(
+def test_limits_of_wrong_and_useful_results(
     undisturbed: tuple[Capture, Truth], percent: float, sigma: Sigmas, wrong: bool, useful: bool
 ) -> None:
     truth = undisturbed[1]
@@ -65,14 +65,14 @@ def test_wrong_is_beyond_either_limit_and_useful_within_either(
     assert (error.is_wrong, error.is_useful) == (wrong, useful)
 
 
-def test_of_what_is_no_pinhole_only_the_camera_counts(undisturbed: tuple[Capture, Truth]) -> None:
+def test_without_a_pinhole_projector_only_the_camera_is_judged(undisturbed: tuple[Capture, Truth]) -> None:
     truth = replace(undisturbed[1], pinhole=False)
     error = calibration_error(changed(truth.calibration, 20.0, SIGMA), truth)
     assert error.percent.tolist() == [0.0]
     assert not error.is_wrong
 
 
-def test_matches_are_held_against_what_their_pixels_see(undisturbed: tuple[Capture, Truth]) -> None:
+def test_matches_are_compared_with_the_true_projector_pixels(undisturbed: tuple[Capture, Truth]) -> None:
     truth = undisturbed[1]
     y, x = (places[::7] for places in np.nonzero(truth.lit))
     right = Matches(np.stack([x, y], axis=1).astype(float), truth.projector_px[y, x].astype(float))
@@ -85,7 +85,7 @@ def test_matches_are_held_against_what_their_pixels_see(undisturbed: tuple[Captu
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_the_plain_decoder_reads_every_sequence(undisturbed: tuple[Capture, Truth], sequence: str) -> None:
-    """Of a projector that is looked at straight and pixel by pixel: its own pictures are the frames."""
+    """The camera sees the projector's pixels exactly: its own pictures are the frames."""
     patterns = patterns_of(sequence, PROJECTOR)
     found = plain_matches(patterns, [draw(pattern, PROJECTOR) for pattern in patterns])
     assert len(found) == PROJECTOR[0] * PROJECTOR[1]
@@ -93,7 +93,7 @@ def test_the_plain_decoder_reads_every_sequence(undisturbed: tuple[Capture, Trut
     assert error.max() < 0.02  # 8-bit levels of fringes
 
 
-def test_a_gray_code_without_its_finest_bits_has_the_centres_of_cells() -> None:
+def test_a_gray_code_without_its_finest_bits_gives_cell_centres() -> None:
     patterns = patterns_of("gray", PROJECTOR)
     found = plain_matches(patterns, [draw(pattern, PROJECTOR) for pattern in patterns], without_bits=2)
     assert len(found) == 54 * 30
@@ -101,7 +101,9 @@ def test_a_gray_code_without_its_finest_bits_has_the_centres_of_cells() -> None:
     np.testing.assert_allclose(found.projector_px[whole], found.camera_px[whole])
 
 
-def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undisturbed: tuple[Capture, Truth]) -> None:
+def test_an_undisturbed_capture_is_decodable_and_one_with_an_inverted_bit_is_not(
+    undisturbed: tuple[Capture, Truth],
+) -> None:
     capture, truth = undisturbed
     assert could_be_decoded([plain_matches(capture.patterns, capture.frames)], truth)
     coarse = next(i for i, p in enumerate(capture.patterns) if isinstance(p, Gray) and (p.axis, p.bit) == ("y", 1))
@@ -109,7 +111,7 @@ def test_a_good_capture_could_be_decoded_and_a_bit_turned_over_could_not(undistu
     assert not could_be_decoded([plain_matches(turned.patterns, turned.frames)], truth)
 
 
-def test_what_is_disturbed_in_places_could_be_decoded(undisturbed: tuple[Capture, Truth]) -> None:
+def test_a_locally_disturbed_capture_is_decodable(undisturbed: tuple[Capture, Truth]) -> None:
     capture, truth = undisturbed
     matches = plain_matches(capture.patterns, capture.frames)
     passed = matches.camera_px[:, 0] < np.quantile(matches.camera_px[:, 0], 0.2)
@@ -118,7 +120,7 @@ def test_what_is_disturbed_in_places_could_be_decoded(undisturbed: tuple[Capture
     assert not could_be_decoded([Matches(matches.camera_px, matches.projector_px[:, ::-1])], truth)
 
 
-def test_totals_leave_out_mistakes_and_count_only_what_a_plain_decoder_can() -> None:
+def test_totals_count_only_decodable_captures_without_mistakes() -> None:
     fault = next(condition for condition in conditions() if condition.fault)
     outcomes = [
         FOUND,
@@ -144,7 +146,7 @@ def test_a_table_replaces_the_one_before_it(tmp_path: Path) -> None:
     assert page.read_text() == f"before\n{BEGIN}\nnew\n{END}\nafter\n"
 
 
-def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_own() -> None:
+def test_every_condition_applies_to_every_sequence_and_has_a_unique_name() -> None:
     rng = np.random.default_rng(0)
     names = [(condition.name, condition.strength) for condition in conditions()]
     assert len(set(names)) == len(names) > 80
@@ -156,13 +158,13 @@ def test_every_condition_can_be_drawn_for_every_sequence_and_has_a_name_of_its_o
             assert all(2 <= frame < len(patterns) for frame in frames), condition
 
 
-def test_as_many_lit_pixels_saturate_as_is_said(undisturbed: tuple[Capture, Truth]) -> None:
+def test_the_stated_share_of_lit_pixels_saturates(undisturbed: tuple[Capture, Truth]) -> None:
     saturated, truth = captured(named("saturated in white", "30 % of lit pixels"), SETUP)
     assert 0.2 < np.mean(saturated.frames[0][truth.lit] == 255) < 0.4
     assert np.mean(undisturbed[0].frames[0][truth.lit] == 255) < 0.01
 
 
-def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed: tuple[Capture, Truth]) -> None:
+def test_mistakes_with_frames_change_only_frames(undisturbed: tuple[Capture, Truth]) -> None:
     capture, rng = undisturbed[0], np.random.default_rng(0)
     for name, changed_frames in (("two frames exchanged", 2), ("one frame repeated", 1)):
         after = named(name, "").frames(capture, rng)
@@ -178,8 +180,8 @@ def test_mistakes_with_frames_change_frames_and_nothing_else(undisturbed: tuple[
 
 
 @pytest.mark.parametrize("sequence", ["quick", "standard"])
-def test_stray_light_that_a_camera_of_many_bits_sees_is_not_what_was_shown(sequence: str) -> None:
-    """It comes by way of other surfaces, with bits of its own, a hundredth as bright, and clear of any noise."""
+def test_stray_light_above_the_noise_of_a_12_bit_camera_is_not_decoded(sequence: str) -> None:
+    """Stray light comes from other surfaces, with other bits, a hundredth as bright, and above the noise."""
     condition = named("camera of 12 bits", "20 × as many electrons")
     capture, truth = captured(condition, replace(SETUP, sequence=sequence))
     decoder = Decoder(capture.patterns, capture.projector_size)
@@ -190,8 +192,8 @@ def test_stray_light_that_a_camera_of_many_bits_sees_is_not_what_was_shown(seque
     assert 0.005 < np.median(match_errors(matches, truth)) < 0.1
 
 
-def test_what_looks_like_switched_light_and_is_not_is_decoded_as_it_is() -> None:
-    """Plain Gray code, each frame exposed anew: without the light that it looks like, it makes no sense."""
+def test_exposure_changes_that_look_like_switched_light_decode() -> None:
+    """Plain Gray code, each frame exposed differently: removing the apparent light change would break the code."""
     outcome = run(named("each frame exposed differently", "up to × 3"), replace(SETUP, sequence="gray"))
     assert outcome.exit_code == 0, outcome.message
     assert outcome.match_median_px is not None

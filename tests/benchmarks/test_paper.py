@@ -1,4 +1,4 @@
-"""The page of the paper's results: what is measured on a tiny capture, kept, and written."""
+"""The page of the paper's results: what a tiny capture measures is stored and written."""
 
 import json
 import re
@@ -32,7 +32,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Setup:
     return Setup((0,), Size(306, 256), Size(214, 120), tmp_path_factory.mktemp("captures"), quick=True)
 
 
-def test_the_page_is_what_the_kept_results_say() -> None:
+def test_the_page_shows_the_kept_results() -> None:
     text, pictures = render(KEPT)
     stale = "docs/results.md is stale: run python benchmarks/bench_paper.py --page"
     assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == text, stale
@@ -42,13 +42,13 @@ def test_the_page_is_what_the_kept_results_say() -> None:
 
 
 def with_plain_pixels(svg: str) -> str:
-    """Other releases of Pillow compress the same pictures otherwise."""
+    """PNG bytes depend on the release of Pillow, so pictures are compared as pixels."""
     return re.sub(r"base64,([^\"]+)", lambda data: Image.open(BytesIO(b64decode(data[1]))).tobytes().hex(), svg)
 
 
 @pytest.fixture(scope="module")
 def measured(tiny: Setup, tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """As without pycolmap."""
+    """Results without pycolmap."""
     results = Results(tmp_path_factory.mktemp("results"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("paper.sphere.HAS_COLMAP", False)
@@ -57,8 +57,8 @@ def measured(tiny: Setup, tmp_path_factory: pytest.TempPathFactory) -> Results:
     return results
 
 
-def test_ideal_lenses_are_what_the_papers_objectives_need(measured: Results) -> None:
-    """With them its sums find the intrinsics of a decoded room; E_cycle as well as E, as in its table 2."""
+def test_the_papers_objectives_need_ideal_lenses(measured: Results) -> None:
+    """With ideal lenses, both of its objectives find the intrinsics of a decoded room, as in its table 2."""
     room = measured.read("table2")["room 0"]
     for sum_of_terms in (7, 8, 9):
         errors = room["lenses corrected"][sum_of_terms]
@@ -66,7 +66,7 @@ def test_ideal_lenses_are_what_the_papers_objectives_need(measured: Results) -> 
         assert np.abs(room["as decoded"][sum_of_terms]).mean() > 3.0
 
 
-def test_some_of_the_matches_on_faces_are_drawn(tiny: Setup) -> None:
+def test_a_sample_of_the_matches_on_faces_is_drawn(tiny: Setup) -> None:
     masked = captured(tiny, 0).with_true_faces
     some = thinned(masked, 100, seed=1)
     assert len(some) == 100
@@ -74,7 +74,7 @@ def test_some_of_the_matches_on_faces_are_drawn(tiny: Setup) -> None:
     assert len(thinned(masked, 10**9, seed=1)) == np.count_nonzero(masked.labels >= 0)
 
 
-def test_what_was_measured_is_on_the_page_and_what_was_not_is_named(measured: Results, tmp_path: Path) -> None:
+def test_the_page_shows_measured_results_and_names_missing_ones(measured: Results, tmp_path: Path) -> None:
     write_page(tmp_path / "page.md", tmp_path / "images", measured)
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
     sums = measured.read("table2")["room 0"]["lenses corrected"]
@@ -89,12 +89,12 @@ def test_what_was_measured_is_on_the_page_and_what_was_not_is_named(measured: Re
     assert sorted(path.name for path in (tmp_path / "images").iterdir()) == ["figure7.svg", "table2.svg"]
 
 
-def test_nothing_measured_is_no_page(tmp_path: Path) -> None:
+def test_without_results_there_is_no_page(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no results"):
         render(Results(tmp_path))
 
 
-def test_parts_are_kept_one_by_one_and_measured_once(tiny: Setup, tmp_path: Path) -> None:
+def test_parts_are_saved_one_by_one_and_measured_once(tiny: Setup, tmp_path: Path) -> None:
     begun: list[str] = []
 
     def measure(_: Setup, part: str) -> Figures:
@@ -114,7 +114,7 @@ def test_parts_are_kept_one_by_one_and_measured_once(tiny: Setup, tmp_path: Path
     assert results.read("parts") == {"a": {"value": 4}}, "parts of another size do not belong together"
 
 
-def test_a_peer_that_wins_is_named_and_one_that_loses_is_not(tmp_path: Path) -> None:
+def test_only_peers_that_are_better_are_named(tmp_path: Path) -> None:
     refined = {"paper": [9.0], "paper, lenses corrected": [0.1], "refined": [0.2]}
     document = {"made_with": {}, "parts": {"room 0": {"10": refined}}}
     (tmp_path / "table3.json").write_text(json.dumps(document))
@@ -126,11 +126,11 @@ def test_a_peer_that_wins_is_named_and_one_that_loses_is_not(tmp_path: Path) -> 
     assert where_peers_are_better(Results(tmp_path)).startswith("Nothing")
 
 
-def test_every_experiment_has_its_place_on_the_page() -> None:
+def test_every_experiment_has_a_place_on_the_page() -> None:
     assert {experiment.name for experiment in TABLES} | {"figure7", "figure8", "beyond"} == set(EXPERIMENTS)
 
 
-def test_curves_break_where_there_is_nothing() -> None:
+def test_curves_have_gaps_at_missing_values() -> None:
     points = [(1.0, 0.5), (2.0, 0.2), (3.0, None), (4.0, 0.1), (5.0, 0.3)]
     svg = curves(
         Axis("x"), "y", {"broken <line>": points, "bound": [(1.0, 0.1), (5.0, 0.2)]}, "alt", {"bound": "bound"}

@@ -20,7 +20,7 @@ def module(path: Path) -> Any:
     return loaded
 
 
-def test_the_reference_is_what_the_schema_says() -> None:
+def test_the_reference_matches_the_schema() -> None:
     written = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     assert written == module(ROOT / "docs" / "make_configuration.py").document(), (
         "docs/configuration.md is stale: run python docs/make_configuration.py"
@@ -31,12 +31,12 @@ def test_the_reference_has_every_key() -> None:
     written = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     keys = set(known_keys(Config))
     sections = {key for key in keys if any(other.startswith(f"{key}.") for other in keys)}
-    assert [key for key in sorted(keys - sections) if f"| `{key}` |" not in written] == []
+    assert [key for key in sorted(keys - sections) if f"|`{key}` |" not in written] == []
     assert [key for key in sorted(sections) if f"`{key}:`" not in written] == []
 
 
 def misspelt(name: str) -> list[str]:
-    """A letter too few, one too many, two exchanged: what happens to hands."""
+    """Misspell a word: one letter missing, one doubled, or two exchanged."""
     middle = len(name) // 2
     return [
         name[:middle] + name[middle + 1 :],
@@ -67,7 +67,7 @@ def test_a_misspelt_key_at_any_depth_names_the_right_one(tmp_path: Path, backend
     assert wrong == []
 
 
-def test_a_key_of_the_other_kind_of_rig_is_called_that() -> None:
+def test_a_key_of_the_other_kind_of_rig_is_named_as_such() -> None:
     with pytest.raises(InputError, match="another kind of this section"):
         load_config(None, ["rig={backend: simulated, gain: 3}"])
 

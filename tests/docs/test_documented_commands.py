@@ -1,4 +1,4 @@
-"""Every command in README.md and docs/ is run, in a folder of its own and with small images."""
+"""Every command in README.md and docs/ is run in its own folder, with small images."""
 
 import os
 import re
@@ -43,7 +43,7 @@ def one_after_the_other() -> pytest.MarkDecorator:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    """Runs a command in a folder that has what the documentation speaks of; the same command is run once."""
+    """Run a command in a folder with the files that the documentation mentions; equal commands run once."""
     folder, before = tmp_path_factory.mktemp("documented"), Path.cwd()
     os.chdir(folder)
     shutil.copytree(ROOT / "configs", "configs")
@@ -79,7 +79,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 
 def photograph_codes(folder: Path) -> None:
-    """What another program leaves of the smallest projector that is sold, and a camera that sees just its picture."""
+    """A folder as another program writes it, for the smallest projector sold and a camera that sees exactly its
+    picture.
+    """
     folder.mkdir()
     width, height = 640, 360
     codes: list[Pattern] = [*gray_sequence("x", width, 1), *gray_sequence("y", height, 1), White(), Black()]
@@ -88,7 +90,7 @@ def photograph_codes(folder: Path) -> None:
 
 
 def shrunk(settings: dict[str, Any]) -> dict[str, Any]:
-    """The same configuration for a smaller camera and projector, and fewer frames."""
+    """The configuration with a smaller camera and projector, and fewer frames."""
     camera = settings["camera"]
     known = camera["principal_point"] = {"known": list(PRINCIPAL_POINT_PX)}
     for index, side in enumerate(("width", "height")):
@@ -101,13 +103,13 @@ def shrunk(settings: dict[str, Any]) -> dict[str, Any]:
 
 @one_after_the_other()
 @pytest.mark.parametrize("command", RUN, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
-def test_it_runs(run: Run, command: Documented, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_runs(run: Run, command: Documented, capsys: pytest.CaptureFixture[str]) -> None:
     code = run(command.text)
     assert code == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", PARSED, ids=lambda command: f"{command.page}:{command.line} {command.text[:60]}")
-def test_its_arguments_are_understood(command: Documented) -> None:
+def test_the_arguments_are_valid(command: Documented) -> None:
     parse(command)
 
 
@@ -155,7 +157,7 @@ def test_settings_in_the_text_exist() -> None:
     assert len(found) >= 2
 
 
-def test_links_lead_somewhere() -> None:
+def test_links_have_targets() -> None:
     links = [
         (page, target)
         for page in PAGES

@@ -1,11 +1,10 @@
-"""The site builds without a warning, needs no other host, and every link in the texts leads somewhere."""
+"""The site builds without warnings, loads nothing external, and all links have targets."""
 
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import calib
 from tests.support.documented import PAGES
 from tests.support.places import ROOT
 
@@ -13,12 +12,12 @@ TEXTS = [*PAGES, *ROOT.glob("*.md"), *(ROOT / "docs" / "decisions").glob("*.md")
 
 
 def anchors(page: Path) -> set[str]:
-    """As GitHub and MkDocs make them of headings."""
+    """Anchors that GitHub and MkDocs make of headings."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_every_link_leads_somewhere() -> None:
+def test_every_link_has_a_target() -> None:
     dead, count = [], 0
     for page in TEXTS:
         for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
@@ -42,8 +41,3 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert [page.name for page, html in pages.items() if loaded.search(html)] == []
     assert "<math" in pages[tmp_path / "site" / "method" / "index.html"]
     assert "arithmatex" not in pages[tmp_path / "site" / "method" / "index.html"]
-
-
-def test_the_page_of_names_has_every_name() -> None:
-    page = (ROOT / "docs" / "python-names.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^::: calib\.\w+\.(\w+)$", page, flags=re.MULTILINE)) == calib.__all__

@@ -1,1 +1,1 @@
-"""Readers under fire: files that were changed at random, and what must never come of it."""
+"""Fuzzing of readers: randomly changed files must give a result or one of our errors."""

@@ -1,4 +1,4 @@
-"""What is read beside captures and results: what earlier runs left, what refusals say, what browsers ask."""
+"""Files beside captures and results: leftovers of earlier runs, refusals, and requests of browsers."""
 
 import json
 from dataclasses import asdict, fields
@@ -14,7 +14,7 @@ from tests.fuzz.mutations import Random, extreme, of_bytes, of_yaml
 
 
 def refusal(folder: Path) -> Run:
-    """`refused.yaml`, and the card that the history shows of it."""
+    """`refused.yaml`, and its card in the history."""
     from scanner.results import REFUSAL_FILE, Verdict, verdict_of
     from scanner.results.stated_uncertainty import verdict_entries, write_refusal
     from scanner.viewing.texts import notes_text, verdict_text
@@ -32,7 +32,7 @@ def refusal(folder: Path) -> Run:
 
 
 def log(folder: Path) -> Run:
-    """`scan.log`, which tells how long the steps took the last time."""
+    """`scan.log`, from which the durations of the steps are read."""
     from scanner.console.progress import durations_in
 
     path = folder / "scan.log"
@@ -47,7 +47,7 @@ def log(folder: Path) -> Run:
 
 
 def row(folder: Path) -> Run:
-    """A row that an earlier run of a batch left, and the table of it."""
+    """A row of an earlier run of a batch, and its table."""
     from scanner.batch.listing import Job
     from scanner.batch.rows import Row
     from scanner.batch.running import run_batch
@@ -87,7 +87,7 @@ def row(folder: Path) -> Run:
 
 
 def left_behind(folder: Path) -> Run:
-    """A scan that was killed, with a damaged state and listing: settled, and no frame of a live one is lost."""
+    """A killed scan with a damaged state and listing: it is settled, and no live frame is lost."""
     from scanner.results import settle
     from scanner.results.leftovers import frames_in
     from tests.support.small_capture import read_listing, write_capture
@@ -116,7 +116,7 @@ def left_behind(folder: Path) -> Run:
             frames = frames_in(partial)
             told = settle(place / "room")
             assert told
-            assert frames_in(place) in ((frames,) if is_live and "had no frames" not in told[0] else (0, frames))
+            assert frames_in(place) in ((frames,) if is_live and "held no frames" not in told[0] else (0, frames))
         finally:
             rmtree(place)
 
@@ -124,7 +124,7 @@ def left_behind(folder: Path) -> Run:
 
 
 def compared(folder: Path) -> Run:
-    """Two calibrations, one of them of extreme numbers: compared, told, and drawn."""
+    """Two calibrations, one of them with extreme values: compared, summarised and drawn."""
     from scanner.comparing import compare_files, rows, summary, write_compare, write_compare_page
     from tests.support.result_folder import write_result
 
@@ -152,7 +152,7 @@ def compared(folder: Path) -> Run:
 
 
 def asked(folder: Path) -> Run:
-    """What a browser asks for, by path and headers: never answered with what was not offered."""
+    """Requests of a browser, by path and headers: only offered files are served."""
     from scanner.viewing.origin_check import OriginCheck
     from scanner.viewing.served_files import ServedFiles
 

@@ -1,4 +1,4 @@
-"""Commands from their arguments to their last file, on what is nearly right."""
+"""Whole commands, on nearly correct input."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ _SQUARES = ("50mm", "50mm", "1e-300mm", "1e300mm", "1e-6", "1000km", "0", "nan",
 
 
 def board(folder: Path) -> Run:
-    """`scan board`: captures with boards at odd poses, with damaged frames and listings, taken for other boards."""
+    """`scan board`: boards at unusual poses, damaged frames and listings, and other boards than stated."""
     from calib.synthetic import BoardOptions, random_boards
     from scanner.commands.catalogue import NAMED
     from scanner.commands.main import parser_of
@@ -60,7 +60,7 @@ def board(folder: Path) -> Run:
 
 
 def batch(folder: Path) -> Run:
-    """`scan batch` with lists of what there is and of what there is not: the table that comes of it."""
+    """`scan batch` with lists of existing and missing captures, and the resulting table."""
     from scanner.batch.listing import Asked, list_jobs
     from scanner.batch.running import run_batch
     from scanner.batch.work import Delivery, work

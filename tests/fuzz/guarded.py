@@ -1,6 +1,6 @@
-"""What may come of an input: a result, or one of our own errors, with a message that fits a screen.
+"""Allowed outcomes of an input: a result, or one of our errors, with a message that fits a screen.
 
-A terminal shows such a message rather than obeying it. Anything else is a finding.
+A terminal must show such a message and not interpret it. Any other outcome is a finding.
 """
 
 import re
@@ -20,7 +20,7 @@ _MOST_LINES = 100
 
 
 class RejectedError(Exception):
-    """One of our errors, as it should be."""
+    """The input was refused with one of our errors."""
 
 
 def rng_of(seed: int, number: int) -> Random:
@@ -29,7 +29,7 @@ def rng_of(seed: int, number: int) -> Random:
 
 
 def guarded(read: Run) -> Run:
-    """The same, whose own errors are looked at: what they say is what a person sees."""
+    """The target, with the messages of our own errors checked."""
 
     def run(rng: Random) -> None:
         try:

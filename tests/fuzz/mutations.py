@@ -1,4 +1,4 @@
-"""Changes to files: of bytes, of YAML as text and as values, of tables, of numbers."""
+"""Mutations of files: bytes, YAML text and values, tables, numbers."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ _CELLS = (
 
 
 def of_bytes(data: bytes, rng: Random) -> bytes:
-    """A few changes to the bytes: flipped, overwritten, taken out, put in, repeated, cut off."""
+    """Some bytes flipped, overwritten, removed, inserted, repeated or cut off."""
     changed = bytearray(data)
     for _ in range(1 + int(rng.geometric(0.5))):
         if not changed:
@@ -59,13 +59,13 @@ def of_bytes(data: bytes, rng: Random) -> bytes:
 
 
 def of_header(data: bytes, rng: Random) -> bytes:
-    """The same, as often as not among the first hundred bytes, where sizes are."""
+    """The same, half of the time among the first hundred bytes, where sizes are."""
     cut = min(100, len(data))
     return of_bytes(data[:cut], rng) + data[cut:] if rng.random() < 0.5 else of_bytes(data, rng)
 
 
 def of_yaml(value: Any, rng: Random) -> bytes:
-    """A YAML text of the value with some of it replaced; or its text changed."""
+    """YAML text of a value with parts replaced, or with its text changed."""
     for _ in range(int(rng.integers(4))):
         value = _of_value(value, rng)
     text = yaml.dump(value, Dumper=yaml.CSafeDumper, allow_unicode=True, sort_keys=False)
@@ -80,7 +80,7 @@ def of_yaml(value: Any, rng: Random) -> bytes:
 
 
 def _of_value(value: Any, rng: Random) -> Any:
-    """One place somewhere inside replaced, taken out, doubled or scaled."""
+    """One nested value replaced, removed, doubled or scaled."""
     if isinstance(value, dict) and value and rng.random() < 0.9:
         keys = list(value)
         key = keys[int(rng.integers(len(keys)))]
@@ -106,7 +106,7 @@ def _of_value(value: Any, rng: Random) -> Any:
 
 
 def of_csv(rows: Sequence[Mapping[str, str]], rng: Random) -> bytes:
-    """A table with a line for each of `rows` and one of their keys, with cells replaced, left out and put in."""
+    """A table of `rows`, with cells replaced, removed and inserted."""
     table = [[*rows[0]], *([*row.values()] for row in rows)]
     for _ in range(int(rng.integers(4))):
         line = table[int(rng.integers(len(table)))]
@@ -119,7 +119,7 @@ def of_csv(rows: Sequence[Mapping[str, str]], rng: Random) -> bytes:
 
 
 def extreme(value: float, rng: Random) -> float:
-    """A number that is near, of another size altogether, or of the other sign."""
+    """A number that is close, of another magnitude, or of the other sign."""
     factor = 10.0 ** float(rng.choice([0.01, 1, 3, 8, 50])) if rng.random() < 0.7 else 1.0
     changed = float(value * factor if rng.random() < 0.5 else value / factor)
     return -changed if rng.random() < 0.2 else changed

@@ -1,4 +1,4 @@
-"""Readers of images: of every format, masks, and photos with what their camera wrote beside them."""
+"""Readers of images: all formats, masks, and photos with metadata."""
 
 import io
 from collections.abc import Callable

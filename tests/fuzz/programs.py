@@ -1,4 +1,4 @@
-"""Whole programs: numbers and files that are well-formed, and of no scene that there is."""
+"""Whole pipelines on well-formed numbers and files of impossible scenes."""
 
 import io
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.fuzz.mutations import Random, extreme
 
 
 def results(folder: Path) -> Run:
-    """A result whose numbers are extreme and well-formed: read, measured, shown and exported."""
+    """A result with extreme but well-formed numbers: read, measured, shown and exported."""
     from calib.pointcloud import build_cloud
     from scanner.exporting import FORMATS, Request
     from scanner.io import read_calibration, write_ply
@@ -64,7 +64,7 @@ def results(folder: Path) -> Run:
 
 
 def _spoil_normals(path: Path, rng: Random) -> None:
-    """Some of the normals in a cloud are none, or of no length that anything has."""
+    """Some normals of a cloud are missing or have an impossible length."""
     header, end, body = path.read_bytes().partition(b"end_header\n")
     vertices = np.frombuffer(bytearray(body), np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rest", "V7")]))
     chosen = rng.random(len(vertices)) < rng.choice([0.01, 1.0])
@@ -73,7 +73,7 @@ def _spoil_normals(path: Path, rng: Random) -> None:
 
 
 def calibrating(folder: Path) -> Run:
-    """Matches → faces → calibration → cloud, of numbers that are well-formed and not of any room."""
+    """Matches → faces → calibration → cloud, on well-formed numbers of no room."""
     from calib.geometry import Matches
     from calib.pointcloud import build_cloud
     from scanner.capture import CaptureMetadata

@@ -1,4 +1,4 @@
-"""Readers of files, each as a function that takes the random numbers of one input and does all with it."""
+"""Readers of files, each as a function of the random numbers of one input."""
 
 import io
 import re
@@ -16,7 +16,7 @@ from tests.fuzz.mutations import Random, of_bytes, of_header, of_yaml
 
 
 def capture(folder: Path) -> Run:
-    """`capture.yaml`, and with frames that fit it the decoder."""
+    """`capture.yaml`, and the decoder on frames that fit it."""
     from scanner.capture import identity, open_capture
     from scanner.patterns import sequence_for
     from scanner.pipeline import decode
@@ -39,7 +39,7 @@ def capture(folder: Path) -> Run:
 
 
 def configuration(folder: Path) -> Run:
-    """A configuration, what it is asked for, and a key set in it."""
+    """A configuration, reading its values, and setting a key in it."""
     from scanner.configuration import load_config, set_keys
 
     seeds = [yaml.safe_load(path.read_text()) for path in sorted(Path("configs").glob("*.yaml"))]
@@ -56,7 +56,7 @@ def configuration(folder: Path) -> Run:
 
 
 def calibration(folder: Path) -> Run:
-    """`calibration.yaml`: the numbers, what they are worth, and how they are shown."""
+    """`calibration.yaml`: numbers, uncertainty, and display."""
     from scanner.io import read_calibration, write_calibration
     from scanner.quantities import calibration_table
     from scanner.results import read_uncertainty, read_verdict
@@ -89,7 +89,7 @@ def calibration(folder: Path) -> Run:
 
 
 def _npz(folder: Path, rng: Random) -> Path:
-    """A matches file, whole or compressed, with odd arrays, headers or bytes."""
+    """A matches file, plain or compressed, with unusual arrays, headers or bytes."""
     count = int(rng.integers(1, 40))
     arrays: dict[str, Any] = {
         "camera_px": rng.uniform(0, 400, (count, 2)),
@@ -204,7 +204,7 @@ def network(folder: Path) -> Run:
 
 
 def imports(folder: Path) -> Run:
-    """Others' folders: names of files, and what is written beside the frames."""
+    """Folders of other programs: file names, and the files beside the frames."""
     from scanner.importing import LAYOUTS, find_frames
 
     names = ["cap_001.png", "cap_002.png", "cap_10.png", "white.png", "12.jpg", "a1b2.tif"]

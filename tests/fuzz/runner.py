@@ -1,6 +1,6 @@
-"""Runs a target in a process of its own, input after input, and watches it: exceptions, hangs, memory.
+"""Runs a target in a separate process, input after input, and detects exceptions, hangs and memory use.
 
-Input number i of a seed is always the same, so that a finding is a target, a seed and a number.
+Input number i of a seed is always the same, so a finding is identified by target, seed and number.
 """
 
 import argparse
@@ -27,7 +27,7 @@ _GUARD_BYTES = 4_000_000_000  # more address space is not given at all
 
 @dataclass(frozen=True)
 class Finding:
-    """A failure: a foreign exception, a hang, too much memory."""
+    """A failure: a foreign exception, a hang, or too much memory."""
 
     target: str
     seed: int
@@ -38,7 +38,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How many `inputs` were run, how many of them were `accepted`, and what was found; one of each kind."""
+    """Number of `inputs` run and `accepted`, and the findings, one of each kind."""
 
     target: str
     inputs: int
@@ -48,7 +48,7 @@ class Outcome:
 
 
 def fuzz(target: str, *, seed: int, inputs: int, seconds: float, hang_s: float = HANG_S) -> Outcome:
-    """Run inputs of a target up to a number or a time; a process that died is restarted."""
+    """Run inputs of a target up to a number or a time, restarting the process if it dies."""
     findings: dict[str, Finding] = {}
     kinds: Counter[str] = Counter()
     end = time.monotonic() + seconds
@@ -65,7 +65,7 @@ def fuzz(target: str, *, seed: int, inputs: int, seconds: float, hang_s: float =
 
 
 class _Progress:
-    """How many inputs were begun and accepted, in a file that two processes share."""
+    """Number of inputs begun and accepted, in a file shared by two processes."""
 
     _NUMBERS = struct.Struct("qq")
 
@@ -88,7 +88,7 @@ class _Progress:
 
 
 def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[tuple[int, str, str]]:
-    """What one process finds; where it had to be killed, or died, that too, and it is the next input's turn."""
+    """The findings of one process, including its death; then the next input is run."""
     command = [sys.executable, "-m", "tests.fuzz", "--worker", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0) as process:
         assert process.stdout is not None
@@ -117,7 +117,7 @@ def _watched(arguments: list[str], progress: _Progress, end: float) -> Iterator[
 
 
 def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> None:
-    """Run inputs one after the other, and tell on stdout what was found."""
+    """Run inputs in sequence, and report findings on stdout."""
     os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
     from tests.fuzz.guarded import RejectedError, rng_of
     from tests.fuzz.targets import PLANTED, TARGETS
@@ -155,7 +155,7 @@ def work(target: str, seed: int, inputs: int, shared: Path, hang_s: float) -> No
 
 
 def _name_of(error: BaseException) -> str:
-    """The kind of an exception, and the line of this program that it came from."""
+    """The type of an exception, and the line of this program that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not {"tests", "site-packages"} & set(Path(frame.filename).parts)]
     at = (own or frames)[-1]

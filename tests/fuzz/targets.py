@@ -1,4 +1,4 @@
-"""All targets by name: each makes, in a folder of its own, what takes the random numbers of one input."""
+"""All targets by name. Each creates its files in a folder and returns a function of random numbers."""
 
 import os
 import time

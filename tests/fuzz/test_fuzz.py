@@ -1,4 +1,4 @@
-"""A few inputs for every reader; `make fuzz` is the same for hours, with an eye on memory and time."""
+"""A few inputs for every reader; `make fuzz` runs the same for hours and checks memory and time."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ _SEED = 2026
 
 @pytest.mark.filterwarnings("ignore")  # as in the program, where they go to the log
 @pytest.mark.parametrize("target", TARGETS)
-def test_whatever_is_read_ends_in_a_result_or_in_one_of_our_errors(target: str, tmp_path: Path) -> None:
+def test_every_reader_gives_a_result_or_one_of_our_errors(target: str, tmp_path: Path) -> None:
     run, rejected = TARGETS[target](tmp_path), 0
     inputs = _SLOW.get(target, _INPUTS)
     for number in range(inputs):
@@ -31,7 +31,7 @@ def test_whatever_is_read_ends_in_a_result_or_in_one_of_our_errors(target: str, 
     ("planted", "found"),
     [("wrong", "KeyError in targets.py"), ("forever", "hang"), ("memory", "memory"), ("death", "died: exit code 3")],
 )
-def test_what_must_not_be_is_found(planted: str, found: str) -> None:
+def test_planted_failures_are_found(planted: str, found: str) -> None:
     assert planted in PLANTED
     outcome = fuzz(planted, seed=0, inputs=2, seconds=120, hang_s=0.5 if planted == "forever" else HANG_S)
     assert outcome.inputs == 2
@@ -49,6 +49,6 @@ def test_what_must_not_be_is_found(planted: str, found: str) -> None:
         ("calibrating", 3, 548),  # no answer beside the best one to compare it with
     ],
 )
-def test_what_was_found_once_is_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:
+def test_earlier_findings_are_refused(target: str, seed: int, number: int, tmp_path: Path) -> None:
     with pytest.raises(RejectedError):
         TARGETS[target](tmp_path)(rng_of(seed, number))

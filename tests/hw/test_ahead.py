@@ -1,4 +1,4 @@
-"""An iterator that runs on in a thread of its own."""
+"""An iterator that runs ahead in its own thread."""
 
 import threading
 import time
@@ -22,7 +22,7 @@ def test_all_items_come_in_order() -> None:
     assert closed == [True]
 
 
-def test_no_more_than_so_many_are_made_ahead() -> None:
+def test_the_number_of_items_made_ahead_is_limited() -> None:
     made = list[int]()
     ahead = Ahead(numbers(20, made, []), 3)
     items = iter(ahead)
@@ -37,7 +37,7 @@ def test_no_more_than_so_many_are_made_ahead() -> None:
     assert ahead.waited_s > 0.01
 
 
-def test_what_goes_wrong_is_raised_in_its_turn() -> None:
+def test_an_error_is_raised_after_the_items_before_it() -> None:
     def items() -> Iterator[int]:
         yield 1
         raise ValueError("the second")
@@ -48,7 +48,7 @@ def test_what_goes_wrong_is_raised_in_its_turn() -> None:
         next(found)
 
 
-def test_who_stops_asking_waits_until_it_has_stopped() -> None:
+def test_leaving_the_loop_waits_for_the_thread() -> None:
     before = threading.active_count()
     made = list[int]()
     items = iter(Ahead(numbers(10**9, made, []), 4))
@@ -58,7 +58,7 @@ def test_who_stops_asking_waits_until_it_has_stopped() -> None:
     assert len(made) <= 5
 
 
-def test_it_can_be_stopped_by_somebody_else() -> None:
+def test_another_thread_can_stop_it() -> None:
     before = threading.active_count()
     made, closed = list[int](), list[bool]()
 
@@ -79,7 +79,7 @@ def test_it_can_be_stopped_by_somebody_else() -> None:
     ahead.stop()
 
 
-def test_what_is_done_beside_is_done_in_order_and_by_the_end() -> None:
+def test_background_work_is_done_in_order_and_by_the_end() -> None:
     done = list[int]()
 
     def work(number: int) -> None:
@@ -93,7 +93,7 @@ def test_what_is_done_beside_is_done_in_order_and_by_the_end() -> None:
     assert done == list(range(10))
 
 
-def test_what_goes_wrong_beside_is_told() -> None:
+def test_an_error_in_background_work_is_raised() -> None:
     def work(number: int) -> None:
         if number == 1:
             raise ValueError("the second")

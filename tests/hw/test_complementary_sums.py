@@ -21,7 +21,7 @@ def series() -> list[np.ndarray]:
 
 
 class Scene:
-    """Reflects unevenly, and returns a tenth of all light from everywhere."""
+    """Uneven albedo, and a tenth of all light as uniform interreflection."""
 
     def __init__(self, noise: float) -> None:
         self._rng = np.random.default_rng(0)
@@ -38,7 +38,7 @@ class Scene:
 
 
 def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5) -> tuple[float, float]:
-    """The foreign share found in a group of `series` where the projector shows other pictures, and the tolerance."""
+    """The foreign share found in a group of `series` if the projector shows other pictures, and the tolerance."""
     scene = Scene(noise)
     sums = scene.sums()
     seen = {number: sums.brightness(scene.frame(each)) for number, each in enumerate(shown)}
@@ -48,7 +48,7 @@ def foreign(shown: list[np.ndarray], group: tuple[int, int], noise: float = 1.5)
 
 @pytest.mark.parametrize("noise", [0.5, 2.0, 6.0])
 @pytest.mark.parametrize("first", range(0, 10, 2))
-def test_right_frames_are_level(first: int, noise: float) -> None:
+def test_sums_of_correct_frames_are_level(first: int, noise: float) -> None:
     found, tolerance = foreign(series(), (first, first + 1), noise)
     assert found < tolerance < 0.1
 
@@ -58,7 +58,7 @@ def test_right_frames_are_level(first: int, noise: float) -> None:
     [(number, towards) for number in range(10) for towards in (-1, 1) if 0 <= number + towards < 10],
 )
 @pytest.mark.parametrize("share", [0.04, 0.2, 0.6, 1.0])
-def test_a_share_of_a_neighbour_is_found(number: int, towards: int, share: float) -> None:
+def test_a_share_of_a_neighbouring_picture_is_detected(number: int, towards: int, share: float) -> None:
     right = series()
     shown = list(right)
     shown[number] = (1 - share) * right[number] + share * right[number + towards]
@@ -69,8 +69,8 @@ def test_a_share_of_a_neighbour_is_found(number: int, towards: int, share: float
 
 
 @pytest.mark.parametrize("behind", [1, 2, 3])
-def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None:
-    """The previous picture stays too long, and all that follow are late by as many frames."""
+def test_a_delayed_display_is_located(behind: int) -> None:
+    """One picture stays too long, and all that follow are late by as many frames."""
     for start in range(1, 8):
         right = series()
         shown = right[:start] + [right[start - 1]] * behind + right[start:]
@@ -79,7 +79,7 @@ def test_a_display_that_falls_behind_is_found_where_it_does(behind: int) -> None
 
 
 def steps(count: int, period: float = 10.0, response: float = 1.0) -> list[np.ndarray]:
-    """Of a fringe, by a projector that makes light of grey levels to that power."""
+    """Steps of a fringe on a projector with this gamma."""
     turns = np.arange(SIZE[1]) / period
     waves = [0.5 + 0.5 * np.cos(2 * np.pi * (turns + step / count)) for step in range(count)]
     return [np.broadcast_to(255 * wave**response, SIZE) for wave in waves]
@@ -96,7 +96,7 @@ def found_in_steps(shown: list[np.ndarray]) -> tuple[float, float]:
 
 @pytest.mark.parametrize("count", [3, 4, 6])
 @pytest.mark.parametrize("response", [1.0, 2.2])
-def test_right_steps_of_a_fringe_are_level(count: int, response: float) -> None:
+def test_sums_of_correct_fringe_steps_are_level(count: int, response: float) -> None:
     found, tolerance = found_in_steps(steps(count, response=response))
     assert found < tolerance
 
@@ -104,8 +104,8 @@ def test_right_steps_of_a_fringe_are_level(count: int, response: float) -> None:
 @pytest.mark.parametrize("response", [1.0, 2.2])
 @pytest.mark.parametrize("share", [0.3, 0.45, 0.8])
 @pytest.mark.parametrize("count", [4, 6])
-def test_opposite_steps_that_are_late_alike_are_found(count: int, share: float, response: float) -> None:
-    """Their sum is as level as that of right ones."""
+def test_equally_late_opposite_steps_are_detected(count: int, share: float, response: float) -> None:
+    """Their sum is as level as that of correct ones."""
     shown = right = steps(count, response=response)
     for late in (1, 1 + count // 2):
         shown = [*shown[:late], (1 - share) * right[late] + share * right[late - 1], *shown[late + 1 :]]
@@ -113,8 +113,8 @@ def test_opposite_steps_that_are_late_alike_are_found(count: int, share: float, 
     assert max(tolerance, 0.3 * share) < found < 1.5 * share
 
 
-def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
-    """White and black differ in nothing but their level."""
+def test_a_change_between_two_takes_of_white_and_black_is_measured() -> None:
+    """White and black differ only in level."""
     scene = Scene(1.5)
     sums = scene.sums()
     white, black = series()[:2]
@@ -125,7 +125,7 @@ def test_black_that_is_late_again_is_not_the_scene_s_own() -> None:
     assert sums.changed_share((0, 1), [white, black], late, late, beside) == 0.0
 
 
-def test_colour_cameras_see_grey() -> None:
+def test_colour_frames_are_checked_as_grey() -> None:
     image = np.arange(60 * 80 * 3, dtype=np.uint16).reshape(60, 80, 3)
     sums = complementary_sums([image * 0] * 3, [image * 0 + 100] * 3, np.ones(SIZE, bool), 0.005)
     np.testing.assert_allclose(sums.brightness(image), image.mean(axis=2)[sums.pixels] / 100)

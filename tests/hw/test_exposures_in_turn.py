@@ -1,4 +1,4 @@
-"""Several exposures of each picture: the exposure changes between frames, never within one."""
+"""Several exposures per picture: the exposure changes between frames, never within one."""
 
 from typing import Any, cast
 
@@ -17,7 +17,7 @@ from tests.support.rig_bench import SIZE, Bench
 
 
 class AdjustableBench(Bench):
-    """Its exposure can be changed, and its pixels grow with it."""
+    """Its exposure can be set, and scales its pixels."""
 
     capabilities = Capabilities(exposure="settable", clock=True)
     exposure_limits_us = (1000.0, 200_000.0)
@@ -50,7 +50,7 @@ def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch: pyt
 
 @pytest.mark.parametrize("latency_ms", [0, 17, 120])
 @pytest.mark.parametrize("lost", [frozenset[int](), frozenset({20, 23, 24, 31})])
-def test_each_frame_is_of_its_own_picture_and_exposure(
+def test_each_frame_has_its_own_picture_and_exposure(
     monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]
 ) -> None:
     bench = AdjustableBench(latency_ms / 1e3, lost=lost).install(monkeypatch)
@@ -89,7 +89,7 @@ def test_a_camera_whose_exposure_is_fixed_is_named(monkeypatch: pytest.MonkeyPat
         exposure_control(bench)
 
 
-def test_exposures_that_the_camera_makes_alike_are_refused_before_the_first_frame(
+def test_exposures_that_the_camera_rounds_to_one_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Coarse(AdjustableBench):

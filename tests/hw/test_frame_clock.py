@@ -1,4 +1,4 @@
-"""When exposures began, from a camera's time stamps and from when frames came."""
+"""Start times of exposures from a camera's time stamps and arrival times."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hw.aravis.frame_clock import FrameClock
 EXPOSURE_S, INTERVAL_S, OFFSET_S, READOUT_S = 0.03, 0.04, 1.7e9, 0.012
 
 
-def test_exposures_began_when_they_did_but_for_what_is_always_the_same() -> None:
+def test_exposure_starts_are_right_up_to_a_constant() -> None:
     clock, rng = FrameClock(), np.random.default_rng(0)
     late_s = []
     for number in range(200):
@@ -21,14 +21,14 @@ def test_exposures_began_when_they_did_but_for_what_is_always_the_same() -> None
     assert clock.tells
 
 
-def test_what_was_lost_in_between_makes_no_interval() -> None:
+def test_lost_frames_do_not_change_the_interval() -> None:
     clock = FrameClock()
     for number in (0, 1, 4, 5, 9):
         clock.begun_s(number, number * INTERVAL_S, 1 + number * INTERVAL_S, EXPOSURE_S)
     assert clock.interval_s == pytest.approx(INTERVAL_S)
 
 
-def test_a_camera_without_a_clock_tells_nothing() -> None:
+def test_a_camera_without_time_stamps_gives_no_interval() -> None:
     clock = FrameClock()
     for number in range(5):
         clock.begun_s(number, 0.0, number * INTERVAL_S, EXPOSURE_S)

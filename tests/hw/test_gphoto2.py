@@ -1,4 +1,4 @@
-"""Photo cameras, at the level of python-gphoto2's interface; no real one was ever tried."""
+"""Photo cameras, at the level of python-gphoto2's interface; no real one was tried."""
 
 import importlib
 import re
@@ -48,7 +48,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
-    """A photo camera that sees the light of the window; its projector is as quick as a simulation."""
+    """A photo camera that sees the light of the window; its projector responds at once."""
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
 
@@ -75,7 +75,7 @@ def opened(**settings: object) -> GPhotoCamera:
     return GPhotoCamera(GPhotoRigSettings.model_validate({"backend": "gphoto2", **settings}), SIZE, 60.0)
 
 
-def test_a_capture_is_of_few_patterns_and_can_be_taken_up(
+def test_a_capture_has_few_patterns_and_can_be_resumed(
     config: Path, device: Device, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = load_config(config)
@@ -143,7 +143,7 @@ def test_the_shutter_speed_is_the_nearest_to_whole_refresh_periods(device: Devic
         ({"imageformat": ("RAW", ["RAW"])}, "it sends RAW and offers nothing else"),
     ],
 )
-def test_what_the_camera_cannot_do_is_named(
+def test_settings_that_the_camera_lacks_are_named(
     device: Device, change: dict[str, tuple[str, list[str]]], words: str
 ) -> None:
     device.settings |= change
@@ -167,7 +167,7 @@ def test_errors_of_the_library_are_named(device: Device, call: str, code: int, w
         opened().grab()
 
 
-def test_another_size_and_another_camera_are_named(device: Device) -> None:
+def test_a_changed_size_or_camera_is_named(device: Device) -> None:
     with pytest.raises(DeviceError, match=r"no single photo camera is called 'Nikon'.*Canon EOS 700D at usb:001,005"):
         opened(camera="Nikon")
     device.see = lambda: np.zeros((10, 20, 3), np.uint8)
@@ -178,7 +178,9 @@ def test_another_size_and_another_camera_are_named(device: Device) -> None:
         camera.grab()
 
 
-def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_is_listed_with_lines_to_paste(
+    tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(devices, "list_screens", lambda: [SimulatedWindow(PROJECTOR, list).screen])
     found = devices.find_devices(Terminal(quiet=True), [each for each in BACKENDS if each.name == "gphoto2"])
     assert found.described["Cameras"][:2] == [device.model, "  photo camera at usb:001,005"]
@@ -189,7 +191,7 @@ def test_it_is_listed_with_lines_to_paste(tmp_path: Path, device: Device, monkey
     assert rig.camera == device.model
 
 
-def test_the_fake_is_like_the_library() -> None:
+def test_the_fake_has_the_interface_of_the_library() -> None:
     real = pytest.importorskip("gphoto2")
     for name in [name for name in vars(fake_gphoto2) if name.startswith("GP_")]:
         assert getattr(real, name) == getattr(fake_gphoto2, name), name
@@ -201,7 +203,7 @@ def test_the_fake_is_like_the_library() -> None:
     assert isinstance(error.string, str)
 
 
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gphoto2", None)
     with pytest.raises(DeviceError, match=re.escape(GPHOTO2.install_command())):
         importlib.import_module("hw.gphoto2").load()

@@ -20,7 +20,7 @@ SIZE = (6, 4)
 
 
 class FakeScreen:
-    """A screen on which a test draws; `looked_s`: when it was looked at last."""
+    """A screen that a test draws on; `looked_s`: time of the last look at it."""
 
     def __init__(self) -> None:
         self.level = 0
@@ -44,21 +44,21 @@ def xwd(path: Path, pixels: np.ndarray, colours: int = 3, padding: int = 8) -> P
     return path
 
 
-def test_the_pixels_of_an_xwd_file(tmp_path: Path) -> None:
+def test_an_xwd_file_is_read(tmp_path: Path) -> None:
     grey = np.random.default_rng(0).integers(0, 256, (5, 7)).astype(np.uint32)
     screen = XwdScreen(xwd(tmp_path / "screen", grey * 0x010101))
     assert screen.size == (7, 5)
     np.testing.assert_array_equal(green(screen.pixels()), grey)
 
 
-def test_another_file_is_no_screen(tmp_path: Path) -> None:
+def test_another_file_type_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "screen"
     path.write_bytes(bytes(200))
     with pytest.raises(ValueError, match="xwd version 7"):
         XwdScreen(path)
 
 
-def test_an_exposure_mixes_the_pictures_that_fall_into_it() -> None:
+def test_an_exposure_mixes_the_pictures_shown_during_it() -> None:
     screen = FakeScreen()
     history = ScreenHistory(screen, as_light)
     before = time.monotonic()
@@ -73,7 +73,7 @@ def test_an_exposure_mixes_the_pictures_that_fall_into_it() -> None:
     assert [light.max() for _, light in history.shares(after, after + 1)] == [200]
 
 
-def test_a_change_never_falls_into_an_exposure_that_was_over_before_it() -> None:
+def test_a_change_does_not_affect_an_earlier_exposure() -> None:
     screen = FakeScreen()
     history = ScreenHistory(screen, as_light)
     history.look()
@@ -85,7 +85,7 @@ def test_a_change_never_falls_into_an_exposure_that_was_over_before_it() -> None
     assert [light.max() for _, light in history.shares(end - 1, end)] == [0]
 
 
-def test_changes_are_seen_while_nobody_asks() -> None:
+def test_changes_are_recorded_in_the_background() -> None:
     screen = FakeScreen()
     with ScreenHistory(screen, as_light) as history:
         for level in (50, 100, 150):
@@ -97,7 +97,7 @@ def test_changes_are_seen_while_nobody_asks() -> None:
 
 
 class WhiteWall:
-    """Stands in for a room: the camera sees the screen's light, a hundred electrons for each level."""
+    """Replaces a room: the camera sees the screen's light, a hundred electrons per level."""
 
     settings = SimulatedRigSettings()
     sensor = Sensor(0.0, 1e4, 8, full_well_electrons=25_500.0, read_noise_electrons=1.0)
@@ -126,7 +126,7 @@ def test_a_longer_exposure_and_more_gain_are_brighter() -> None:
     assert exposed(0.0, Request(20_000, 6, MONO_8, region)).mean() == pytest.approx(1.995 * plain, rel=0.03)
 
 
-def test_the_pixel_format_and_the_region_act() -> None:
+def test_pixel_format_and_region_take_effect() -> None:
     region = (2, 1, 3, 2)
     fine = exposed(0.0, Request(20_000, 0, MONO_16, region))
     assert fine.shape == (2, 3)
@@ -139,8 +139,8 @@ def test_the_pixel_format_and_the_region_act() -> None:
     assert mosaic[0, 1] > mosaic[0, 0] > mosaic[1, 1]
 
 
-def test_light_comes_late() -> None:
-    """A picture that goes up amid an exposure is not in it if its light takes longer than the rest."""
+def test_light_arrives_after_the_display_latency() -> None:
+    """A picture that is shown during an exposure is not in it if its light takes longer than the rest."""
     request = Request(200_000, -20, MONO_8, (0, 0, *SIZE))
     half = exposed(0.0, request, change_after_s=0.1).mean()
     assert 30 < half < 70
@@ -148,8 +148,8 @@ def test_light_comes_late() -> None:
 
 
 @pytest.mark.parametrize(("latency_ms", "most_ms"), [(0, 100), (80, 30), (200, 30)])
-def test_a_frame_is_computed_before_its_exposure_is_over(latency_ms: float, most_ms: float) -> None:
-    """As soon as no other light can come: its making does not delay it."""
+def test_a_frame_is_computed_before_its_exposure_ends(latency_ms: float, most_ms: float) -> None:
+    """It is computed once no other light can arrive, so that it is ready in time."""
     screen = FakeScreen()
     history = ScreenHistory(screen, lambda image: 100 * as_light(image))
     history.wall.conditions = Conditions(latency_ms=latency_ms)
@@ -171,7 +171,7 @@ def seen_on(wall: Wall, begin_s: float, end_s: float) -> dict[int, float]:
     return {int(light.result().max()): share for share, light in wall.shares(begin_s, end_s)}
 
 
-def test_several_pictures_are_on_their_way() -> None:
+def test_several_pictures_are_in_the_pipeline() -> None:
     wall = Wall(done(0), seed=0)
     wall.conditions = Conditions(latency_ms=120)
     for number in range(1, 5):
@@ -197,7 +197,7 @@ def test_late_pictures_keep_their_order() -> None:
     assert wall._pictures[-1].since_s >= times[-1]
 
 
-def test_a_slow_panel_turns_to_the_next_picture_exponentially() -> None:
+def test_a_slow_panel_approaches_the_next_picture_exponentially() -> None:
     wall = Wall(done(0), seed=0)
     wall.conditions = Conditions(latency_ms=0, settling_ms=10)
     wall.send(1.0, done(1))

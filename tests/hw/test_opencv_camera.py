@@ -1,4 +1,4 @@
-"""What OpenCV's capture delivers, or does not: each is named. The capture is a fake; loopback tests have a real one."""
+"""Failures of OpenCV capture are named. The capture here is a fake; the loopback tests use a real one."""
 
 import os
 import sys
@@ -74,7 +74,7 @@ def connected(monkeypatch: pytest.MonkeyPatch, capture: Capture, **settings: Any
     ids=["size", "channels", "depth"],
 )
 @pytest.mark.parametrize("amid", [False, True])
-def test_frames_that_are_not_expected_are_named(
+def test_unexpected_frames_are_named(
     monkeypatch: pytest.MonkeyPatch, frame: np.ndarray, words: str, amid: bool
 ) -> None:
     capture = Capture(*([picture(1), picture(2)] if amid else []), frame)
@@ -83,13 +83,13 @@ def test_frames_that_are_not_expected_are_named(
     assert capture.released
 
 
-def test_colours_that_go_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_that_lose_their_colours_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     capture = Capture(picture(1), picture(2), picture(3, channels=()))
     with pytest.raises(DeviceError, match="delivers grey"), connected(monkeypatch, capture) as camera:
         camera.reader.following(5)
 
 
-def test_a_camera_that_is_not_there_or_delivers_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_absent_or_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match=r"webcam 0: OpenCV cannot open it.*scan devices"):
         connected(monkeypatch, Capture(opens=False))
     with pytest.raises(DeviceError, match="delivers no frames"):
@@ -112,7 +112,7 @@ def test_a_stream_that_stops_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     reader.close()
 
 
-def test_frames_that_are_repeated_or_dropped_are_counted() -> None:
+def test_repeated_and_dropped_frames_are_counted() -> None:
     moments = iter([0.002 * number + (0.02 if number >= 100 else 0.0) for number in range(140)])
     begin_s = time.monotonic()
     levels = iter([number - (number == 120) for number in range(140)])
@@ -163,7 +163,7 @@ def test_automatics_are_turned_off_where_the_driver_can(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("key", ["exposure_us", "gain", "codec"])
-def test_what_no_stream_can_be_told_is_refused(key: str) -> None:
+def test_settings_that_a_stream_cannot_take_are_refused(key: str) -> None:
     value = "MJPG" if key == "codec" else 10.0
     assert OpenCVRigSettings(backend="opencv", camera=0, **{key: value}).has_gain
     with pytest.raises(ValidationError, match=f"{key}: cannot be set for a stream"):
@@ -175,7 +175,7 @@ def test_a_gain_that_a_driver_ignores_is_named(monkeypatch: pytest.MonkeyPatch) 
         connected(monkeypatch, Capture(picture(), fixed={cv2.CAP_PROP_GAIN}), gain=3.0)
 
 
-def test_webcams_are_listed_with_lines_to_paste_or_with_what_is_in_the_way(
+def test_webcams_are_listed_with_lines_to_paste_or_the_obstacle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for number in (0, 2):

@@ -13,7 +13,7 @@ from tests.support.places import ROOT
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A checkout whose Makefile made the environment, and which is the present folder."""
+    """A checkout whose Makefile created the environment, as the current folder."""
     folder = tmp_path / "check out"
     folder.mkdir()
     (folder / "pyproject.toml").touch()
@@ -24,12 +24,14 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_checkout_stays_installed_as_one(checkout: Path) -> None:
+def test_the_command_keeps_a_checkout_editable(checkout: Path) -> None:
     assert CONSOLE.install_command() == ".venv/bin/python -m pip install -e '.[console]'"
     assert RIG.install_command() == "make rig"
 
 
-def test_from_another_folder_paths_are_whole(checkout: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_from_another_folder_the_command_has_absolute_paths(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
@@ -53,7 +55,7 @@ def test_a_package(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert CONSOLE.install_command() == "/opt/other/bin/python -m pip install 'roomscan[console]'"
 
 
-def test_the_table_is_that_of_the_package() -> None:
+def test_the_table_matches_the_extras_of_the_package() -> None:
     with (ROOT / "pyproject.toml").open("rb") as file:
         extras = set(tomllib.load(file)["project"]["optional-dependencies"])
     assert {part.extra for part in PARTS} == extras - {"dev", "bench"}  # which no user of the program needs

@@ -12,7 +12,7 @@ BITS = [draw(bit, SIZE) for bit in gray_sequence("x", SIZE[0], 8, inverses=False
 
 
 class Scene:
-    """Reflects unevenly, and adds light that bounces from everywhere, most of it near its right side."""
+    """Uneven albedo, and interreflection that is strongest at its right side."""
 
     def __init__(self, noise: float) -> None:
         self._rng = np.random.default_rng(0)
@@ -36,7 +36,7 @@ _LIT = np.ones(SIZE[::-1], bool)
 _TOLERANCE = 0.03
 
 
-def test_a_group_lights_every_place_an_even_number_of_times() -> None:
+def test_a_group_lights_every_pixel_an_even_number_of_times() -> None:
     white, black = np.full(SIZE[::-1], 255, np.uint8), np.zeros(SIZE[::-1], np.uint8)
     series = with_parity(iter([white, black, *BITS, white]), [(0, 1)], [tuple(range(2, 2 + len(BITS)))])
     images = list(series.images)
@@ -51,8 +51,8 @@ def test_a_group_lights_every_place_an_even_number_of_times() -> None:
 
 @pytest.mark.parametrize("late", range(len(BITS)))
 @pytest.mark.parametrize("for_good", [False, True])
-def test_frames_of_other_pictures_are_odd(late: int, for_good: bool) -> None:
-    """One that is shown too long, and whether all that follow are late, too."""
+def test_frames_of_wrong_pictures_fail_the_parity_check(late: int, for_good: bool) -> None:
+    """One picture is shown too long, and all that follow may be late, too."""
     right = list(with_parity(iter(BITS), [], [tuple(range(len(BITS)))]).images)
     scene = Scene(3.0)
     assert odd_share(range(len(right)), scene.seen(right)) < 0.002
@@ -61,7 +61,7 @@ def test_frames_of_other_pictures_are_odd(late: int, for_good: bool) -> None:
     assert 0.3 < odd_share(range(len(right)), scene.seen(shown)) < 0.7
 
 
-def test_frames_that_are_grey_everywhere_prove_nothing() -> None:
+def test_uniformly_grey_frames_verify_nothing() -> None:
     seen = {number: np.full(1000, 0.5) for number in range(3)}
     assert odd_share([0, 1, 2], seen) == 1.0
 
@@ -69,7 +69,7 @@ def test_frames_that_are_grey_everywhere_prove_nothing() -> None:
 @pytest.mark.parametrize("number", range(1, len(BITS) - 1))
 @pytest.mark.parametrize("towards", [-1, 1])
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.2, 0.4])
-def test_a_share_of_a_neighbour_is_measured(number: int, towards: int, share: float) -> None:
+def test_a_share_of_a_neighbouring_picture_is_measured(number: int, towards: int, share: float) -> None:
     shown = [bit.astype(float) for bit in BITS]
     shown[number] = (1 - share) * shown[number] + share * shown[number + towards]
     seen = Scene(2.0).seen(shown)
@@ -77,7 +77,7 @@ def test_a_share_of_a_neighbour_is_measured(number: int, towards: int, share: fl
     assert found == pytest.approx(share, abs=0.02)
 
 
-def test_of_pictures_without_edges_nothing_is_told() -> None:
+def test_pictures_without_edges_verify_nothing() -> None:
     seen = Scene(2.0).seen([*BITS[:2], np.zeros(SIZE[::-1])])
     assert mixed_share(seen[1], [seen[0], seen[2]], _TOLERANCE) is None
     assert mixed_share(seen[1], [], _TOLERANCE) is None

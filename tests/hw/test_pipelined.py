@@ -1,4 +1,4 @@
-"""Pipelined acquisition, on a bench whose clock stands still while nothing happens."""
+"""Pipelined acquisition, on a simulated clock."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -16,7 +16,7 @@ COUNT = 40
 
 
 def pictures(count: int = COUNT) -> list[np.ndarray]:
-    """Each followed by its inverse."""
+    """Pictures, each followed by its inverse."""
     drawn = np.random.default_rng(1).choice(np.array([0, 255], np.uint8), (count // 2, *SIZE[::-1]))
     return [each for picture in drawn for each in (picture, 255 - picture)]
 
@@ -26,7 +26,7 @@ def pairs(count: int = COUNT) -> list[tuple[int, int]]:
 
 
 def expected(picture: np.ndarray) -> np.ndarray:
-    """What the bench's camera sees of a picture that rests."""
+    """What the bench's camera sees of a settled picture."""
     return 10 + 12 * np.where(np.arange(picture.shape[1]) % 5 != 4, picture.astype(int), 0)
 
 
@@ -37,7 +37,7 @@ _UNTOLD = 0.02  # of a frame: what sums of so few pixels do not tell from noise
 def scanned(
     monkeypatch: pytest.MonkeyPatch, bench: Bench, late_every: int = 0, foreign: float = 0.0023
 ) -> SynchronisedRig:
-    """A rig that has taken pictures; each frame shows its own picture, and at most this share of `foreign` light."""
+    """A rig after a capture; each frame shows its own picture, with at most this share of `foreign` light."""
     bench.install(monkeypatch)
     rig = synchronised(bench, bench, {})
     if late_every:
@@ -63,8 +63,8 @@ def test_a_frame_takes_its_exposure_and_a_margin_whatever_the_latency(
     assert rig.pipelined.rhythm.outstanding == pytest.approx(latency_ms / 40, abs=1.1)
 
 
-def test_pictures_are_sent_on_their_way_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What that takes is no part of a frame's time."""
+def test_pictures_are_sent_during_exposures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sending takes no additional time."""
     rig = scanned(monkeypatch, Bench(0.05, transfer_s=0.002, sending_s=0.008))
     assert rig.pipelined is not None
     assert rig.pipelined.missed == 0
@@ -86,19 +86,15 @@ def test_lost_frames_are_taken_again(monkeypatch: pytest.MonkeyPatch, latency_ms
 
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
-def test_pictures_that_came_late_without_a_word_are_found_out(
-    monkeypatch: pytest.MonkeyPatch, latency_ms: float
-) -> None:
+def test_unreported_late_pictures_are_detected(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     rig = scanned(monkeypatch, Bench(latency_ms / 1e3, transfer_s=0.005), late_every=9)
     assert rig.pipelined is not None
     assert 4 <= rig.pipelined.doubted <= 20
 
 
 @pytest.mark.parametrize("seed", [1, 14])
-def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    """The same one, of a group whose frames follow each other as before: twice the same is not the scene's own."""
+def test_a_picture_that_is_late_twice_is_detected(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """The same picture is late in both takes of its group, and equal frames must not be attributed to the scene."""
     bench = Bench(0.12, transfer_s=0.005, jitter_s=0.008, lag_s=0.001, seed=seed)
     rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
     assert rig.sequential.tally.retriggered > 6
@@ -106,7 +102,7 @@ def test_a_picture_that_is_late_again_when_it_is_taken_again_is_found_out(
 
 @pytest.mark.parametrize("latency_ms", [20, 50, 120])
 def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    """Its picture is shown again behind those on their way, and the others do not wait for it."""
+    """Its picture is shown again after those in the pipeline, and the others do not wait."""
     lost: dict[bool, float] = {}
     for loses in (False, True):
         bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
@@ -121,8 +117,8 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
 
 
 @pytest.mark.parametrize("latency_ms", [20, 120])
-def test_a_single_late_picture_costs_no_landing(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
-    """Its group is repeated pipelined: two more frames, at any latency."""
+def test_a_single_late_picture_does_not_stop_the_pipeline(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+    """Its group is repeated in the pipeline: two more frames, at any latency."""
     elapsed = []
     for late in (False, True):
         bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001).install(monkeypatch)
@@ -144,8 +140,8 @@ def test_jitter_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1.3 < rig.sequential.tally.seconds_per_frame * 30 < 3
 
 
-def test_how_late_exposures_begin_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the rehearsal already; where it comes as a surprise, they are taken again."""
+def test_the_delay_of_exposures_is_learnt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is learnt in the rehearsal; unexpected delays cause repetitions."""
     missed = []
     for surprising in (False, True):
         bench = Bench(0.05, transfer_s=0.005, lag_s=0.0 if surprising else 0.009).install(monkeypatch)
@@ -166,7 +162,7 @@ def test_a_rolling_shutter_is_read_out_before_the_next_light(monkeypatch: pytest
     assert 1 / 30 + 0.01 < rig.sequential.tally.seconds_per_frame < 1.6 / 30
 
 
-def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_causes_no_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005, noise=60.0).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures()
@@ -176,7 +172,7 @@ def test_noise_casts_no_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rig.pipelined.doubted <= 2
 
 
-def test_pictures_that_nothing_proves_are_taken_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unverifiable_pictures_are_taken_sequentially(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures(12)
@@ -200,7 +196,7 @@ def scanned_without_inverses(
     late_share: float = 0.0,
     noise: float = 0.0,
 ) -> SynchronisedRig:
-    """A rig that has taken bits without inverses, each frame of which shows its own picture and no share of others."""
+    """A rig after a capture of bits without inverses; each frame shows its own picture only."""
     bench.install(monkeypatch)
     rig = synchronised(bench, bench, {})
     if late_every:
@@ -217,7 +213,7 @@ def scanned_without_inverses(
 
 
 @pytest.mark.parametrize("latency_ms", [5, 50, 120])
-def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
+def test_bits_without_inverses_are_pipelined(monkeypatch: pytest.MonkeyPatch, latency_ms: float) -> None:
     """This costs one parity picture for each axis."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005, jitter_s=0.001, noise=30.0, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, noise=30.0)
@@ -230,10 +226,10 @@ def test_bits_without_inverses_fly_too(monkeypatch: pytest.MonkeyPatch, latency_
 
 @pytest.mark.parametrize("exposure_s", [1 / 60, 1 / 30])
 @pytest.mark.parametrize("late_every", [5, 8])
-def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
+def test_unreported_late_bits_without_inverses_are_detected(
     monkeypatch: pytest.MonkeyPatch, exposure_s: float, late_every: int
 ) -> None:
-    """By half an exposure, or by a whole one: then a frame shows the picture before its own, and nothing else."""
+    """Late by half an exposure, or by a whole one: then a frame shows only the previous picture."""
     bench = Bench(0.05, exposure_s=exposure_s, transfer_s=0.003, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_every=late_every)
     assert rig.pipelined is not None
@@ -241,10 +237,8 @@ def test_bits_without_inverses_that_came_late_without_a_word_are_found_out(
 
 
 @pytest.mark.parametrize("seed", [219, 366, 460, 545])
-def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
-    monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    """Next to black and white, which have no edges; after others of their own group; two steps of a fringe alike."""
+def test_random_late_pictures_on_a_busy_computer_are_detected(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """After black and white, which have no edges; after others of their group; two equally late steps of a fringe."""
     bench = Bench(0.05, transfer_s=0.005, jitter_s=0.001, lag_s=0.001, noise=30.0, seed=seed, size=QUICK_SIZE)
     rig = scanned_without_inverses(monkeypatch, bench, late_share=0.08, noise=30.0)
     assert rig.sequential.tally.retriggered > 0
@@ -254,7 +248,7 @@ def test_pictures_that_come_late_by_chance_on_a_busy_computer_are_found_out(
 def test_a_free_running_camera_has_one_frame_between_two_pictures(
     monkeypatch: pytest.MonkeyPatch, latency_ms: float, most: float
 ) -> None:
-    """Light that is there before its next frame begins is hard to time: pictures are taken sequentially then."""
+    """Light that arrives before the next frame begins is hard to schedule, so pictures are taken sequentially."""
     bench = Bench(latency_ms / 1e3, transfer_s=0.005)
     bench.wait_s = 1 / 29
     rig = scanned(monkeypatch, bench)
@@ -263,24 +257,37 @@ def test_a_free_running_camera_has_one_frame_between_two_pictures(
     assert (rig.pipelined is not None) == (latency_ms >= 50)
 
 
-def test_a_camera_of_which_nobody_knows_when_it_exposes_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Untold(Bench):
-        """Exposes on a trigger, without stating its capability."""
+class _UnknownBegin(Bench):
+    """Exposes on a trigger; nobody knows when."""
 
-        @property
-        def wait_s(self) -> float:  # type: ignore[override]
-            return float("inf") if self.exposures in range(10**9) and self._asked else 0.0
+    _asked = False
 
-        _asked = False
+    @property
+    def wait_s(self) -> float:  # type: ignore[override]
+        return float("inf") if self._asked else 0.0
 
-        def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
-            self._asked = False
-            moment = super().expose(meanwhile)
-            self._asked = True
-            return moment
+    def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
+        self._asked = False
+        moment = super().expose(meanwhile)
+        self._asked = True
+        return moment
 
-    bench = Untold(0.05).install(monkeypatch)
+
+def test_a_camera_that_exposes_at_an_unknown_time_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = _UnknownBegin(0.05).install(monkeypatch)
     assert synchronised(bench, bench, {}).pipelined is None
+
+
+@pytest.mark.parametrize("overlaps", [False, True])
+def test_late_pictures_of_a_sequential_acquisition_are_repeated(
+    monkeypatch: pytest.MonkeyPatch, overlaps: bool
+) -> None:
+    bench = _UnknownBegin(0.05 if overlaps else 0.0, transfer_s=0.02)
+    rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
+    assert rig.pipelined is None
+    assert rig.timing.overlaps == overlaps
+    assert 4 <= rig.sequential.tally.retriggered <= 16
+    assert len(list(rig.photograph(pictures(), level=pairs()))) == COUNT
 
 
 def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,7 +299,7 @@ def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.Monke
         list(frames)
 
 
-def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_complement_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench.delay_every(7)
@@ -305,7 +312,7 @@ def test_what_proves_a_picture_may_come_much_later(monkeypatch: pytest.MonkeyPat
     assert rig.pipelined.doubted >= 2
 
 
-def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_abandoned_scan_leaves_no_picture_in_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.12, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     frames = rig.photograph(pictures(), level=pairs())
@@ -317,7 +324,7 @@ def test_a_scan_that_is_given_up_leaves_no_picture_on_its_way(monkeypatch: pytes
 
 
 def test_in_a_scene_that_verifies_nothing_acquisition_is_sequential(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture's inverse is dark in this scene, where neighbouring pictures differ."""
+    """A picture's inverse is dark in this scene where neighbouring pictures differ."""
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures()
@@ -330,6 +337,6 @@ def test_in_a_scene_that_verifies_nothing_acquisition_is_sequential(monkeypatch:
     assert rig.sequential.tally.retriggered <= 10
 
 
-def test_neighbours_are_never_alike() -> None:
+def test_neighbouring_test_pictures_differ() -> None:
     """Otherwise frames of wrong pictures would pass."""
     assert all(np.mean(one != other) > 0.2 for one, other in pairwise(pictures()))

@@ -1,4 +1,4 @@
-"""Bytes as a camera sends them, packed here bit by bit, against the numbers that went in."""
+"""Bytes of a camera, packed here bit by bit, give the original numbers."""
 
 import cv2
 import numpy as np
@@ -67,7 +67,7 @@ def test_colour_formats_come_as_blue_green_red() -> None:
     np.testing.assert_array_equal(pixel_format("BGR8").image(bgr.tobytes(), 4, 3), bgr)
 
 
-def test_too_few_bytes_are_no_image() -> None:
+def test_too_few_bytes_are_refused() -> None:
     with pytest.raises(ValueError, match="4 × 3 in Mono12p has 18 bytes, found 17"):
         pixel_format("Mono12p").image(bytes(17), 4, 3)
 

@@ -1,4 +1,4 @@
-"""Whether frames of a stream are alike, under noise that depends on brightness and correlates within blocks."""
+"""Equality of stream frames, under noise that depends on brightness and correlates within blocks."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -24,14 +24,14 @@ def frame(light: np.ndarray | float, noise: float) -> Image:
 
 @pytest.fixture(scope="module")
 def compared() -> Standing:
-    """With much noise in black, and little in white."""
+    """Frames with much noise in black, and little in white."""
     camera = SimpleNamespace(name="bench", highest_level=255)
     rest = RestingLight(cast(Any, camera), [frame(0, 1.5) for _ in range(4)], [frame(1, 0.1) for _ in range(4)])
     return standing(rest)
 
 
 def stand(compared: Standing, before: np.ndarray | float, now: np.ndarray | float, share: np.ndarray | float) -> bool:
-    """Whether frames stand of which the first has a share of the picture before."""
+    """Whether frames are equal if the first has a share of the previous picture."""
     last = (1 - share) * np.asarray(now) + share * np.asarray(before)
     seen = [compared.sums.brightness(frame(light, 0.4)) for light in (before, last, now)]
     return compared.stands(*seen)
@@ -46,7 +46,7 @@ FRINGE = 0.5 + 0.1 * np.cos(2 * np.pi * np.arange(SIZE[0]) / 23)
     [(0.02, 0.05, 0), (0.5, 0.53, 0), (1 - COARSE, COARSE, 1), (COARSE, FRINGE, 1)],
     ids=["dim greys", "greys", "inverse", "faint fringe"],
 )
-def test_what_rests_stands_and_a_few_per_cent_of_another_picture_do_not(
+def test_equal_frames_agree_and_a_few_per_cent_of_another_picture_do_not(
     compared: Standing, before: np.ndarray | float, now: np.ndarray | float, seldom: int
 ) -> None:
     assert all(stand(compared, before, now, 0.0) for _ in range(40))

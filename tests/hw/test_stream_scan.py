@@ -1,4 +1,4 @@
-"""Scans with a network camera, through OpenCV's own capture: what goes wrong is named, and nothing is lost."""
+"""Scans with a network camera through OpenCV's capture: failures are named, and frames kept."""
 
 import os
 import signal
@@ -38,7 +38,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture
 def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phone]:
-    """A phone that sees the light of the window; what nobody would wait for in a test is waited for shortly."""
+    """A phone that sees the light of the window, with short timeouts."""
     with Phone(room) as phone:
 
         @contextmanager
@@ -104,7 +104,7 @@ def changed(change: Callable[[np.ndarray], np.ndarray | None]) -> Callable[[Phon
     ],
     ids=["rotated", "frozen", "silent", "gone"],
 )
-def test_what_goes_wrong_with_a_camera_amid_a_scan_is_named(
+def test_a_camera_failure_during_a_scan_is_named(
     config: Path,
     phone: Phone,
     room: SimulatedRoom,
@@ -119,7 +119,7 @@ def test_what_goes_wrong_with_a_camera_amid_a_scan_is_named(
     assert captured(capture, room) >= BEFORE
 
 
-def test_after_ctrl_c_what_is_missing_is_taken(config: Path, phone: Phone, room: SimulatedRoom) -> None:
+def test_after_ctrl_c_a_scan_takes_the_missing_frames(config: Path, phone: Phone, room: SimulatedRoom) -> None:
     after_frames(BEFORE, config, lambda: os.kill(os.getpid(), signal.SIGINT))
     code, capture = scan(config)
     assert code == 130
@@ -140,7 +140,7 @@ def assert_named(capsys: pytest.CaptureFixture[str], phone: Phone, words: str) -
 
 
 def captured(capture: Path, room: SimulatedRoom) -> int:
-    """How many frames there are, each of its own pattern."""
+    """The number of frames, each of its own pattern."""
     recording = open_capture(capture)
     for pattern, frame in recording.stream().frames:
         own = room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)

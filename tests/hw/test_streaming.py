@@ -1,4 +1,4 @@
-"""Frames of a streaming camera, on a bench whose clock stands still while nothing happens."""
+"""Frames of a streaming camera, on a simulated clock."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, cast
@@ -24,7 +24,7 @@ BITS: tuple[Pattern, ...] = (White(), Black(), *(Gray(axis, bit, 6) for axis in 
 
 
 def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Image, np.ndarray]]:
-    """Frames, and what they should show."""
+    """Frames, and the expected ones."""
     pictures = [draw(pattern, SIZE) for pattern in patterns]
     frames = rig.photograph(pictures, (), level_groups(patterns), unpaired_bits(patterns))
     for picture, frame in zip(pictures, frames, strict=True):
@@ -32,7 +32,7 @@ def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tu
 
 
 def worst_deviation(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> float:
-    """Rms from what a frame should show, in grey levels, of the worst frame."""
+    """Rms deviation of the worst frame from its expectation, in grey levels."""
     return max(float(np.sqrt(np.mean((image - own) ** 2))) for image, own in photographed(rig, patterns))
 
 
@@ -48,7 +48,7 @@ def worst_deviation(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> float:
     ],
     ids=["usual", "at once", "late", "rolling", "lossy"],
 )
-def test_each_frame_is_of_its_own_picture_alone(
+def test_each_frame_shows_its_own_picture_only(
     monkeypatch: pytest.MonkeyPatch, conditions: dict[str, Any], patterns: tuple[Pattern, ...]
 ) -> None:
     bench = StreamBench(**conditions).install(monkeypatch)
@@ -64,7 +64,7 @@ def test_each_frame_is_of_its_own_picture_alone(
         assert rig.acquisition.standing.missed <= 1
 
 
-def test_more_frames_make_less_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_averaging_frames_reduces_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     noise = []
     for average in (2, 8):
         bench = StreamBench(noise=3.0, average=average).install(monkeypatch)
@@ -74,7 +74,7 @@ def test_more_frames_make_less_noise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("patterns", [INVERSES, BITS], ids=["inverses", "bits without inverses"])
 @pytest.mark.parametrize("delay_s", [0.4, 1.5])
-def test_a_picture_that_comes_late_is_waited_for_or_found_out(
+def test_a_late_picture_is_waited_for_or_detected(
     monkeypatch: pytest.MonkeyPatch, patterns: tuple[Pattern, ...], delay_s: float
 ) -> None:
     bench = StreamBench().install(monkeypatch)
@@ -98,7 +98,7 @@ def blurred(image: np.ndarray) -> np.ndarray:
         ("focus", blurred, 20),
     ],
 )
-def test_what_a_camera_changes_by_itself_is_named(
+def test_a_setting_that_the_camera_changes_is_named(
     monkeypatch: pytest.MonkeyPatch, key: str, change: Callable[[np.ndarray], np.ndarray], least: float
 ) -> None:
     bench = StreamBench().install(monkeypatch)
@@ -122,7 +122,7 @@ def test_what_a_camera_changes_by_itself_is_named(
 
 @pytest.mark.parametrize("most_gain", [1.1, 2.0])
 def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch, most_gain: float) -> None:
-    """By how much of what is projected it makes up for."""
+    """By the share of a brightness change that it compensates."""
     bench = StreamBench().install(monkeypatch)
     gain = [1.0]
 
@@ -141,7 +141,7 @@ def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch,
     assert any("adapts automatically" in remark for remark in remarks_on_camera(rig.account()))
 
 
-def test_a_picture_that_never_rests_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_never_settles_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = StreamBench().install(monkeypatch)
     rig = streamed(bench, bench, {})
     bench.changed = lambda now, image: (image * (1.0 if int(30 * now) % 2 else 0.9)).astype(np.uint8)
@@ -160,7 +160,7 @@ def test_a_frozen_picture_is_named(monkeypatch: pytest.MonkeyPatch, amid: bool) 
         [*photographed(rig if amid else streamed(bench, bench, {}), INVERSES)]
 
 
-def test_a_camera_that_is_turned_amid_a_capture_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_turned_during_a_capture_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = StreamBench().install(monkeypatch)
     rig = streamed(bench, bench, {})
     begun_s = bench.now

@@ -1,4 +1,4 @@
-"""Sequential acquisition, on a bench whose clock stands still while nothing happens."""
+"""Sequential acquisition, on a simulated clock."""
 
 from typing import cast
 
@@ -16,7 +16,7 @@ def pictures(count: int) -> list[np.ndarray]:
 
 
 def expected(picture: np.ndarray) -> np.ndarray:
-    """What the bench's camera sees of a picture that rests."""
+    """What the bench's camera sees of a settled picture."""
     return 10 + 12 * np.where(np.arange(SIZE[0]) % 5 != 4, picture.astype(int), 0)
 
 
@@ -29,7 +29,7 @@ def test_the_latency_is_measured(monkeypatch: pytest.MonkeyPatch, latency_ms: fl
     assert timing.overlaps == (latency_ms > 10)
 
 
-def test_the_slowest_flash_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_latency_is_that_of_the_slowest_flash(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, jitter_s=0.01).install(monkeypatch)
     timing = synchronised(bench, bench, {}).timing
     assert 0.055 < timing.latency_s <= 0.0605
@@ -37,7 +37,7 @@ def test_the_slowest_flash_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("latency_ms", [0, 17, 50, 120])
 @pytest.mark.parametrize("lost", [frozenset[int](), frozenset({19, 25, 26, 31}), frozenset(range(20, 200, 3))])
-def test_each_frame_is_of_its_own_picture(
+def test_each_frame_shows_its_own_picture(
     monkeypatch: pytest.MonkeyPatch, latency_ms: float, lost: frozenset[int]
 ) -> None:
     bench = Bench(latency_ms / 1e3, lost=lost).install(monkeypatch)
@@ -75,7 +75,7 @@ def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch: pytest.Monke
     assert bench.log == ["prepare", "flip", "prepare", "expose", "collect", "flip", "expose", "collect"]
 
 
-def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_taken_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     frames = SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
     assert bench.exposures == 0
@@ -83,7 +83,7 @@ def test_a_frame_is_taken_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) 
     assert bench.exposures == 1
 
 
-def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_overhead_excludes_exposure_and_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.0).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     list(rig.photograph(pictures(50)))
@@ -95,7 +95,7 @@ def test_the_overhead_is_what_was_not_exposure_or_latency(monkeypatch: pytest.Mo
     assert rig.overhead == pytest.approx((33.3 + 2 + 100 + 1) / 83.3 - 1, abs=0.02)
 
 
-def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_rolling_shutter_pictures_do_not_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.02, readout_s=0.06, transfer_s=0.08).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     assert not rig.timing.overlaps
@@ -104,7 +104,7 @@ def test_a_rolling_shutter_lets_no_pictures_overlap(monkeypatch: pytest.MonkeyPa
         np.testing.assert_allclose(frame.image, expected(picture), atol=1)
 
 
-def test_no_pictures_no_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pictures_no_frames_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     assert list(SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
 
@@ -126,7 +126,7 @@ def test_a_rig_that_cannot_work_is_refused(monkeypatch: pytest.MonkeyPatch, benc
         synchronised(bench, bench, {})
 
 
-def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_lost_repeatedly_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
     rig = synchronised(bench, bench, {})
     frames = rig.photograph(pictures(5))

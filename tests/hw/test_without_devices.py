@@ -1,4 +1,4 @@
-"""Where Aravis, pyglet or a desktop are missing: what needs them says so, everything else works."""
+"""Without Aravis, pyglet or a desktop: whatever needs them reports it, and everything else works."""
 
 import importlib.util
 import re
@@ -74,7 +74,7 @@ def test_a_scan_with_real_devices_stops_before_anything_is_shown() -> None:
         pass
 
 
-def test_no_desktop_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_desktop_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     if importlib.util.find_spec("pyglet") is None:
         pytest.skip("pyglet is not installed")
     monkeypatch.setenv("DISPLAY", ":4711")
@@ -89,13 +89,13 @@ def test_shipped_configurations_are_valid(name: str) -> None:
     assert config.principal_point(config.camera_size)
 
 
-def test_every_key_of_a_real_rig_is_explained_in_the_configuration() -> None:
+def test_shipped_configurations_explain_every_key() -> None:
     text = (ROOT / "configs" / "room.yaml").read_text()
     for key in AravisRigSettings.model_fields:
         assert re.search(rf"^  (# )?{key}: ", text, re.MULTILINE), key
 
 
-def test_what_is_optional_in_the_configuration_can_be_uncommented(tmp_path: Path) -> None:
+def test_optional_keys_of_a_configuration_can_be_uncommented(tmp_path: Path) -> None:
     path = tmp_path / "room.yaml"
     lines = (ROOT / "configs" / "room.yaml").read_text().splitlines()
     key = re.compile(r"^(  )# (\w+: \S.*)$")
@@ -125,7 +125,7 @@ def test_wrong_keys_are_named(tmp_path: Path, more: str, words: str) -> None:
     assert words in str(caught.value)
 
 
-def test_serial_numbers_may_look_like_numbers() -> None:
+def test_serial_numbers_of_digits_are_read_as_text() -> None:
     rig = load_config(None, ["rig={backend: aravis, camera: 22345678}"]).required_rig
     assert isinstance(rig, AravisRigSettings)
     assert rig.camera == "22345678"

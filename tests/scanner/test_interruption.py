@@ -1,4 +1,4 @@
-"""Signals, as they are: raised to this process, in the main thread."""
+"""Real signals, sent to this process and handled in the main thread."""
 
 import os
 import signal
@@ -20,12 +20,12 @@ def interrupted() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_whatever_asks_to_end_is_an_interruption(number: int) -> None:
+def test_every_ending_signal_raises_keyboard_interrupt(number: int) -> None:
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), number)
 
 
-def test_what_a_destructor_swallows_comes_a_moment_later(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupt_swallowed_by_a_destructor_is_raised_again(capfd: pytest.CaptureFixture[str]) -> None:
     class Last:
         def __del__(self) -> None:
             os.kill(os.getpid(), signal.SIGTERM)
@@ -37,7 +37,7 @@ def test_what_a_destructor_swallows_comes_a_moment_later(capfd: pytest.CaptureFi
     assert capfd.readouterr().err == ""
 
 
-def test_what_must_be_whole_is_finished_first() -> None:
+def test_protected_work_is_finished_first() -> None:
     done = []
 
     def work() -> None:
@@ -53,18 +53,18 @@ def test_what_must_be_whole_is_finished_first() -> None:
     assert done == ["first half", "second half"]
 
 
-def test_on_the_way_out_nothing_more_is_raised() -> None:
+def test_while_ending_further_signals_raise_nothing() -> None:
     with finishing(ending=True):
         os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_an_error_comes_before_an_interruption() -> None:
+def test_an_error_takes_precedence_over_an_interrupt() -> None:
     with pytest.raises(ZeroDivisionError), finishing():  # noqa: PT012
         os.kill(os.getpid(), signal.SIGINT)
         raise ZeroDivisionError
 
 
-def test_handlers_are_put_back() -> None:
+def test_handlers_are_restored() -> None:
     with handlers_restored():
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         with finishing():
@@ -72,7 +72,7 @@ def test_handlers_are_put_back() -> None:
     assert signal.getsignal(signal.SIGHUP) is interrupt
 
 
-def test_other_threads_have_no_part_in_it() -> None:
+def test_other_threads_leave_the_handlers_alone() -> None:
     failed: list[BaseException] = []
 
     def work() -> None:
@@ -89,7 +89,7 @@ def test_other_threads_have_no_part_in_it() -> None:
 
 
 class LockTakenAsTheSignalComes:
-    """Its __enter__ has no Python frame, as a lock's has none: the signal is handled in that of `threading`."""
+    """Its __enter__ has no Python frame, like a lock's: the signal is handled in the frame of `threading`."""
 
     acquire = release = None
     __enter__ = partial(signal.raise_signal, signal.SIGTERM)
@@ -101,7 +101,7 @@ class LockTakenAsTheSignalComes:
         self.given_back = True
 
 
-def test_a_lock_that_was_just_taken_is_given_back() -> None:
+def test_a_lock_acquired_during_the_signal_is_released() -> None:
     lock = LockTakenAsTheSignalComes()
     with pytest.raises(KeyboardInterrupt), Condition(lock):  # type: ignore[arg-type]
         time.sleep(10)

@@ -1,4 +1,4 @@
-"""An environment with the built package and nothing but what its metadata asks for, from what is installed here."""
+"""An environment with the built package and its declared dependencies, from the packages installed here."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ _BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_
 
 
 def built(folder: Path, kind: str = "wheel") -> Path:
-    """The wheel, or the sdist, of a copy of the sources, made in `folder`. Skips where setuptools is too old."""
+    """The wheel, or the sdist, of a copy of the sources, built in `folder`. Skips if setuptools is too old."""
     try:
         old = Version(distribution("setuptools").version) < Version("77")
     except PackageNotFoundError:
@@ -43,9 +43,9 @@ def built(folder: Path, kind: str = "wheel") -> Path:
 
 
 def installed(wheel: Path, folder: Path, extras: Sequence[str] = ()) -> Path:
-    """The Python of a new environment with a wheel of ours and what it needs, which is linked from this environment.
+    """The Python of a new environment with our wheel and its dependencies, which are linked from this environment.
 
-    Skips if an extra's packages are not installed here.
+    Skips if packages of an extra are not installed here.
     """
     venv.create(folder, with_pip=False, symlinks=True)
     packages = Path(sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)}))
@@ -60,7 +60,7 @@ def installed(wheel: Path, folder: Path, extras: Sequence[str] = ()) -> Path:
 
 
 def _needed(package: Distribution, extras: Sequence[str], found: dict[str, Distribution]) -> dict[str, Distribution]:
-    """What a package needs here, and what that needs, by name."""
+    """The dependencies of a package here, recursively, by name."""
     for requirement in _requirements(package, extras):
         name = requirement.name.lower()
         try:
@@ -84,5 +84,5 @@ def _requirements(package: Distribution, extras: Sequence[str]) -> Iterator[Requ
 
 
 def environment() -> dict[str, str]:
-    """Variables without what would lead to other packages than those of the environment."""
+    """Environment variables without those that add packages of other environments."""
     return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}

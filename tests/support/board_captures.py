@@ -1,4 +1,4 @@
-"""Captures of a printed board by a made-up rig, small enough to be made by the hundred."""
+"""Captures of a printed board by a synthetic rig, small enough for hundreds of them."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ _DARK, _SURROUNDINGS = 12.0, 0.4
 
 
 def write_board_capture(folder: Path, target: Target, rig: Calibration, pose: tuple[Floats, Floats]) -> Path:
-    """A capture of a flat board at a `pose`, its rotation (3, 3) and middle (3,) in the unit of `target` and `rig`."""
+    """Write a capture of a flat board in a `pose`: rotation (3, 3), middle (3,) in the unit of `target` and `rig`."""
     board, projector_px = _seen(rig, pose)
     reflectance = _reflectance(target, board)
     (folder / "frames").mkdir(parents=True)
@@ -41,7 +41,7 @@ def write_board_capture(folder: Path, target: Target, rig: Calibration, pose: tu
 
 
 def _seen(rig: Calibration, pose: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    """Of each camera pixel, (H, W, 2): where on the board's plane it looks, and the projector's pixel there."""
+    """For each camera pixel, (H, W, 2): its point on the board's plane, and the projector's pixel there."""
     rotation, middle = pose
     row, column = np.indices((rig.camera.height, rig.camera.width), dtype=np.float64)
     rays = rig.camera.unproject(np.stack([column.ravel(), row.ravel()], axis=1))

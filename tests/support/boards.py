@@ -1,4 +1,4 @@
-"""Made-up boards for tests: as views, and as pictures."""
+"""Synthetic boards, as views and as pictures."""
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ def views_of(boards: SyntheticBoards) -> list[View]:
 
 
 def photographed(target: Target, seed: int, size: tuple[int, int] = (800, 640)) -> tuple[np.ndarray, Floats]:
-    """A flat board seen askew, blurred and noisy; and where its points are in the picture, (N, 2)."""
+    """A flat board seen obliquely, blurred and noisy; and the pixels of its points, (N, 2)."""
     rng = np.random.default_rng(seed)
     side = 40
     drawn = draw_target(target, side)

@@ -1,4 +1,4 @@
-"""A page of this program in a real browser, and the program that serves it."""
+"""A page of this program in a real browser, and its server."""
 
 import os
 import signal
@@ -33,7 +33,7 @@ _SMALL_TEXTS = """() => {
 
 
 class Served:
-    """`scan …` as a process of its own, from its first line, which names the address, to Ctrl-C."""
+    """`scan …` as a process, from its first line, which names the address, to Ctrl-C."""
 
     def __init__(self, folder: Path, *arguments: object) -> None:
         command = [sys.executable, "-m", "scanner", *map(str, arguments), "--no-browser"]
@@ -49,7 +49,7 @@ class Served:
         return next(word for word in self.first_line.split() if word.startswith("http://"))
 
     def interrupt(self) -> tuple[int, str]:
-        """Press Ctrl-C: the exit code, and everything that was said on stdout and stderr."""
+        """Press Ctrl-C; returns the exit code, and all output on stdout and stderr."""
         self._process.send_signal(signal.SIGINT)
         out, err = self._process.communicate(timeout=_LEAVING_S)
         return self._process.returncode, out + err
@@ -66,7 +66,7 @@ class Served:
 
 
 class Visit:
-    """A page, and what it complained of or asked other hosts for."""
+    """A page, its console messages, and its requests to other hosts."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -104,7 +104,7 @@ class Visit:
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def colours_in_scene(self) -> int:
-        """How many colours the middle of the 3-D view shows, in steps of 16 levels."""
+        """Number of colours in the middle of the 3-D view, in steps of 16 levels."""
         box = self.page.locator("canvas").first.bounding_box()
         assert box
         width, height = box["width"] / 2, box["height"] / 2
@@ -118,7 +118,7 @@ class Visit:
 
 @contextmanager
 def visiting(browser: Browser, address: str) -> Iterator[Visit]:
-    """Open a page; closed again at the end."""
+    """Open a page, and close it at the end."""
     page = browser.new_page(viewport={"width": 1500, "height": 950})
     page.set_default_timeout(PATIENCE_MS)
     visit = Visit(page)

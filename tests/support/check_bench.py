@@ -1,4 +1,4 @@
-"""A small simulated rig whose light and lenses a test changes without building the room again."""
+"""A small simulated rig whose light and lenses a test changes without solving the room again."""
 
 from hw.rig import Rig
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
@@ -21,7 +21,7 @@ def config(*overrides: str) -> Config:
 
 
 def changed(room: SimulatedRoom, **settings: object) -> SimulatedRoom:
-    """The same room under other settings of its light, lenses and sensor."""
+    """The same room with other settings of its light, lenses and sensor."""
     return room.under(**settings)
 
 

@@ -1,4 +1,4 @@
-"""A made-up scene with everything known: the corner of a room and a sphere in it, seen on the camera's pixel grid."""
+"""A synthetic scene with ground truth: the corner of a room and a sphere, on the camera's pixel grid."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ SPHERE_RADIUS_M = 0.15
 
 @dataclass(frozen=True)
 class Scene:
-    """`points`, `normals` (N, 3) and `surface` (N,): 0, 1, 2 the walls, 3 the sphere, of each match."""
+    """`points`, `normals` (N, 3) and `surface` (N,) of each match: 0, 1, 2 the walls, 3 the sphere."""
 
     matches: Matches
     calibration: Calibration
@@ -33,7 +33,7 @@ class Scene:
 def room(
     camera: Intrinsics = CAMERA, projector: Intrinsics = PROJECTOR, noise_px: float = 0.05, seed: int = 0
 ) -> Scene:
-    """A concave corner 2.5 m away, a sphere before it, and a projector 0.4 m beside the camera."""
+    """A concave corner 2.5 m away, a sphere in front of it, and a projector 0.4 m beside the camera."""
     eye = Placed.looking(np.array([1.5, 1.3, 1.2]), np.array([0.3, 0.25, 0.25]))
     source = Placed.looking(np.array([1.75, 1.0, 1.3]), np.array([0.3, 0.2, 0.25]))
     calibration = Calibration(camera, projector, *eye.into(source), unit="m")
@@ -66,7 +66,7 @@ def room(
 
 
 def with_mistakes(scene: Scene, share: float, seed: int = 1) -> tuple[Scene, NDArray[np.bool_]]:
-    """The scene with a share of its matches moved by 8 to 200 projector pixels, and which they are, (N,)."""
+    """The scene with a share of its matches moved by 8 to 200 projector pixels, and their mask (N,)."""
     rng = np.random.default_rng(seed)
     wrong = rng.random(len(scene.matches)) < share
     moved = scene.matches.projector_px.copy()

@@ -1,4 +1,4 @@
-"""The program as its user calls it, and what it leaves in a folder."""
+"""The command line as users run it, and the files that it leaves."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from scanner.commands.main import main
 
 
 def run(*arguments: object) -> int:
-    """The exit code of `scan` with these arguments."""
+    """Run `scan` with these arguments; returns the exit code."""
     return main([str(argument) for argument in arguments])
 
 

@@ -1,4 +1,4 @@
-"""Work of a batch that ends its own process, as a crash in a library or the kernel's memory killer would."""
+"""Batch work that kills its own process, like a crash in a library or the out-of-memory killer."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ POISON, ONCE = "poison", "once"
 
 
 def deadly_work(job: Job, delivery: Delivery) -> Row:
-    """`work`; but a capture called 'poison' always ends the process, and one called 'once' the first time."""
+    """`work`, except that a capture named 'poison' always kills the process, and one named 'once' the first time."""
     mark = Path(delivery.out) / "died"
     if POISON in job.name or (ONCE in job.name and not mark.exists()):
         mark.touch()

@@ -1,4 +1,4 @@
-"""The commands that README.md and docs/*.md show: where they stand, and how they are run or, if not, checked."""
+"""Commands in README.md and docs/*.md: their places, and how they are run or checked."""
 
 import re
 import runpy
@@ -56,7 +56,7 @@ FOREIGN = ("git clone", "cd", "source", "xdg-open", "apt-get", "sudo apt-get", "
 
 @dataclass(frozen=True)
 class Documented:
-    """A command, without comment, variables and folder of the program, and the place where it stands."""
+    """A command without comment, variables and folder of the program, and its place."""
 
     page: str
     line: int
@@ -64,17 +64,17 @@ class Documented:
 
     @property
     def words(self) -> list[str]:
-        """As a shell splits it."""
+        """Split a command like a shell."""
         return shlex.split(self.text)
 
     @property
     def why_not_run(self) -> str:
-        """The reason why it is only parsed; '' if it is run."""
+        """The reason why a command is only parsed; empty if it is run."""
         return next((why for start, why in NOT_RUN.items() if _starts(self.text, start)), "")
 
     @property
     def foreign(self) -> bool:
-        """Whether it is another program's."""
+        """Whether the command is of another program."""
         return any(_starts(self.text, start) for start in FOREIGN)
 
 
@@ -88,7 +88,7 @@ def commands() -> list[Documented]:
 
 
 def commands_in(page: Path) -> Iterator[Documented]:
-    """Those of one page; a line that ends in a backslash goes on in the next."""
+    """The commands of one page; a backslash continues a line."""
     inside, started, text = False, 0, ""
     for number, line in enumerate(map(str.strip, page.read_text(encoding="utf-8").splitlines()), start=1):
         if line.startswith("```"):
@@ -109,7 +109,7 @@ def commands_in(page: Path) -> Iterator[Documented]:
 
 
 def parse(command: Documented) -> None:
-    """Check the arguments of a command that is not run. Raises AssertionError, InputError or SystemExit."""
+    """Check the arguments of a command without running it. Raises AssertionError, InputError or SystemExit."""
     program, *rest = command.words
     if program == "make":
         targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
@@ -127,7 +127,7 @@ def parse(command: Documented) -> None:
 
 
 class _Parsed(Exception):  # noqa: N818
-    """The script has read its arguments; it need not go on."""
+    """The script has parsed its arguments, and can stop."""
 
 
 def _parse_script(words: list[str]) -> None:

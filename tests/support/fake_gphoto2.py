@@ -1,4 +1,4 @@
-"""python-gphoto2's interface with a camera behind it that photographs what a mirror shows."""
+"""python-gphoto2's interface, with a camera that photographs what a mirror shows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ class GPhoto2Error(Exception):
 
 @dataclass
 class Device:
-    """What the fake camera is like; tests change it."""
+    """Properties of the fake camera, which tests change."""
 
     see: Callable[[], np.ndarray]
     model: str = "Canon EOS 700D"

@@ -1,4 +1,4 @@
-"""Scans as processes, with faults that are really injected, and what they leave."""
+"""Scans as processes with injected faults, and their remains."""
 
 import json
 import subprocess
@@ -16,7 +16,7 @@ from tests.support.places import ROOT
 
 @dataclass(frozen=True)
 class Ended:
-    """`code`: the exit code, or minus the signal. `files`: those of the file system that was mounted for it."""
+    """`code`: the exit code, or minus the signal. `files`: those of the mounted file system."""
 
     code: int
     said: str
@@ -24,7 +24,7 @@ class Ended:
 
 
 class FaultBench:
-    """The process that forks scanners, for as long as the block lasts."""
+    """The process that forks scanners while the block lasts."""
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "tests.support.fault_process"]
@@ -42,7 +42,9 @@ class FaultBench:
         self._process.stdout.close()
 
     def run(self, folder: Path, *arguments: object, faults: Sequence[Mapping[str, Any]] = (), **request: Any) -> Ended:
-        """`scan` with these arguments; `request` has what else the fault takes. Skips where nothing can be mounted."""
+        """Run `scan` with these arguments; `request` holds parameters of the fault. Skips where mounting is not
+        allowed.
+        """
         report = folder / "said.txt"
         asked = {"arguments": [*map(str, arguments)], "faults": [*faults], "report": str(report), **request}
         self._process.stdin.write(json.dumps(asked, default=str) + "\n")

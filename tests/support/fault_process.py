@@ -1,7 +1,7 @@
-"""A process that forks one scanner after the other, each with a fault planted in it; requests come on stdin.
+"""A process that forks scanners, each with an injected fault; requests come on stdin.
 
-Modules are loaded once, so that a scan which really is a process of its own, and really is killed, costs no second. The
-rig is a projector whose camera sees what it shows; what follows the decoding is replaced by a file that looks like it.
+Modules are loaded once, so that a scan as a real process, which is really killed, costs no second. The rig is a
+projector whose camera sees its picture; everything after decoding is replaced by a file that looks like it.
 """
 
 import ctypes
@@ -34,7 +34,7 @@ CANNOT_MOUNT = 99
 
 
 class Mirror:
-    """A projector, and a camera that sees what it shows."""
+    """A projector, and a camera that sees its picture."""
 
     size = SIZE
     highest_level = 255
@@ -61,7 +61,7 @@ def reconstruct(captures: Any, config: Any, folder: Path, *_: object, **__: obje
 
 
 def found(place: str) -> tuple[Any, str]:
-    """What has a function, by `module:function` or `module:class.function`, and the function's name there."""
+    """The owner of a function, by `module:function` or `module:class.function`, and its name there."""
     module, names = place.split(":")
     *owners, name = names.split(".")
     owner: Any = import_module(module)
@@ -71,7 +71,7 @@ def found(place: str) -> tuple[Any, str]:
 
 
 def plant(fault: dict[str, Any]) -> None:
-    """Do something at the so-many-th call of a function, before it."""
+    """Run an action before the n-th call of a function."""
     module, name = found(fault["at"])
     real, calls = getattr(module, name), count(1)
 
@@ -135,7 +135,7 @@ ACTIONS: dict[str, Callable[..., None]] = {
 
 
 def mount(where: str, options: str, *, read_only: bool) -> None:
-    """A small file system that nobody else sees. Ends the process where that is not allowed."""
+    """Mount a small private file system. Ends the process if that is not allowed."""
     libc = ctypes.CDLL(None, use_errno=True)
     user, group = os.getuid(), os.getgid()
     if libc.unshare(_NEW_MOUNTS | (_NEW_USER if user else 0)) != 0:
@@ -149,13 +149,13 @@ def mount(where: str, options: str, *, read_only: bool) -> None:
 
 
 def tree(folder: Path) -> dict[str, str]:
-    """Every file under a folder, and what the short ones say."""
+    """Every file below a folder, with the content of short ones."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     return {str(path.relative_to(folder)): path.read_text(errors="replace")[:10_000] for path in files}
 
 
 def child(request: dict[str, Any]) -> None:
-    """Run one scan and leave what it printed, and the files it left, for who asked."""
+    """Run one scan; leave its output and files for the caller."""
     with Path(request["report"]).open("w") as report:  # open before limits and mounts
         os.dup2(report.fileno(), 2)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -177,7 +177,7 @@ def child(request: dict[str, Any]) -> None:
 
 
 def serve() -> None:
-    """Fork for each line of stdin; its exit code, or minus the signal that ended it, goes to stdout."""
+    """Fork for each line of stdin; report the exit code, or minus the signal, on stdout."""
     setattr(pipeline, "open_rig", open_mirror)  # noqa: B010
     setattr(pipeline, "reconstruct", reconstruct)  # noqa: B010
     setattr(scan_command, "show_outcome", lambda *_: None)  # noqa: B010

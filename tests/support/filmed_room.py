@@ -24,7 +24,7 @@ BIT_RATE = 1.5e6
 
 @dataclass
 class FilmedRoom:
-    """`folder` gets the video, its sequence.yaml and the recordings."""
+    """`folder` receives the video, its sequence.yaml and the recordings."""
 
     folder: Path
     seen: dict[bytes, Light] = field(default_factory=dict)

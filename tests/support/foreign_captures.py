@@ -1,4 +1,4 @@
-"""A simulated room photographed under any patterns, written as other programs name and order their frames."""
+"""A simulated room photographed under any patterns, saved with the names and order of other programs."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ class Photographer:
         names: Iterable[str],
         change: Callable[[Image], Image] = lambda image: image,
     ) -> Path:
-        """A folder with a file for each pattern, in the order of the names."""
+        """Write a folder with a file for each pattern, in the order of the names."""
         folder.mkdir(parents=True, exist_ok=True)
         for pattern, name in zip(patterns, names, strict=False):
             assert cv2.imwrite(str(folder / name), change(self.take(pattern)))
@@ -54,7 +54,7 @@ ENDS: list[Pattern] = [White(), Black()]
 
 
 def bits(axis: Axis, number: int, cell: int = 1, offset: int = 0, *, inverses: bool = True) -> list[Pattern]:
-    """The bits of a Gray code, most significant first, each followed by its inverse, as all the sources have them."""
+    """The bits of a Gray code, most significant first, each followed by its inverse, as in all the sources."""
     signs = (False, True) if inverses else (False,)
     return [Gray(axis, bit, number, cell, offset, inverted) for bit in range(number) for inverted in signs]
 
@@ -72,5 +72,5 @@ def deep(image: Image) -> Image:
 
 
 def named(form: str, start: int = 0) -> Iterator[str]:
-    """Names with a number in them, from `start` on."""
+    """Numbered names, from `start` on."""
     return (form.format(number) for number in count(start))

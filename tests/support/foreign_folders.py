@@ -1,4 +1,4 @@
-"""Folders of frames as other programs leave them, and `scan import` of them."""
+"""Folders of frames as other programs leave them, and their import."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def sltk() -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Foreign:
-    """`patterns` in the order of `names`; the `arguments` that are needed; what the camera's files are like."""
+    """`patterns` in the order of `names`; the required `arguments`; the format of the camera's files."""
 
     layout: str
     patterns: list[Pattern]
@@ -112,7 +112,7 @@ def imported(source: Path, *arguments: object) -> int:
 
 
 def same(one: Pattern, other: Pattern) -> bool:
-    """Periods and shifts are as good as rounding."""
+    """Compare sequences up to rounding of periods and shifts."""
     if isinstance(one, Phase) and isinstance(other, Phase):
         return one.axis == other.axis and np.allclose((one.period, one.shift), (other.period, other.shift), atol=1e-9)
     return one == other

@@ -1,4 +1,4 @@
-"""What a full disk does, to what runs in this process."""
+"""The effect of a full disk in this process."""
 
 import resource
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def no_file_larger_than(size: int) -> Iterator[None]:
-    """No file takes more bytes than that, for as long as the context lasts."""
+    """Within the context, no file can be larger than this."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:

@@ -1,4 +1,4 @@
-"""Boards and corners before one made-up rig, for tests of what joins them."""
+"""Boards and corners of one synthetic rig, for tests that combine them."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,7 +17,7 @@ from tests.support.boards import views_of
 
 @dataclass(frozen=True)
 class Before:
-    """`boards` with what they say, `known`; the `corner`'s matches; `truth` of the rig, in metres."""
+    """`boards` with their estimate, `known`; the matches of the `corner`; `truth` of the rig, in metres."""
 
     truth: Calibration
     boards: BoardCalibration
@@ -36,7 +36,7 @@ class Before:
 
 
 def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> Before:
-    """`zoom`: by what the projector's focal length changes between boards and corner."""
+    """`zoom`: factor on the projector's focal length between boards and corner."""
     rng = np.random.default_rng(seed)
     rig, found, known = from_boards(rng, views=views, matches=2000, **changes)
     return Before(rig, found, known, corner_before(rng, rig, zoom))
@@ -45,7 +45,7 @@ def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> B
 def from_boards(
     rng: np.random.Generator, *, views: int, matches: int, **changes: Any
 ) -> tuple[Calibration, BoardCalibration, KnownCalibration]:
-    """A made-up rig, and what flat boards before it say."""
+    """A synthetic rig, and its calibration from flat boards."""
     boards = random_boards(rng, views=views, matches=matches, bend=0.0, **changes)
     rig = boards.calibration
     sizes = rig.camera.size, rig.projector.size
@@ -54,7 +54,7 @@ def from_boards(
 
 
 def corner_before(rng: np.random.Generator, rig: Calibration, zoom: float) -> Matches:
-    """A capture of a corner by the rig, its projector zoomed."""
+    """A capture of a corner by the rig, with its projector zoomed."""
     focal = zoom * rig.projector.focal_px[0]
     (capture,) = random_captures(
         rng,
@@ -82,7 +82,7 @@ def intrinsics_and_length(calibration: Calibration) -> Floats:
 
 
 def sigmas(calibration: Calibration) -> Floats:
-    """Of those, (7,)."""
+    """Sigmas of these parameters, (7,)."""
     own = calibration.sigma
     devices = (own.camera, own.projector)
     return np.array([*(x for d in devices for x in (d.focal_px[0], *d.principal_point_px)), own.known_baseline])

@@ -1,4 +1,4 @@
-"""A process that may take only a little more memory than it has."""
+"""A process with little memory left."""
 
 import resource
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ _ROOM_BYTES = 200_000_000
 
 @contextmanager
 def little_memory() -> Iterator[None]:
-    """No more address space than there is in use, and a little."""
+    """Limit the address space to slightly more than is in use."""
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (used + _ROOM_BYTES, before[1]))

@@ -1,4 +1,4 @@
-"""A rig before a ball and a wall, in closed form: what each pixel sees is known, also while the ball moves."""
+"""A rig in front of a ball and a wall, in closed form: ground truth of each pixel, also while the ball moves."""
 
 from dataclasses import dataclass, field
 
@@ -17,7 +17,7 @@ _WALL_M, _RADIUS_M, _BALL_M = 0.6, 0.08, (0.02, 0.0, 0.5)
 
 
 def calibration(lens: float = 0.0, smaller: float = 1) -> Calibration:
-    """Side by side, turned towards each other; `lens`: the radial term of both. The camera's picture may be smaller."""
+    """Both devices side by side, converging; `lens`: radial term of both. The camera's image may be reduced."""
     angle = 0.2
     turned = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     distortion = (lens, 0.0, 0.0, 0.0, 0.0)
@@ -29,8 +29,8 @@ def calibration(lens: float = 0.0, smaller: float = 1) -> Calibration:
 
 @dataclass
 class LiveBench:
-    """`speed_m` per frame. `late`: numbers of frames that hold a `share` of the picture before; `lost`: that never
-    come. Each is counted when it is taken. `bounce`: light that comes by way of elsewhere, as from another wall.
+    """`speed_m`: per frame. `late`: numbers of frames with a `share` of the previous picture; `lost`: of missing
+    frames. Frames are numbered as they are taken. `bounce`: interreflection, as from another wall.
     """
 
     speed_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -57,15 +57,15 @@ class LiveBench:
 
     @property
     def rig(self) -> Rig:
-        """Both devices."""
+        """The rig of both devices."""
         return Rig(self, _Camera(self), {"backend": "bench"})
 
     def show(self, image: Image) -> None:
-        """On the wall, at once."""
+        """Show a picture at once."""
         self._before, self._shown = self._shown, image
 
     def take(self) -> Frame:
-        """A frame of what is on the wall. Raises FrameLostError."""
+        """Take a frame. Raises FrameLostError."""
         number, self.taken = self.taken, self.taken + 1
         assert number < _MOST, "nobody has ended this"
         if number in self.lost:
@@ -81,15 +81,15 @@ class LiveBench:
         return Frame(np.clip(np.rint(level), 0, 255).astype(np.uint8), exposure_us=1000.0)
 
     def truth(self, frame: float) -> tuple[Floats, Floats]:
-        """Of each pixel at the time of a frame: the projector pixel that lights it, (H, W, 2), NaN where none does; and
-        the point (H, W, 3).
+        """Ground truth of each pixel at the time of a frame: the projector pixel that lights it, (H, W, 2), NaN where
+        none does; and the point (H, W, 3).
         """
         points, _ = self._points(frame)
         pixel, _, lit = self._lit(points)
         return np.where(lit[..., None], pixel, np.nan), points
 
     def on_ball(self, frame: float) -> Bools:
-        """Which pixels see the ball, (H, W)."""
+        """Mask of the pixels that see the ball, (H, W)."""
         return self._points(frame)[1]
 
     def _scene(self, number: int) -> tuple[Floats, Floats, Bools]:
@@ -130,7 +130,7 @@ class _Camera:
 
 
 def _sampled(light: Floats, pixel: Floats) -> Floats:
-    """Between the projector's pixels, linearly."""
+    """Linear interpolation between projector pixels."""
     x, y = (np.clip(np.nan_to_num(pixel[..., n]), 0, PROJECTOR[n] - 1.001) for n in (0, 1))
     column, row = x.astype(np.int64), y.astype(np.int64)
     right, down = x - column, y - row

@@ -1,4 +1,4 @@
-"""A loopback rig for tests, scans with it, and what its frames should show."""
+"""A loopback rig for tests, scans with it, and the expected frames."""
 
 import signal
 import subprocess
@@ -42,7 +42,7 @@ class Loopback:
 
 
 class Keeper:
-    """Keeps a rig running from test to test, and starts another when a test has killed one."""
+    """Keeps a rig running between tests, and starts a new one after a test has killed it."""
 
     def __init__(self) -> None:
         self._running = ExitStack()
@@ -63,14 +63,14 @@ class Keeper:
 
 
 def scan(config: Path, *more: str) -> tuple[int, Path]:
-    """Run a scan; its exit code, and the folder of what was captured."""
+    """Run a scan; returns the exit code, and the folder of the capture."""
     out = config.with_name("result")
     code = main(["--config", str(config), "--out", str(out), "--quiet", *more])
     return code, (out if code in (0, 4) else out.with_name("result-incomplete")) / "capture"
 
 
 def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
-    """Do something as soon as a running scan has recorded this many frames."""
+    """Run an action once a scan has recorded this many frames."""
 
     def recorded() -> int:
         listings = config.parent.glob(".result*/capture/capture.yaml")
@@ -85,7 +85,7 @@ def after_frames(count: int, config: Path, act: Callable[[], object]) -> None:
 
 
 def broken_off(config: Path, number: signal.Signals) -> tuple[int, str]:
-    """Run a scan in a process of its own and send it a signal after five frames; its exit code and messages."""
+    """Run a scan as a process and send it a signal after five frames; returns exit code and messages."""
     command = [sys.executable, "-X", "faulthandler", "-m", "scanner"]
     command += ["--config", str(config), "--out", str(config.with_name("result"))]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -99,12 +99,12 @@ def broken_off(config: Path, number: signal.Signals) -> tuple[int, str]:
 
 
 def digits(room: SimulatedRoom, pattern: Pattern) -> np.ndarray:
-    """What the camera sees of a pattern, without noise."""
+    """Expected noise-free frame of a pattern."""
     return room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
 
 
 def wrong_frames(recording: Recording, room: SimulatedRoom) -> list[str]:
-    """What is wrong with frames that do not show their own pattern, and nothing of the pattern before or after it."""
+    """Errors of frames that do not show exactly their own pattern."""
     frames = [frame.image.astype(float) for _, frame in recording.stream().frames]
     seen = [digits(room, pattern) for pattern in recording.patterns]
     wrong = []
@@ -120,7 +120,7 @@ def wrong_frames(recording: Recording, room: SimulatedRoom) -> list[str]:
 
 
 def check_frames(capture: Path, room: SimulatedRoom) -> int:
-    """Every frame shows its own pattern, and nothing of the pattern before or after it. Returns how many there are."""
+    """Check that every frame shows exactly its own pattern. Returns the number of frames."""
     recording = open_capture(capture)
     assert wrong_frames(recording, room) == []
     return len(recording.patterns)

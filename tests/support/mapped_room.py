@@ -1,5 +1,5 @@
-"""The result folder of a network in a simulated room: two projectors side by side before a wall with a box, and what
-the wall shows when they show pictures.
+"""The result folder of a network in a simulated room with two projectors side by side, a wall and a box; and what the
+wall shows.
 """
 
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ def to_network(points: Floats) -> Floats:
 
 
 def write_network(folder: Path, rng: np.random.Generator, noise_m: float = 3e-4) -> Path:
-    """network.yaml with the true devices, network.ply with noise along the rays."""
+    """Write network.yaml with the true devices, and network.ply with noise along the rays."""
     folder.mkdir(parents=True)
     devices = [_entry("camera", "camera", CAMERA)]
     points, normals = [], []
@@ -78,7 +78,7 @@ def write_network(folder: Path, rng: np.random.Generator, noise_m: float = 3e-4)
 
 
 def shown_on_wall(pictures: dict[str, NDArray[np.uint8]], points: Floats) -> Floats:
-    """Linear light (n,) at points (n, 3) of the room's wall when projectors show 8-bit pictures (H, W)."""
+    """Linear light (n,) at points (n, 3) of the room's wall while projectors show 8-bit pictures (H, W)."""
     total = np.zeros(len(points))
     for name, picture in pictures.items():
         projector = PROJECTORS[name]
@@ -91,7 +91,7 @@ def shown_on_wall(pictures: dict[str, NDArray[np.uint8]], points: Floats) -> Flo
 
 
 def _entry(name: str, kind: str, device: PlacedDevice) -> dict[str, object]:
-    """Of network.yaml: X_network = rotation X_device + translation."""
+    """Entry of network.yaml: X_network = rotation X_device + translation."""
     optics = device.optics
     return {
         "name": name,

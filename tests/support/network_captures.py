@@ -1,4 +1,4 @@
-"""Capture folders of a made-up network: every camera's frames in every projector's light."""
+"""Capture folders of a synthetic network: every camera's frames in every projector's light."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ _DARK, _GREY, _NEAR_M = 12.0, 190.0, 1e-6
 
 
 def write_captures(folder: Path, network: SyntheticNetwork, rng: np.random.Generator) -> list[Path]:
-    """Folders `<camera>-<projector>`, with a grey level of noise in the frames."""
+    """Folders `<camera>-<projector>`, with noise of one grey level."""
     return [_write(folder / f"{c}-{p}", network, c, p, rng) for c, p in network.captures]
 
 
@@ -36,7 +36,7 @@ def _write(folder: Path, network: SyntheticNetwork, camera: str, projector: str,
 
 
 def _seen(network: SyntheticNetwork, camera: str, projector: str) -> tuple[Floats, Bools]:
-    """Of each camera pixel the projector's pixel (H, W, 2) there, and whether its light falls on it, (H, W)."""
+    """For each camera pixel the projector's pixel (H, W, 2) there, and whether it is lit, (H, W)."""
     width, height = network.devices[camera].size
     row, column = np.indices((height, width), dtype=np.float64)
     at, light = network.poses[camera], network.poses[projector]

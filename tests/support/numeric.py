@@ -1,4 +1,4 @@
-"""Derivatives by differences."""
+"""Numerical derivatives."""
 
 from collections.abc import Callable, Iterable
 
@@ -11,7 +11,7 @@ from calib.rooms import Room
 def gradient_of(
     function: Callable[[Room], Floats], room: Room, columns: Iterable[int] | None = None, step: float = 1e-6
 ) -> Floats:
-    """Of a function of rooms by all or some of the room's columns, (…, columns)."""
+    """Gradient of a function of rooms by some or all of the room's columns, (…, columns)."""
     slopes = []
     for column in range(room.size) if columns is None else columns:
         way = np.zeros(room.size)

@@ -1,4 +1,4 @@
-"""Photos of a painted corner: all that the command needs, and everything known of them."""
+"""Photos of a painted corner, with ground truth."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +20,7 @@ _SUPERSAMPLING = 2
 
 @dataclass(frozen=True)
 class Walls:
-    """Pictures of the walls, BGR; a wall without one is black."""
+    """Pictures of the walls, BGR; a wall without a picture is black."""
 
     pictures: tuple[Image | None, ...]
 
@@ -32,7 +32,7 @@ def painted(seed: int = 0, walls: tuple[int, ...] = (0, 1, 2)) -> Walls:
 
 
 def photo(walls: Walls, eye: Floats, *, camera: Intrinsics = CAMERA, target: Floats | None = None) -> Image:
-    """What a camera at `eye` that looks at `target` (the vertex) sees, with a little noise."""
+    """The view of a camera at `eye` facing `target` (the vertex), with slight noise."""
     placed = Placed.looking(eye, np.full(3, 0.15) if target is None else target)
     rays = _rays(camera) @ placed.rotation
     depth, wall = (of.reshape(rays.shape[:2]) for of in Room().cast(eye, rays.reshape(-1, 3)))
@@ -50,7 +50,7 @@ def photo(walls: Walls, eye: Floats, *, camera: Intrinsics = CAMERA, target: Flo
 
 
 def write_photos(folder: Path, *images: Image) -> list[Path]:
-    """As A.png, B.png and so on."""
+    """Write A.png, B.png and so on."""
     paths = [folder / f"{chr(ord('A') + number)}.png" for number in range(len(images))]
     for path, image in zip(paths, images, strict=True):
         cv2.imwrite(str(path), image)
@@ -59,7 +59,7 @@ def write_photos(folder: Path, *images: Image) -> list[Path]:
 
 @cache
 def _rays(camera: Intrinsics) -> Floats:
-    """Of a camera's pixels, several each, (H, W, 3)."""
+    """Several rays of each of a camera's pixels, (H, W, 3)."""
     fine = (np.arange(_SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5
     x, y = (np.add.outer(np.arange(side), fine).ravel() for side in (camera.width, camera.height))
     return camera.unproject(np.stack(np.meshgrid(x, y), axis=-1))

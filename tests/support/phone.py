@@ -1,4 +1,4 @@
-"""A telephone that looks at a simulated room and sends what it sees, as Motion JPEG from this process."""
+"""A telephone that sees a simulated room and streams it as Motion JPEG from this process."""
 
 import socket
 from collections import deque
@@ -18,8 +18,8 @@ _QUEUE = 2  # frames that wait before one leaves
 
 
 class Phone:
-    """Sends while the `with` block runs, at `address`. `changed` makes of each frame (H, W, 3) what is sent instead of
-    it, None for nothing. `stop` ends the server as well, and `connect` begins anew.
+    """Streams from `address` while the `with` block lasts. `changed` modifies each frame (H, W, 3); None drops it.
+    `stop` ends the server too, and `connect` starts again.
     """
 
     def __init__(self, room: SimulatedRoom) -> None:
@@ -58,7 +58,7 @@ class Phone:
             self._server = None
 
     def light(self, picture: np.ndarray) -> None:
-        """What the projector shows from now on."""
+        """Set the picture that the projector shows."""
         self._light = self._room.electrons(picture) * (255 / self._room.sensor.full_well_electrons)
         self.shown += 1
 

@@ -1,4 +1,4 @@
-"""Where things are: the repository, and the real captures that may lie beside it."""
+"""Paths: the repository, and the optional real captures beside it."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Reports of made-up scenes, for the tests that read the page and for those that open it in a browser."""
+"""Reports of synthetic scenes, for tests of the page and tests in a browser."""
 
 from dataclasses import replace
 

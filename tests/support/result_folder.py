@@ -1,4 +1,4 @@
-"""A result folder with everything known, written in a fraction of a second."""
+"""A result folder with ground truth, written in a fraction of a second."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 @dataclass(frozen=True)
 class Written:
-    """The folder, what is in it, and the scene it was made from."""
+    """The folder, its content, and its scene."""
 
     folder: Path
     scan: FinishedScan
@@ -35,9 +35,9 @@ def write_result(
     keep: Callable[[Floats], Bools] | None = None,
     numbered: bool = True,
 ) -> Written:
-    """What a scan of the scene would have left, with the true calibration; `keep` chooses among the camera pixels.
+    """The result of a scan of the scene, with the true calibration; `keep` selects camera pixels.
 
-    Not `numbered`: as older versions wrote it, without the matches' numbers in the cloud.
+    If not `numbered`, the cloud lacks the numbers of its matches, as in older versions.
     """
     scene = room(camera, projector, noise_px)
     if keep:

@@ -1,4 +1,4 @@
-"""A projector and a camera on a clock that only they move: what real ones do with time, exactly and at once."""
+"""A projector and a camera on a simulated clock: exact timing without waiting."""
 
 from collections.abc import Callable
 from math import ceil
@@ -16,7 +16,7 @@ SIZE = (8, 6)
 
 
 class Bench:
-    """Both devices; the wall shows a picture `latency_s` after its flip, the camera sees the wall pixel by pixel."""
+    """Both devices. The wall shows a picture `latency_s` after its flip; the camera sees the wall pixel by pixel."""
 
     name = "bench"
     capabilities = Capabilities(clock=True)
@@ -84,7 +84,7 @@ class Bench:
         return Swap(begun, self.now)
 
     def show_at(self, image: Image, when_s: float) -> None:
-        """Appointments are kept however late it is: what they bring is on the wall when its time has come."""
+        """A late call is executed, too: its picture is on the wall when its time has come."""
         self._sleep(self._sending_s)
         begun = max(when_s + self._held_up_s(), self.now, self._swaps[-1].done_s if self._swaps else 0.0)
         self._swaps.append(Swap(begun, begun + 0.002))
@@ -98,17 +98,17 @@ class Bench:
         return swap
 
     def delay_every(self, count: int) -> None:
-        """From now on, one of this many pictures arrives a refresh late, which is not reported."""
+        """From now on, one of this many pictures is late by a refresh, unreported."""
         self._late = range(len(self._wall) + 4, 10**9, count)
 
     def delay_some(self, share: float, busy_share: float) -> None:
-        """From now on, such a share of pictures come a refresh late, of which nobody tells; and such a share of swaps
-        and triggers are held up for a few milliseconds, which is told.
+        """From now on, this share of pictures is late by a refresh, unreported; and this share of swaps and triggers is
+        delayed by a few milliseconds, which is reported.
         """
         self._late_share, self._busy_share = share, busy_share
 
     def delay(self, number: int, seconds: float) -> None:
-        """The light of the picture of that number from now on comes so much later than it should, or sooner."""
+        """Shift the light of the picture with this number in time."""
         self._late_s[len(self._wall) + number] = seconds
 
     def _leave(self, image: Image, moment: float) -> None:

@@ -1,7 +1,7 @@
-"""The corner of a room and what stands in it, hit by rays: what all scenes of tests are made of.
+"""The corner of a room with solids in it, hit by rays; the basis of all scenes of tests.
 
 World: the walls are the planes x = 0, y = 0 and z = 0 (the floor), the room is the positive octant, lengths in metres.
-Nothing is shared with the code under test but the camera model.
+Only the camera model is shared with the code under test.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _EPS = 1e-9
 
 @dataclass(frozen=True)
 class Box:
-    """A box on the floor or above it: `centre` and `size` (3,), turned by `yaw` (radians) about the vertical."""
+    """A box on or above the floor: `centre` and `size` (3,), rotated by `yaw` (radians) about the vertical."""
 
     centre: Floats
     size: Floats
@@ -52,7 +52,7 @@ class Ball:
     radius: float
 
     def hit(self, origin: Floats, directions: Floats) -> Floats:
-        """Where rays enter it: distance, inf for a miss."""
+        """Where rays enter the ball: distance, inf for a miss."""
         a = np.sum(directions**2, axis=1)
         b = directions @ (origin - self.centre)
         c = float(np.sum((origin - self.centre) ** 2) - self.radius**2)
@@ -63,7 +63,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Room:
-    """`walls`: whether the three walls are there (a box on a table has the floor only); `limit`: their extent (3,)."""
+    """`walls`: which of the three walls exist (a box on a table has the floor only); `limit`: their extent (3,)."""
 
     boxes: tuple[Box, ...] = ()
     ball: Ball | None = None
@@ -71,7 +71,7 @@ class Room:
     limit: Floats | None = None
 
     def cast(self, origin: Floats, directions: Floats) -> tuple[Floats, Ints]:
-        """First surface met by each ray (N, 3): distance in units of the direction, surface id (NOTHING: none).
+        """First surface hit by each ray (N, 3): distance in units of the direction, surface id (NOTHING: none).
 
         Ids: 0, 1, 2 walls; 3 + 6 b + face for box b; SPHERE.
         """
@@ -94,12 +94,12 @@ class Room:
         return depth, surface
 
     def lit(self, points: Floats, source: Floats) -> Bools:
-        """Whether nothing stands between points (N, 3) and the projector's centre."""
+        """Whether nothing occludes points (N, 3) from the projector's centre."""
         depth, _ = self.cast(source, points - source)
         return depth > 1 - 1e-6
 
     def normal(self, surface: int) -> Floats:
-        """Unit normal (3,) of a wall or of a face of a box, along an axis but maybe not outwards."""
+        """Unit normal (3,) of a wall or of a face of a box, along an axis, but not always outward."""
         if surface < 3:
             return np.eye(3)[surface]
         box, face = divmod(surface - 3, 6)
@@ -108,7 +108,7 @@ class Room:
 
 @dataclass(frozen=True)
 class Placed:
-    """A device at `eye` (3,), in the world; `rotation` (3, 3) from the world into its frame."""
+    """A device at `eye` (3,) in the world; `rotation` (3, 3) from the world into its frame."""
 
     eye: Floats
     rotation: Floats
@@ -118,14 +118,14 @@ class Placed:
         return cls(eye, look_at(eye, target, UP, roll))
 
     def into(self, other: "Placed") -> tuple[Floats, Floats]:
-        """Rotation (3, 3) and translation (3,) from its frame into another's."""
+        """Rotation (3, 3) and translation (3,) from this device's frame into another's."""
         return other.rotation @ self.rotation.T, other.rotation @ (self.eye - other.eye)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a camera sees and a projector lights, pixel by pixel (N): `camera_px`, `projector_px` (N, 2), `points`
-    (N, 3) in the camera's frame, `surface`, and whether they are `lit`; where nothing is met, the numbers mean nothing.
+    """Ground truth per pixel (N): `camera_px`, `projector_px` (N, 2), `points` (N, 3) in the camera's frame, `surface`,
+    and whether it is `lit`. Other values are undefined where nothing is hit.
     """
 
     camera_px: Floats

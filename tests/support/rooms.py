@@ -1,4 +1,4 @@
-"""What is true of a synthetic room, and starts away from it."""
+"""Ground truth of a synthetic room, and disturbed starts."""
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from tests.support.states import device_of
 
 
 def true_room(made: SyntheticRoom) -> tuple[Room, list[dict[int, int]]]:
-    """In baselines and the first camera's frame, planes that a station sees in the order of the made-up room's.
+    """The room in baselines and the first camera's frame; planes in the order of the synthetic room's.
 
-    With it, for each station, which of the room's planes a label of its matches is.
+    Also, for each station, the room's plane of each label of its matches.
     """
     rig, first = made.calibration, made.stations[0]
     unit = rig.baseline
@@ -39,7 +39,7 @@ def true_room(made: SyntheticRoom) -> tuple[Room, list[dict[int, int]]]:
 
 
 def cells_of(made: SyntheticRoom, numbers: list[dict[int, int]]) -> tuple[list[Cells], list[tuple[int, ...]]]:
-    """Cells by local labels 0, 1, …, and which plane of the room each is."""
+    """Cells by local labels 0, 1, …, and the room's plane of each."""
     stations = []
     for station, number in zip(made.stations, numbers, strict=True):
         local = np.full(max(number) + 2, -1, np.int32)
@@ -49,7 +49,7 @@ def cells_of(made: SyntheticRoom, numbers: list[dict[int, int]]) -> tuple[list[C
 
 
 def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room:
-    """Focals off by 1 %, places by 30 mm and 0.5°, planes by as much."""
+    """Focal lengths off by 1 %, positions by 30 mm and 0.5°, planes likewise."""
     step = np.zeros(room.size)
     camera, projector = CAMERA.start, PROJECTOR.start
     step[[camera, projector]] = rng.normal(0, 0.01, 2)
@@ -65,6 +65,6 @@ def disturbed(rng: np.random.Generator, room: Room, made: SyntheticRoom) -> Room
 
 
 def knowledge_of(made: SyntheticRoom) -> Knowledge:
-    """The images' sizes, the camera's principal point in its middle but for 50 px, and ordinary lenses."""
+    """Image sizes, the camera's principal point in the middle with a sigma of 50 px, and ordinary lenses."""
     camera, projector = made.calibration.camera.size, made.calibration.projector.size
     return Knowledge(camera, projector, ((camera.width - 1) / 2, (camera.height - 1) / 2), 50.0, 0.3)

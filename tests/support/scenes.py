@@ -25,7 +25,7 @@ class Scene:
 
 
 def paper_rig(camera_k1: float, projector_k1: float, scale: float = 1.0) -> tuple[Intrinsics, Intrinsics]:
-    """The paper's rig at half camera resolution (times `scale`), with one radial term on each lens."""
+    """The paper's rig at half the camera resolution (times `scale`), with one radial term per lens."""
     f, x, y = 895.55 * scale, 628.15 * scale, 527.15 * scale
     size = round(1224 * scale), round(1024 * scale)
     return (
@@ -85,7 +85,7 @@ def place_rig(
     target: Floats,
     baseline: float,
 ) -> tuple[Calibration, Placed]:
-    """A camera at `eye` looking at `target`, and a projector `baseline` metres aside looking there too."""
+    """A camera at `eye` facing `target`, and a projector `baseline` metres beside it facing the same."""
     aside = np.cross(target - eye, rng.normal(0, 0.5, 3) + UP)
     spread = 0.04 * np.linalg.norm(eye - target)
     camera, projector = (
@@ -96,9 +96,9 @@ def place_rig(
 
 
 def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_vertex: bool | None = None) -> Scene:
-    """A room's corner with parallel and yawed boxes and often a sphere, matches with 0.03 to 0.3 px of noise.
+    """A room's corner with parallel and rotated boxes and often a sphere; matches with 0.03 to 0.3 px of noise.
 
-    `hidden_vertex`: whether a box stands in the corner; None leaves it to chance.
+    `hidden_vertex`: whether a box stands in the corner; None for random.
     """
     while True:
         devices = paper_rig(rng.uniform(-0.1, 0.05), rng.uniform(-0.1, 0.05), scale)
@@ -121,7 +121,7 @@ def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_verte
 
 
 def furniture(rng: np.random.Generator, reach: float, hides_vertex: bool) -> tuple[Box, ...]:
-    """One to four boxes on the floor, half of them turned, some against a wall; and one in the corner or not."""
+    """One to four boxes on the floor, half of them rotated, some against a wall; and optionally one in the corner."""
     boxes = []
     for _ in range(rng.integers(1, 5)):
         size = reach * rng.uniform(0.06, 0.22, 3)
@@ -154,7 +154,7 @@ def plain_room(
     lens_k1: float = -0.05,
     scale: float = 0.5,
 ) -> Scene:
-    """Some of the three walls, seen from 2.5 m towards `look_at` (metres), with 0.1 px of noise and 2 % outliers."""
+    """Some of the three walls, from 2.5 m, facing `look_at` (metres), with 0.1 px of noise and 2 % outliers."""
     devices = paper_rig(lens_k1, lens_k1, scale)
     eye = 2.5 * _unit(np.array([1.0, 0.8, 0.7]))
     calibration, pose = place_rig(rng, devices, eye, np.array(look_at), baseline)
@@ -162,7 +162,7 @@ def plain_room(
 
 
 def box_on_table(rng: np.random.Generator, *, scale: float = 1.0, noise_px: float = 0.1) -> Scene:
-    """Three faces of a yawed box, seen from outside, on a table that goes on behind it."""
+    """Three faces of a rotated box, seen from outside, on a table that extends behind it."""
     while True:
         devices = paper_rig(rng.uniform(-0.1, 0.05), rng.uniform(-0.1, 0.05), scale)
         distance = rng.uniform(1.0, 2.5)
@@ -193,7 +193,7 @@ class Score:
 
 
 def score(scene: Scene, face: Ints) -> Score:
-    """Compare labels (N,) with the truth, whatever the order of the faces."""
+    """Compare labels (N,) with the truth, for any order of the faces."""
     surfaces, wrong, labelled = [], 0, []
     for label in range(3):
         values, counts = np.unique(scene.surface[face == label], return_counts=True)

@@ -1,4 +1,4 @@
-"""A simulated projector in place of a window on a screen."""
+"""A simulated projector that replaces a window on a screen."""
 
 import time
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from hw.timing.devices import Swap
 
 
 class SimulatedWindow:
-    """Of (width, height); `show_light` is called with each picture that is flipped to."""
+    """A window of (width, height); `show_light` is called with each flipped picture."""
 
     renderer = "none"
 

@@ -1,4 +1,4 @@
-"""A capture folder that is as small as can be: a camera that sees exactly what the projector shows."""
+"""The smallest capture folder: a camera that sees exactly what the projector shows."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ PATTERNS = sequence_for(SIZE, cell=8, shifts=3)
 
 
 def write_capture(folder: Path, patterns: tuple[Pattern, ...] = PATTERNS) -> Path:
-    """Write a capture of `patterns`; a test then breaks it."""
+    """Write a capture of `patterns`, for a test to damage."""
     (folder / "frames").mkdir(parents=True)
     frames = []
     for index, pattern in enumerate(patterns):

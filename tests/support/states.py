@@ -1,4 +1,4 @@
-"""What is true of a synthetic capture, as a state and as cells of the refinement."""
+"""Ground truth of a synthetic capture, as a state and as cells of the refinement."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from calib.synthetic.captures import SyntheticCapture
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:
-    """f, x_0, y_0, k1, k2, p1, p2, k3, (8,)."""
+    """Parameters f, x_0, y_0, k1, k2, p1, p2, k3, (8,)."""
     return np.array([intrinsics.focal_px[0], *intrinsics.principal_point_px, *intrinsics.distortion])
 
 
@@ -28,6 +28,6 @@ def true_state(capture: SyntheticCapture) -> State:
 
 
 def each_a_cell(capture: SyntheticCapture, sigma_px: float = 1.0) -> Cells:
-    """Every match a cell of its own; all must be on a face."""
+    """Every match as a cell of its own; all must be on a face."""
     matches, one = capture.matches, np.ones(len(capture.matches))
     return Cells(matches.camera_px, matches.projector_px, matches.face, sigma_px * one, one, sigma_px, 0.0)

@@ -1,4 +1,4 @@
-"""A projector and a camera that streams, on a clock that only they move."""
+"""A projector and a streaming camera on a simulated clock."""
 
 from collections.abc import Callable
 from math import inf
@@ -17,9 +17,8 @@ SIZE = (64, 48)
 
 
 class StreamBench:
-    """Both devices. A frame that ends at a moment comes `delay_s` later, or later still by up to `jitter_s`; its rows
-    are exposed one after the other within `readout_s`, for `exposure_s`. The camera's pixels are the projector's, of
-    which one in five is not lit.
+    """Both devices. A frame arrives `delay_s` after its end, or up to `jitter_s` later. Rows are exposed one after the
+    other within `readout_s`, for `exposure_s`. The camera's pixels are the projector's, one in five of which is unlit.
     """
 
     name = "bench"
@@ -80,7 +79,7 @@ class StreamBench:
         return Swap(begun_s, self.now)
 
     def delay(self, number: int, seconds: float) -> None:
-        """The light of the picture of that number from now on comes so much later."""
+        """Shift the light of the picture with this number by this time."""
         self._late_s[len(self._wall) + number] = seconds
 
     def grab(self) -> Frame:

@@ -1,9 +1,8 @@
-"""Frames of a made-up scene: a wall and a box in front of it, seen askew, lit by a projector with all its faults.
+"""Frames of a synthetic scene: a wall and a box in front of it, seen obliquely, lit by an imperfect projector.
 
-The picture is formed as in a real rig, and nothing is shared with the decoder but the drawing of the patterns: the
-8-bit pattern goes through the projector's gamma and lens blur, is looked up at 3 × 3 points of each camera pixel on
-whichever surface they see, shaded, blurred by the camera's lens, joined by light that has bounced about and by ambient
-light, and read out with shot noise, read noise and quantisation.
+Only the drawing of patterns is shared with the decoder. An 8-bit pattern passes through the projector's gamma and lens
+blur. It is sampled at 3 × 3 points of each camera pixel on the visible surface, shaded, and blurred by the camera's
+lens. Interreflection and ambient light are added. Read-out adds shot noise, read noise and quantisation.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +24,7 @@ _FINE = 3
 
 @dataclass(frozen=True)
 class Scene:
-    """Sizes are (width, height). `exposure`: grey level (of 255) of a white wall of albedo 1, fully lit."""
+    """Sizes are (width, height). `exposure`: grey level (of 255) of a fully lit white wall of albedo 1."""
 
     camera: tuple[int, int] = (300, 225)
     projector: tuple[int, int] = (300, 200)
@@ -46,11 +45,11 @@ class Scene:
     seed: int = 1
 
     def wall(self, u: Light, v: Light) -> tuple[Light, Light]:
-        """Projector coordinates of the wall that camera pixels (u, v) see."""
+        """Projector coordinates of the wall at camera pixels (u, v)."""
         return self._plane(u, v, shift=0.0, tilt=0.12)
 
     def box(self, u: Light, v: Light) -> tuple[Light, Light]:
-        """The same for the front of the box."""
+        """Projector coordinates of the front of the box at camera pixels (u, v)."""
         return self._plane(u, v, shift=-0.11, tilt=-0.25)
 
     def _plane(self, u: Light, v: Light, shift: float, tilt: float) -> tuple[Light, Light]:
@@ -67,14 +66,14 @@ class Scene:
         return (np.abs(u - 0.42 * width - 0.03 * v) < 0.13 * width) & (np.abs(v - 0.55 * height) < 0.22 * height)
 
     def is_shadow(self, u: Light, v: Light) -> Bools:
-        """Whether they see the wall where the box throws its shadow on it."""
+        """Whether camera pixels (u, v) see the box's shadow on the wall."""
         width, height = self.camera
         beside = np.abs(u - 0.62 * width - 0.03 * v) < 0.08 * width
         return beside & (np.abs(v - 0.55 * height) < 0.22 * height) & ~self.is_box(u, v)
 
     @cached_property
     def fine(self) -> tuple[Light, Light, Light, Bools]:
-        """Of the sub-pixels: projector x and y, how bright they are in full light, and whether they are on the box."""
+        """For the sub-pixels: projector x and y, brightness in full light, and whether they are on the box."""
         width, height = self.camera
         u, v = np.meshgrid(*((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)))
         on_box = self.is_box(u, v)
@@ -85,7 +84,7 @@ class Scene:
         return x, y, (albedo * inside * ~self.is_shadow(u, v)).astype(np.float32), on_box
 
     def frame(self, pattern: Pattern, number: int) -> Image:
-        """What the camera records."""
+        """The frame that the camera records."""
         rng = np.random.default_rng((self.seed, number))
         levels = self.exposure * _light(_lit_alike(self), pattern) + self.ambient
         variance = levels / self.electrons_per_level + self.read_noise**2
@@ -103,7 +102,7 @@ class Scene:
         return decode(patterns, self.frames(patterns), self.projector)
 
     def errors(self, decoding: Decoding) -> NDArray[np.float64]:
-        """(N, 2): how far the matches are from what their camera pixels see; at the box's edge, the nearer of two."""
+        """Errors (N, 2) of matches; at the edge of the box, those relative to the nearer surface."""
         u, v = decoding.matches.camera_px.T
         on_wall, on_box = (
             decoding.matches.projector_px - np.stack(surface(u, v), axis=1) for surface in (self.wall, self.box)
@@ -114,7 +113,7 @@ class Scene:
         return np.where(takes_box[:, None], on_box, on_wall)
 
     def well_lit(self, margin_px: int = 3) -> Bools:
-        """(H, W): pixels that the projector reaches directly, away from all edges."""
+        """Directly lit pixels away from all edges, (H, W)."""
         _, _, reflected, on_box = self.fine
         lit, boxed = (
             cv2.resize(part.astype(np.uint8), self.camera, interpolation=cv2.INTER_NEAREST)
@@ -126,13 +125,13 @@ class Scene:
 
 
 def _lit_alike(scene: Scene) -> Scene:
-    """The scene without what concerns the camera's read-out only, so that its light is computed once."""
+    """The scene without settings of the camera's read-out, so that its light is computed once."""
     return replace(scene, exposure=1.0, ambient=0.0, read_noise=0.0, depth_bits=8, colour=False, seed=0)
 
 
 @lru_cache(maxsize=512)
 def _light(scene: Scene, pattern: Pattern) -> Light:
-    """What reaches the camera, 1 for full light on white, (H, W)."""
+    """Light at the camera, 1 for full light on white, (H, W)."""
     shown: Any = (draw(pattern, scene.projector) / np.float32(255)) ** np.float32(scene.gamma)
     shown = scene.black_level + (1 - scene.black_level) * shown
     if scene.projector_blur_px:
@@ -162,7 +161,7 @@ def decode(patterns: Sequence[Pattern], frames: Iterable[Image], projector: tupl
 
 
 def dimmed(scene: Scene, factor: float) -> Scene:
-    """The same scene at a fraction of the light."""
+    """The same scene with a fraction of the light."""
     return replace(scene, exposure=scene.exposure * factor, ambient=scene.ambient * factor)
 
 

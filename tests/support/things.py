@@ -1,4 +1,4 @@
-"""What a simulated rig sees of a thing at some steps, as matches of rays with noise: no frames are rendered."""
+"""Matches of a simulated thing at some steps, from rays with noise; no frames are rendered."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,7 +20,9 @@ NOISE_PX = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ThingStation:
-    """`place`: X_thing = R X_camera + t; `picture` (H, W): the scene under white light; `thing` (H, W): which is it."""
+    """`place`: X_thing = R X_camera + t; `picture` (H, W): the scene under white light; `thing` (H, W): mask of the
+    thing.
+    """
 
     matches: Matches
     place: Motion
@@ -33,7 +35,7 @@ class ThingStation:
 def thing_stations(
     which: list[int], camera: tuple[int, int], seed: int = 0, noise_px: float = NOISE_PX, **thing: Any
 ) -> list[ThingStation]:
-    """At some steps of `rig.thing`'s settings."""
+    """Stations at some steps of `rig.thing`'s settings."""
     rng = np.random.default_rng([seed, 17])
     found = []
     for step in which:
@@ -59,13 +61,13 @@ def _exposed(bright: Floats, rng: np.random.Generator) -> Image:
 
 
 def between(first: Motion, second: Motion) -> Motion:
-    """X_first = R X_second + t, of two cameras' places."""
+    """X_first = R X_second + t, from two cameras' poses."""
     back = first.rotation.T
     return Motion(back @ second.rotation, back @ (second.translation - first.translation))
 
 
 def config_for(camera: tuple[int, int]) -> Config:
-    """Of the rig's sizes."""
+    """A configuration with the rig's sizes."""
     point = {"prior": "centre", "sigma_px": 18}
     return Config.model_validate(
         {
@@ -76,7 +78,7 @@ def config_for(camera: tuple[int, int]) -> Config:
 
 
 def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: bool = False) -> list[Decoded]:
-    """As captures that were decoded."""
+    """The stations as decoded captures."""
     metadata = CaptureMetadata(Size(*camera), Size(*PROJECTOR))
     return [
         Decoded(metadata, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
@@ -85,5 +87,5 @@ def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: boo
 
 
 def in_baselines(calibration: Calibration) -> Calibration:
-    """As a rig of unknown scale is."""
+    """The stations of a rig of unknown scale."""
     return replace(calibration, translation=calibration.translation / calibration.baseline, unit=UNKNOWN_UNIT)

@@ -1,4 +1,4 @@
-"""A simulated whole room without its light: what each station sees, by casting rays alone, in milliseconds."""
+"""A simulated whole room without light: the view of each station, by casting rays, in milliseconds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,9 @@ _FULL_WELL = 20_000.0  # electrons
 
 @dataclass(frozen=True)
 class TrueStation:
-    """In metres. `matches` have noise; `pixel` (N,): row · width + column of each; `surface` (N,): the surface of
-    `scene` that it is on; `points` (N, 3): where, in the camera's frame. X_world = place.rotation X_camera +
-    place.translation. `picture` (H, W): under the projector's light, without what bounces; None if not asked for.
+    """Lengths in metres. `matches` have noise; `pixel` (N,): row · width + column of each; `surface` (N,): its surface
+    of `scene`; `points` (N, 3): in the camera's frame. X_world = place.rotation X_camera + place.translation. `picture`
+    (H, W): directly lit by the projector; None if not requested.
     """
 
     scene: Scene
@@ -49,7 +49,7 @@ def stations(
     pictures: bool = False,
     **settings: object,
 ) -> list[TrueStation]:
-    """All round one room, with matches at the centres of the camera's pixels."""
+    """All stations of one room, with matches at the centres of the camera's pixels."""
     found = []
     texture: Texture | None = None
     for pose in range(number):
@@ -64,7 +64,7 @@ def stations(
 
 
 def with_turned_projector(station: TrueStation, turn_deg: Sequence[float] | Floats) -> TrueStation:
-    """What it matches where its projector was turned in the rig, by a rotation vector (3,) about its own axes; its
+    """The matches if its projector was rotated in the rig, by a rotation vector (3,) about its own axes; its
     `calibration` stays that of the other stations.
     """
     rig = station.calibration
@@ -99,7 +99,7 @@ def _observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStat
 
 
 def _picture(room: Room, texture: Texture, rng: np.random.Generator) -> Image:
-    """Of 8 bits, with shot noise."""
+    """An 8-bit picture with shot noise."""
     optics, light = room.camera.optics, ProjectorLight(room.scene, room.projector)
     x, y = (each.ravel() for each in np.meshgrid(np.arange(optics.width), np.arange(optics.height)))
     mean = np.zeros(len(x))

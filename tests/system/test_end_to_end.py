@@ -1,4 +1,4 @@
-"""The commands on a simulated room that is small enough for a test: what files appear, and how true they are."""
+"""The commands on a small simulated room: their files, and their accuracy."""
 
 import re
 import shutil
@@ -54,7 +54,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
     return Scanned(config, result, run("--config", config, "--out", result, "--quiet"))
 
 
-def test_a_scan_is_whole_and_true(scanned: Scanned) -> None:
+def test_a_scan_is_complete_and_accurate(scanned: Scanned) -> None:
     assert scanned.exit_code == 0
     assert names(scanned.result) == CALIBRATED | {"capture", "truth.yaml"}
     found, truth = (read_calibration(scanned.result / name) for name in ("calibration.yaml", "truth.yaml"))
@@ -65,14 +65,14 @@ def test_a_scan_is_whole_and_true(scanned: Scanned) -> None:
     assert names(scanned.result.parent) == {"room.yaml", "result"}
 
 
-def test_the_truth_says_where_the_rig_stood(scanned: Scanned) -> None:
+def test_ground_truth_holds_the_pose_of_the_rig(scanned: Scanned) -> None:
     told = read_yaml(scanned.result / "truth.yaml")["place"]
     room = place_room(SimulatedRigSettings(seed=0, furniture=False), (612, 512), (427, 240))
     assert np.array(told["translation"]) == pytest.approx(room.camera.centre)
     assert np.array(told["rotation"]) == pytest.approx(room.camera.rotation.T)
 
 
-def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:
+def test_a_result_states_its_origin(scanned: Scanned) -> None:
     made = read_yaml(scanned.result / "calibration.yaml")["made"]
     assert made["name"] == "result"
     assert made["program"] == f"roomscan {version('roomscan')}"
@@ -86,7 +86,7 @@ def test_a_result_says_where_it_comes_from(scanned: Scanned) -> None:
     assert linked == names(scanned.result) - {"report.html"}, "and nothing that was only there while it was written"
 
 
-def test_a_replay_finds_the_same(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_gives_the_same_result(scanned: Scanned, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "replayed"
     assert run("replay", scanned.result / "capture", "--config", scanned.config, "--out", out) == 0
     assert names(out) == CALIBRATED | {"capture"}
@@ -113,7 +113,7 @@ def test_a_replay_with_a_known_calibration_only_triangulates(scanned: Scanned, t
 
 @pytest.fixture(params=["x", "y"])
 def one_axis(scanned: Scanned, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """The capture without the patterns along the other axis, and without white and black."""
+    """The capture without the patterns of the other axis, and without white and black."""
     capture = tmp_path / "one-axis"
     shutil.copytree(scanned.result / "capture", capture)
     listing = read_listing(capture)
@@ -184,7 +184,7 @@ def test_matches_are_calibrated_like_a_capture(scanned: Scanned, tmp_path: Path)
     assert again.baseline == pytest.approx(0.5)
 
 
-def test_matches_of_another_decoder_need_no_labels_or_their_own(scanned: Scanned, tmp_path: Path) -> None:
+def test_matches_of_another_decoder_work_with_and_without_labels(scanned: Scanned, tmp_path: Path) -> None:
     matches = read_matches(scanned.result)
     assert matches.face is not None
     live = read_calibration(scanned.result / "calibration.yaml")
@@ -197,7 +197,7 @@ def test_matches_of_another_decoder_need_no_labels_or_their_own(scanned: Scanned
         assert np.allclose(again.camera.focal_px, live.camera.focal_px, rtol=1e-3)
 
 
-def test_hand_drawn_faces(scanned: Scanned, tmp_path: Path) -> None:
+def test_hand_drawn_faces_are_used(scanned: Scanned, tmp_path: Path) -> None:
     matches = read_matches(scanned.result)
     assert matches.face is not None
     masks = tmp_path / "masks"
@@ -213,7 +213,7 @@ def test_hand_drawn_faces(scanned: Scanned, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_matches(out).face, matches.face)
 
 
-def test_the_method_of_the_paper(scanned: Scanned, tmp_path: Path) -> None:
+def test_the_method_of_the_paper_calibrates(scanned: Scanned, tmp_path: Path) -> None:
     out = tmp_path / "paper"
     arguments = ("--config", scanned.config, "--set", "method=paper", "--out", out, "--quiet")
     assert run("calibrate", scanned.result, *arguments) == 0

@@ -1,4 +1,4 @@
-"""Two captures of a small simulated room, calibrated together: what files appear, and how true they are."""
+"""Two captures of a small simulated room, calibrated together: their files, and their accuracy."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +42,7 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
     return Scanned(config, result, run("--config", config, "--captures", 2, "--out", result, "--quiet"))
 
 
-def test_both_captures_are_kept_whole(scanned: Scanned) -> None:
+def test_both_captures_are_kept_completely(scanned: Scanned) -> None:
     assert scanned.exit_code == 0
     assert names(scanned.result) == FILES | {"captures", "merged.ply", "poses.yaml", "scan.log", "truth.yaml"}
     assert names(scanned.result / "captures") == {"1"}
@@ -53,7 +53,7 @@ def test_both_captures_are_kept_whole(scanned: Scanned) -> None:
     assert names(scanned.result.parent) == {"room.yaml", "result"}
 
 
-def test_the_calibration_is_true(scanned: Scanned) -> None:
+def test_the_calibration_is_accurate(scanned: Scanned) -> None:
     found, truth = (read_calibration(scanned.result / name) for name in ("calibration.yaml", "truth.yaml"))
     assert 1e-3 < np.abs(intrinsic_errors_percent(found, truth)).mean() < 0.3
     assert found.unit == "m"
@@ -85,7 +85,7 @@ def test_each_capture_can_be_exported_and_measured(scanned: Scanned) -> None:
         assert scan.unit == "m"
 
 
-def test_the_report_shows_what_both_saw(scanned: Scanned) -> None:
+def test_the_report_shows_both_captures(scanned: Scanned) -> None:
     report = (scanned.result / "report.html").read_text()
     for words in ("2 clouds are merged", "the merged point cloud, oblique view", "How well depth is known"):
         assert words in report
@@ -93,7 +93,7 @@ def test_the_report_shows_what_both_saw(scanned: Scanned) -> None:
     assert "they agree to 0.0" in log
 
 
-def test_a_replay_with_an_earlier_result_finds_the_same(scanned: Scanned, tmp_path: Path) -> None:
+def test_a_replay_with_an_earlier_result_gives_the_same(scanned: Scanned, tmp_path: Path) -> None:
     config = scanned.config.parent / "with-earlier.yaml"
     config.write_text(CONFIG + "earlier: [result/captures/1]\n")
     out = tmp_path / "replayed"

@@ -1,4 +1,4 @@
-"""Fault × moment → what is left, and what it is worth. Every fault strikes a process that really suffers it."""
+"""Fault × moment → what remains, and its use. Every fault is injected into a real process."""
 
 import subprocess
 import sys
@@ -48,7 +48,7 @@ def names(folder: Path) -> set[str]:
 
 
 def decoded(capture: Path) -> int:
-    """How many matches a capture gives that was broken off."""
+    """Number of matches of an interrupted capture."""
     recording = open_capture(capture)
     sequence = usable(recording.patterns, recording.planned, recording.projector_size)
     assert f"{len(recording.patterns)} of its {len(PATTERNS)} frames were taken" in sequence.words
@@ -61,7 +61,9 @@ def decoded(capture: Path) -> int:
 
 @dataclass(frozen=True)
 class Moment:
-    """Where it strikes, and how many frames are whole and listed by then; `word`: what is said of a torn one."""
+    """Where the fault strikes, and the number of complete, listed frames then; `word`: of the message on a damaged
+    frame.
+    """
 
     name: str
     at: str
@@ -85,7 +87,7 @@ RECORDING = [
 
 
 @pytest.mark.parametrize(("fault", "moment"), RECORDING, ids=lambda value: getattr(value, "name", value))
-def test_killed_while_it_records(bench: FaultBench, config: Path, fault: str, moment: Moment) -> None:
+def test_killed_while_recording(bench: FaultBench, config: Path, fault: str, moment: Moment) -> None:
     folder, scan = config.parent, ("--config", config, "--out", config.with_name("room"))
     planted = {"at": moment.at, "call": moment.call, "do": fault}
     assert bench.run(folder, *scan, faults=[planted]).code == -9
@@ -110,7 +112,7 @@ def test_killed_while_it_records(bench: FaultBench, config: Path, fault: str, mo
 
 @pytest.mark.parametrize("fault", ["Ctrl-C", "Ctrl-C again and again", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("moment", [BEFORE_IMAGE, BEFORE_LINE], ids=lambda moment: moment.name)
-def test_asked_to_end_while_it_records(bench: FaultBench, config: Path, fault: str, moment: Moment) -> None:
+def test_interrupted_while_recording(bench: FaultBench, config: Path, fault: str, moment: Moment) -> None:
     folder = config.parent
     planted = {"at": moment.at, "call": moment.call, "do": fault}
     ended = bench.run(folder, "--config", config, "--out", folder / "room", faults=[planted])
@@ -123,7 +125,7 @@ def test_asked_to_end_while_it_records(bench: FaultBench, config: Path, fault: s
     assert (found.patterns, found.notes) == (PATTERNS[: moment.frames], ())
 
 
-def test_asked_to_end_while_it_tidies_up(bench: FaultBench, config: Path) -> None:
+def test_interrupted_while_cleaning_up(bench: FaultBench, config: Path) -> None:
     folder = config.parent
     first = {"at": f"{RECORDER}:write_png", "call": 5, "do": "Ctrl-C"}
     again = {"at": f"{RESULT}:keep_recording", "do": "Ctrl-C again and again"}
@@ -134,7 +136,7 @@ def test_asked_to_end_while_it_tidies_up(bench: FaultBench, config: Path) -> Non
     assert names(folder) == {"room-incomplete"}
 
 
-def test_asked_to_end_while_modules_are_loaded() -> None:
+def test_interrupted_while_modules_are_loaded() -> None:
     program = (
         "import os, signal, sys\n"
         "class Strike:\n"
@@ -151,8 +153,9 @@ def test_asked_to_end_while_modules_are_loaded() -> None:
 
 @dataclass(frozen=True)
 class Publishing:
-    """`at`: before which function the process is killed; `there` then says the report at the destination, if there is
-    one; `settled`: what it says after the next start."""
+    """`at`: the function before which the process is killed; `there`: the report at the destination then, if any;
+    `settled`: the report after the next start.
+    """
 
     name: str
     at: str
@@ -177,7 +180,7 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize("moment", PUBLISHED, ids=lambda moment: moment.name)
-def test_killed_while_it_replaces_a_result(bench: FaultBench, config: Path, moment: Publishing) -> None:
+def test_killed_while_replacing_a_result(bench: FaultBench, config: Path, moment: Publishing) -> None:
     folder, report = config.parent, config.with_name("room") / "report.html"
     scan = ("--config", config, "--out", folder / "room")
     assert bench.run(folder, *scan, says="old").code == 0
@@ -196,7 +199,7 @@ def test_killed_while_it_replaces_a_result(bench: FaultBench, config: Path, mome
     assert names(folder / "room") == {"report.html", "scan.log", "capture"}
 
 
-def test_asked_to_end_while_it_replaces_a_result(bench: FaultBench, config: Path) -> None:
+def test_interrupted_while_replacing_a_result(bench: FaultBench, config: Path) -> None:
     folder, scan = config.parent, ("--config", config, "--out", config.with_name("room"))
     assert bench.run(folder, *scan, says="old").code == 0
     planted = {"at": f"{PUBLISHING}:_tidy", "do": "Ctrl-C again and again"}
@@ -207,7 +210,7 @@ def test_asked_to_end_while_it_replaces_a_result(bench: FaultBench, config: Path
     assert (folder / "room" / "report.html").read_text() == "new"
 
 
-def test_a_second_scan_into_the_same_folder_is_told_at_once(bench: FaultBench, config: Path) -> None:
+def test_a_second_scan_into_the_same_folder_is_refused_at_once(bench: FaultBench, config: Path) -> None:
     folder, out = config.parent, config.with_name("room")
     scan = ["--config", str(config), "--out", str(out)]
     planted = {"at": f"{RECORDER}:write_png", "call": 3, "do": "another scan", "where": str(folder / "second.txt")}
@@ -217,7 +220,7 @@ def test_a_second_scan_into_the_same_folder_is_told_at_once(bench: FaultBench, c
     assert len(open_capture(out / "capture").patterns) == len(PATTERNS)
 
 
-def test_the_same_process_number_again_is_no_obstacle(bench: FaultBench, config: Path) -> None:
+def test_a_reused_process_number_is_no_obstacle(bench: FaultBench, config: Path) -> None:
     left = config.with_name(".room.partial")
     left.mkdir()
     for process in range(2):  # whatever it says, nobody holds it
@@ -229,8 +232,8 @@ def test_the_same_process_number_again_is_no_obstacle(bench: FaultBench, config:
 
 @dataclass(frozen=True)
 class Disk:
-    """`options` of a file system of its own; another program takes what is left at a call of the function `filled`,
-    when there are so many `frames`.
+    """`options` of a separate file system, which another program fills at a call of the function `filled`, at this
+    number of `frames`.
     """
 
     name: str
@@ -252,7 +255,7 @@ DISKS = [
 
 
 @pytest.mark.parametrize("disk", DISKS, ids=lambda disk: disk.name)
-def test_a_disk_that_does_not_take_it(bench: FaultBench, config: Path, disk: Disk) -> None:
+def test_a_full_disk_during_a_scan(bench: FaultBench, config: Path, disk: Disk) -> None:
     where = config.with_name("disk")
     where.mkdir()
     mount = {"where": where, "options": disk.options, "read_only": disk.read_only}
@@ -284,7 +287,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("read_only", [False, True], ids=["full", "read-only"])
 @pytest.mark.parametrize("made", MADE_OF_A_RESULT)
-def test_a_disk_that_does_not_take_what_is_made_of_a_result(
+def test_a_full_disk_while_exporting(
     bench: FaultBench, result: Path, tmp_path: Path, made: str, read_only: bool
 ) -> None:
     where = tmp_path / "disk"
@@ -302,7 +305,7 @@ def test_a_disk_that_does_not_take_what_is_made_of_a_result(
 
 @pytest.mark.parametrize("older", [False, True], ids=["new", "--overwrite"])
 def test_killed_between_two_of_several_files(bench: FaultBench, result: Path, tmp_path: Path, older: bool) -> None:
-    """Whoever begins next completes them, be it to refuse that there are files."""
+    """The next program completes them, even if it then refuses because they exist."""
     model, export = tmp_path / "model", ("export", result, "--to", "colmap", "--out", tmp_path / "model")
     if older:
         assert bench.run(tmp_path, *export, "--points", 100).code == 0
@@ -311,14 +314,14 @@ def test_killed_between_two_of_several_files(bench: FaultBench, result: Path, tm
     assert bench.run(tmp_path, *export, "--overwrite", faults=[planted]).code == -9
     after = bench.run(tmp_path, *export)
     assert after.code == 2
-    assert "A program was killed when its files were whole" in after.said
+    assert "A program was killed after its files were complete" in after.said
     assert "already exists" in after.said
     assert {path.name: path.read_bytes() for path in model.iterdir()} == {
         path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()
     }
 
 
-def test_ctrl_c_between_two_of_several_files_comes_after_them(bench: FaultBench, result: Path, tmp_path: Path) -> None:
+def test_ctrl_c_between_two_of_several_files_acts_after_them(bench: FaultBench, result: Path, tmp_path: Path) -> None:
     planted = {"at": "pathlib:Path.replace", "call": 2, "do": "Ctrl-C again and again"}
     export = ("export", result, "--to", "colmap", "--out", tmp_path / "model")
     assert bench.run(tmp_path, *export, faults=[planted]).code == 130
@@ -332,12 +335,12 @@ def test_killed_while_a_file_is_written(bench: FaultBench, result: Path, tmp_pat
     assert not (tmp_path / "cloud.ply").exists()
     after = bench.run(tmp_path, *export)
     assert after.code == 0
-    assert "had written of cloud.ply" in after.said
+    assert "files of a killed program were removed: cloud.ply" in after.said
     assert names(tmp_path) == {"cloud.ply"}
 
 
 @pytest.mark.parametrize("largest_file", [1200, 3500])
-def test_files_may_not_be_large(bench: FaultBench, config: Path, largest_file: int) -> None:
+def test_a_file_size_limit(bench: FaultBench, config: Path, largest_file: int) -> None:
     """The log, the listing's header or one of its lines is the first that does not fit."""
     folder = config.parent
     ended = bench.run(folder, "--config", config, "--out", folder / "room", largest_file=largest_file)
@@ -353,7 +356,7 @@ def test_files_may_not_be_large(bench: FaultBench, config: Path, largest_file: i
 
 
 @pytest.mark.parametrize("count", range(1, len(PATTERNS), 5))
-def test_a_capture_that_stops_anywhere_is_taken_up(bench: FaultBench, config: Path, count: int) -> None:
+def test_an_interrupted_capture_is_resumed(bench: FaultBench, config: Path, count: int) -> None:
     folder = config.parent
     planted = {"at": f"{RECORDER}:write_png", "call": count + 1, "do": "SIGTERM"}
     assert bench.run(folder, "--config", config, "--out", folder / "room", faults=[planted]).code == 130

@@ -1,6 +1,6 @@
-"""For owners of a rig: `ROOMSCAN_RIG=my-rig.yaml pytest -m hardware` tries the devices of a configuration.
+"""For owners of a rig: `ROOMSCAN_RIG=my-rig.yaml pytest -m hardware` tests the devices of a configuration.
 
-Any scene will do, as long as the camera sees the projector's light. The loopback rig passes as well.
+Any scene is suitable if the camera sees the projector's light. The loopback rig passes as well.
 """
 
 import os
@@ -56,7 +56,7 @@ def test_white_is_well_exposed(rig: SynchronisedRig) -> None:
 
 
 def test_each_frame_shows_its_own_pattern(rig: SynchronisedRig) -> None:
-    """Pixels that white lights follow every bit: brighter in the pattern that is bright there."""
+    """Lit pixels follow every bit: they are brighter in the pattern that is bright there."""
     width, height = rig.projector.size
     patterns: list[Pattern] = [White(), Black()]
     axes: tuple[tuple[Axis, int], ...] = (("x", width), ("y", height))

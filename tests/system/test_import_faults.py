@@ -1,4 +1,6 @@
-"""An import that is killed, ends when asked, or meets a full disk leaves nothing that looks whole; a second one is."""
+"""An import that is killed, interrupted, or meets a full disk leaves nothing that looks complete; a repetition
+succeeds.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +32,7 @@ def bench() -> Iterator[FaultBench]:
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As a camera with the projector's eyes sees them."""
+    """Frames of a camera at the projector's position."""
     folder: Path = tmp_path_factory.mktemp("foreign")
     for number, pattern in enumerate(SHOWN):
         write_png(folder / f"pattern_cam1_im{number + 1}.png", (draw(pattern, SIZE) // 2 + 20).astype(np.uint8))
@@ -46,7 +48,7 @@ def is_whole(capture: Path, frames: Path) -> bool:
 
 @pytest.mark.parametrize("fault", ["SIGKILL", "SIGTERM"])
 @pytest.mark.parametrize("moment", [LISTING, COPYING, SYNCING, PUBLISHING], ids=lambda moment: moment["at"])
-def test_ended_while_it_imports(
+def test_an_import_is_interrupted(
     bench: FaultBench, frames: Path, tmp_path: Path, fault: str, moment: dict[str, object]
 ) -> None:
     out = tmp_path / "capture"
@@ -65,7 +67,7 @@ def test_ended_while_it_imports(
 
 
 @pytest.mark.parametrize("options", ["size=12k", "size=400k", "size=2m,nr_inodes=20"])
-def test_a_disk_that_does_not_take_an_import(bench: FaultBench, frames: Path, tmp_path: Path, options: str) -> None:
+def test_an_import_onto_a_full_disk(bench: FaultBench, frames: Path, tmp_path: Path, options: str) -> None:
     where = tmp_path / "disk"
     where.mkdir()
     mount = {"where": where, "options": options}

@@ -1,4 +1,4 @@
-"""The built package in an environment with nothing but its dependencies, and with one extra: every command answers."""
+"""The built package with only its dependencies, and with one extra: every command responds."""
 
 import json
 import subprocess
@@ -84,7 +84,7 @@ class Installed:
     folder: Path
 
     def answers(self, python: Path, *commands: tuple[str, ...]) -> list[tuple[int, str]]:
-        """Exit code, and all that was said, of commands in one process."""
+        """Exit codes and output of commands in one process."""
         command = [str(python), str(self.folder / "driver.py")]
         done = subprocess.run(
             command,
@@ -109,7 +109,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Installed:
 
 @pytest.fixture(scope="module")
 def bare(package: Installed, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], tuple[int, str]]:
-    """What every command answers without any extra, by its words."""
+    """Words that every command prints without any extra."""
     python = installed(package.wheel, tmp_path_factory.mktemp("bare"))
     asked = [SCAN, *((name, *words) for name in NAMED for words, *_ in ASKED.get(name, [(("--help",), 0, "")]))]
     return dict(zip(asked, package.answers(python, *asked), strict=True))
@@ -122,7 +122,7 @@ def test_a_scan_works(bare: dict[tuple[str, ...], tuple[int, str]]) -> None:
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_every_command_works_or_says_what_to_type(name: str, bare: dict[tuple[str, ...], tuple[int, str]]) -> None:
+def test_every_command_works_or_names_what_to_install(name: str, bare: dict[tuple[str, ...], tuple[int, str]]) -> None:
     for words, expected, part in ASKED.get(name, [(("--help",), 0, "usage: scan")]):
         code, said = bare[name, *words]
         assert (code, part in said) == (expected, True), said
@@ -132,7 +132,7 @@ def test_every_command_works_or_says_what_to_type(name: str, bare: dict[tuple[st
 
 @pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize("extra", WITH_EXTRA)
-def test_an_extra_brings_what_it_is_for(extra: str, package: Installed, tmp_path: Path) -> None:
+def test_an_extra_enables_its_commands(extra: str, package: Installed, tmp_path: Path) -> None:
     python = installed(package.wheel, tmp_path / "with-extra", [extra])
     words, expected, part = WITH_EXTRA[extra]
     ((code, said),) = package.answers(python, words)
@@ -141,7 +141,7 @@ def test_an_extra_brings_what_it_is_for(extra: str, package: Installed, tmp_path
     assert f"'roomscan[{extra}]'" not in said or extra == "rig"  # which needs packages of the system, too
 
 
-def test_the_wheel_has_what_the_sources_have(package: Installed) -> None:
+def test_the_wheel_has_the_files_of_the_sources(package: Installed) -> None:
     found = set(ZipFile(package.wheel).namelist())
     for packages, ending in ((("calib", "hw", "scanner"), "*.py"), (("scanner/templates",), "*.*")):
         for name in packages:
@@ -152,7 +152,7 @@ def test_the_wheel_has_what_the_sources_have(package: Installed) -> None:
     assert {name.split("/")[0] for name in found if "dist-info" not in name} == {"calib", "hw", "scanner"}
 
 
-def test_the_sdist_has_the_wheel_s_sources(package: Installed, tmp_path: Path) -> None:
+def test_the_sdist_has_the_sources_of_the_wheel(package: Installed, tmp_path: Path) -> None:
     sdist = built(tmp_path, "sdist")
     with tarfile.open(sdist) as file:
         found = {name.partition("/")[2] for name in file.getnames() if file.getmember(name).isfile()}

@@ -1,4 +1,4 @@
-"""`scan replay` of captures that other people made with real hardware."""
+"""`scan replay` of captures by others with real hardware."""
 
 from pathlib import Path
 

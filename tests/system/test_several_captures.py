@@ -1,4 +1,4 @@
-"""Several captures of one rig through the command line: matches of made-up corners, and what can be wrong with them."""
+"""Several captures of one rig on the command line: matches of synthetic corners, and wrong ones."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -85,14 +85,14 @@ def test_the_report_is_of_all_captures(together: tuple[int, Path]) -> None:
         "/a.npz</a>",
         "Capture 2: ",
         "/b.npz",
-        "Were it elsewhere: 10 px",
+        "If it is elsewhere: 10 px",
     ):
         assert words in report
     assert "was not merged" not in report
     assert "calibrated together with others" in (out / "captures/1/report.html").read_text()
 
 
-def test_the_calibration_file_says_how_far_it_can_be_trusted(together: tuple[int, Path]) -> None:
+def test_the_calibration_file_states_its_uncertainty(together: tuple[int, Path]) -> None:
     _, out = together
     path = out / "calibration.yaml"
     verdict, calibration = read_verdict(path), read_calibration(path)
@@ -104,8 +104,8 @@ def test_the_calibration_file_says_how_far_it_can_be_trusted(together: tuple[int
     assert sigma_px == pytest.approx(calibration.sigma.camera.focal_px[0])
 
 
-def test_faces_are_numbered_alike(given: Given, together: tuple[int, Path]) -> None:
-    """Clockwise around the vertex in every capture, so that only which comes first may differ."""
+def test_faces_are_numbered_consistently(given: Given, together: tuple[int, Path]) -> None:
+    """Clockwise around the vertex in every capture, so that only the first may differ."""
     _, out = together
     for folder, capture in ((out / "captures" / "1", given.captures[0]), (out, given.captures[1])):
         face, before = read_matches(folder).face, capture.matches.face
@@ -119,7 +119,7 @@ def test_faces_are_numbered_alike(given: Given, together: tuple[int, Path]) -> N
         assert np.linalg.det(legs) < 0
 
 
-def test_bare_walls_are_not_merged_on_a_guess(together: tuple[int, Path]) -> None:
+def test_ambiguous_bare_walls_are_not_merged(together: tuple[int, Path]) -> None:
     _, out = together
     assert not (out / "merged.ply").exists()
     assert "The clouds were not merged" in (out / "scan.log").read_text()
@@ -158,7 +158,7 @@ def of_another_camera(matches: Matches) -> Matches:
         (lambda matches: matches[:300].with_faces(None), 4, ("b.npz: Only 300 matches",)),
     ],
 )
-def test_the_capture_that_is_wrong_is_named(
+def test_the_wrong_capture_is_named(
     given: Given,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

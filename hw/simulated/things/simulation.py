@@ -1,4 +1,4 @@
-"""A simulated thing before a rig, ready to be lit with pictures and looked at: the counterpart of `SimulatedRoom`."""
+"""A simulated thing in front of a rig, the counterpart of `SimulatedRoom`: it can be lit with pictures and viewed."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,15 +19,15 @@ from hw.simulated.things.solids import Solid, draw_solid
 from hw.simulated.things.stage import Hits, Stage, pose_of, reflected
 from hw.simulated.truth import calibration_between
 
-_STREAM = 300  # of random numbers, apart from those of rooms
+_STREAM = 300  # stream of random numbers; rooms use others
 _CAMERA, _PROJECTOR = Optics(1224, 1024, 2100.0, (618.0, 508.0)), Optics(854, 480, 1500.0, (431.0, 243.0))
-_AWAY, _APART = 3.4, (1.0, 1.6)  # of the size: of the rig from the thing, and of its two devices
+_AWAY, _APART = 3.4, (1.0, 1.6)  # distances over the size of the thing: of the rig from it, and between the devices
 _SAMPLES = 2
 
 
 @dataclass(frozen=True, eq=False)
 class ThingTruth:
-    """`solid` in its own frame, `place`: X_thing = rotation X_camera + translation."""
+    """`solid` in its own frame, and the camera in it: X_thing = rotation X_camera + translation of `place`."""
 
     solid: Solid
     place: Motion
@@ -35,28 +35,32 @@ class ThingTruth:
 
 @dataclass(frozen=True, eq=False)
 class ThingRenderer:
-    """`direct`: brightness of the camera's pixels by the projector's fine image; `room_light` (H, W): without it."""
+    """Linear maps to the brightness of the camera's pixels.
+
+    `direct_light`: from the projector's fine image. `room_light` (H, W): ambient light as bright as the projector's
+    white.
+    """
 
     picture: PictureOptics
     direct_light: sparse.csr_array
     room_light: Light
 
-    def thrown(self, light: Light) -> Light:
-        """Brightness (H, W) by linear light (H, W) of the projector's pixels; surfaces do not light each other."""
+    def projected(self, light: Light) -> Light:
+        """Brightness (H, W) by linear light (H, W) of the projector. Surfaces do not light each other."""
         image: Light = (self.direct_light @ self.picture.blurred(light)).reshape(self.room_light.shape)
         return image
 
 
 @dataclass(frozen=True)
 class Devices:
-    """Both devices at their places in the world."""
+    """Camera and projector with their poses in the world."""
 
     camera: PlacedDevice
     projector: PlacedDevice
 
 
 class SimulatedThing:
-    """The thing of the settings' seed at the step `pose`, and a rig that rests before it."""
+    """The thing of a seed at step `settings.pose`, in front of a rig that does not move."""
 
     def __init__(
         self, settings: SimulatedRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
@@ -70,19 +74,19 @@ class SimulatedThing:
 
     @property
     def calibration(self) -> Calibration:
-        """The true one, in metres."""
+        """The true calibration, in metres."""
         return calibration_between(self.room.camera, self.room.projector)
 
     @property
     def truth(self) -> ThingTruth:
-        """Of the thing."""
+        """The shape of the thing and the pose of the camera in its frame."""
         camera = self.room.camera
         back = self.pose.rotation.T
         return ThingTruth(self.solid, Motion(back @ camera.rotation.T, back @ (camera.centre - self.pose.translation)))
 
     @cached_property
     def renderer(self) -> ThingRenderer:
-        """What each pixel sees, by a grid of rays in each."""
+        """The view, by a grid of rays in each camera pixel."""
         picture = PictureOptics(
             self.room.projector.optics.width,
             self.room.projector.optics.height,
@@ -110,26 +114,28 @@ class SimulatedThing:
 
     @cached_property
     def sensor(self) -> Sensor:
-        """Exposed for a white picture."""
+        """The sensor, exposed for a white picture."""
         optics = self.room.projector.optics
         white = self.renderer.picture.linear(np.full((optics.height, optics.width), 255, np.uint8))
         return build_sensor(
-            self.settings, self.renderer.thrown(white) + np.float32(self.settings.ambient) * self.renderer.room_light
+            self.settings, self.renderer.projected(white) + np.float32(self.settings.ambient) * self.renderer.room_light
         )
 
     def at(self, frame: int) -> ThingRenderer:
-        """The view in a frame: nothing moves during a capture."""
+        """The view in a frame; nothing moves during a capture."""
         del frame
         return self.renderer
 
     def ambient_level(self, frame: int) -> float:
-        """How much light there is in a frame beside the projector's, relative to its white."""
+        """Ambient light in a frame, relative to the projector's white."""
         del frame
         return self.settings.ambient
 
     def seen(self) -> tuple[Floats, Floats, Bools]:
-        """Of each pixel's centre: the projector pixel that lights it (H, W, 2), NaN where none does; how bright a white
-        picture makes it; and whether it is the thing, (H, W).
+        """Ground truth at the centre of each camera pixel.
+
+        The projector pixel that lights it directly (H, W, 2), NaN where none does; its brightness under a white picture
+        (H, W); and whether it shows the thing (H, W).
         """
         optics = self.room.camera.optics
         shape = (optics.height, optics.width)
@@ -141,7 +147,7 @@ class SimulatedThing:
         return lit_by, bright, hits.thing.reshape(shape)
 
     def _traced(self, x: Floats, y: Floats) -> tuple[Hits, Floats, Floats, Floats]:
-        """What camera pixels (n,) see; the projector's pixels there (2, n), irradiance and gain (n,)."""
+        """Hits of the rays of camera pixels (n,); the projector pixels there (2, n), irradiance and gain (n,)."""
         camera, projector = self.room.camera, self.room.projector
         hits = self.stage.cast(camera.centre, camera.rays(np.stack([x, y]).astype(np.float64)).T)
         pixels, depths = projector.project(hits.points.T)
@@ -166,7 +172,7 @@ def _devices(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
 ) -> Devices:
-    """On a tripod before the table, looking down on the thing; both devices far enough away to see all of it."""
+    """Both devices in front of the table, looking down on the thing, far enough away to see all of it."""
     size = settings.thing.size_m
     target = np.array([0.0, 0.0, 0.4 * size])
     height, across = np.radians(rng.uniform(22, 38)), rng.uniform(-0.2, 0.2)

@@ -1,4 +1,4 @@
-"""Shapes of things as triangles: superquadrics with waves over them, so that no solver's model fits them; or a file's.
+"""Shapes of things as triangles: superquadrics with added waves, which no model of a solver fits; or a mesh file.
 
 Barr, "Superquadrics and angle-preserving transformations", 1981.
 """
@@ -14,8 +14,8 @@ from calib.numerics.open3d_module import open3d
 from hw.errors import DeviceError
 from hw.settings import ThingSettings
 
-_SUBDIVISIONS = 6  # 40,962 vertices: edges of a hundredth of the size
-_WAVES = ((3.0, 0.05), (7.0, 0.02), (15.0, 0.006))  # about so many radians to a unit direction, and their amplitude
+_SUBDIVISIONS = 6  # 40,962 vertices; edges are about a hundredth of the size
+_WAVES = ((3.0, 0.05), (7.0, 0.02), (15.0, 0.006))  # radians per unit of the direction, and amplitude
 _WAVES_EACH = 6
 _SEEDS_OF_PATCHES = 80
 _PLAIN, _DARK, _SHARE_DARK = 0.6, 0.06, 0.08
@@ -23,7 +23,7 @@ _PLAIN, _DARK, _SHARE_DARK = 0.6, 0.06, 0.08
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """`vertices` (V, 3) in metres about the middle, `triangles` (T, 3) that look outward, `albedo` (V,)."""
+    """`vertices` (V, 3) in metres about the centre, outward `triangles` (T, 3), `albedo` (V,)."""
 
     vertices: Floats
     triangles: Ints
@@ -31,19 +31,19 @@ class Solid:
 
     @property
     def volume(self) -> float:
-        """In cubic metres, by the divergence theorem; of a closed surface."""
+        """Volume of a closed surface in cubic metres, by the divergence theorem."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         return float(np.sum(a * np.cross(b, c)) / 6)
 
     @property
     def area(self) -> float:
-        """In square metres."""
+        """Surface area in square metres."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         return float(np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1)) / 2)
 
 
 def draw_solid(settings: ThingSettings, rng: np.random.Generator) -> Solid:
-    """The thing of some settings. Raises DeviceError for a file that cannot be read."""
+    """The thing of the settings. Raises DeviceError for a file that cannot be read."""
     if settings.kind == "file":
         vertices, triangles = _read(settings)
     else:
@@ -55,7 +55,7 @@ def draw_solid(settings: ThingSettings, rng: np.random.Generator) -> Solid:
 
 
 def _radius(ways: Floats, kind: str, rng: np.random.Generator) -> Floats:
-    """Of the surface in unit directions (V, 3), (V,), in any unit."""
+    """Radius (V,) of the surface in unit directions (V, 3), in an arbitrary unit."""
     axes, exponents = np.ones(3), np.ones(2)
     if kind == "lump":
         axes, exponents = rng.uniform(0.65, 1.0, 3), rng.uniform(0.4, 1.2, 2)
@@ -78,7 +78,7 @@ def _radius(ways: Floats, kind: str, rng: np.random.Generator) -> Floats:
 
 
 def _painted(vertices: Floats, contrast: float, rng: np.random.Generator) -> Floats:
-    """Patches of one albedo each, some of them nearly black, (V,)."""
+    """Patches of constant albedo, some of them nearly black, (V,)."""
     seeds = vertices[rng.integers(len(vertices), size=_SEEDS_OF_PATCHES)]
     drawn = np.where(rng.random(_SEEDS_OF_PATCHES) < _SHARE_DARK, _DARK, rng.uniform(0.3, 0.85, _SEEDS_OF_PATCHES))
     nearest = np.argmin(np.sum((vertices[:, None] - seeds) ** 2, axis=2), axis=1)
@@ -88,7 +88,7 @@ def _painted(vertices: Floats, contrast: float, rng: np.random.Generator) -> Flo
 
 @cache
 def _icosphere() -> tuple[Floats, Ints]:
-    """Unit directions (V, 3), and triangles (T, 3) that look outward."""
+    """Unit directions (V, 3), and outward triangles (T, 3)."""
     golden = (1 + 5**0.5) / 2
     corners = [(0.0, a, b) for a in (-1.0, 1.0) for b in (-golden, golden)]
     vertices = np.array([np.roll(each, turn) for turn in range(3) for each in corners])

@@ -1,4 +1,6 @@
-"""Where a thing is at each step, what is around it, and what rays meet of all that. Ray casting by Open3D (Embree)."""
+"""The pose of a thing at each step, its surroundings, and their intersections with rays. Open3D (Embree) casts the
+rays.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,17 +16,17 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.things.solids import Solid
 
 _PLATE_M, _PLATE_OF_SIZE, _PLATE_CORNERS = 0.004, 0.8, 96
-_OFF_CENTRE = 0.08  # of the size, that a thing is put beside the axis
-_ELSEWHERE = 0.15  # of the size, at most, that a hand puts it down beside the place before
-_BEHIND, _WIDE = 1.3, 6.0  # of the size: how far behind the axis the wall is, and half the table
-_SPECKLE = 25.0  # cells of the background's print to the size
+_OFF_CENTRE = 0.08  # distance of the thing from the axis, over its size
+_ELSEWHERE = 0.15  # largest displacement over the size, when the thing is moved by hand
+_BEHIND, _WIDE = 1.3, 6.0  # distance of the wall behind the axis, and half the width of the table, over the size
+_SPECKLE = 25.0  # cells of the background's print per size
 _GLOSS_EXPONENT = 30.0
-_START = 1e-5  # of a ray's length, that it starts off a surface
-_THING, _PLATE, _REST = 0, 1, 2
+_START = 1e-5  # distance of a ray's start from its surface, over the length of the ray
+_THING, _PLATE, _BACKGROUND = 0, 1, 2
 
 
 def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, int]) -> Motion:
-    """Where the thing is: X_world = R X_thing + t."""
+    """The pose of the thing at a step: X_world = R X_thing + t."""
     rng = np.random.default_rng([*seed, 0])
     aside = _OFF_CENTRE * settings.size_m * rng.standard_normal(2)
     if settings.turntable:
@@ -40,8 +42,9 @@ def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, i
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What n rays meet: `there` (n,) whether anything, `points`, `normals` (n, 3) in the world, `albedo` (n,), `thing`
-    (n,) whether it is the thing.
+    """What n rays hit, if anything: `there` (n,).
+
+    `points`, `normals` (n, 3) in the world, `albedo` (n,); `thing` (n,): whether it is the thing.
     """
 
     there: Bools
@@ -52,7 +55,7 @@ class Hits:
 
 
 class Stage:
-    """A thing at a place, with the turntable's plate and, behind and below, what rests."""
+    """A thing in a pose, with the plate of the turntable and the static background."""
 
     def __init__(self, solid: Solid, place: Motion, settings: ThingSettings) -> None:
         self._o3d = open3d()
@@ -68,7 +71,7 @@ class Stage:
             )
 
     def cast(self, origin: Floats, directions: Floats) -> Hits:
-        """Rays (n, 3) from one origin (3,)."""
+        """Cast rays (n, 3) from one origin (3,)."""
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=1)
         found = self._scene.cast_rays(self._o3d.core.Tensor(rays.astype(np.float32)))
         along, which = found["t_hit"].numpy().astype(np.float64), found["geometry_ids"].numpy()
@@ -79,7 +82,7 @@ class Stage:
         normals *= -np.sign(np.sum(normals * directions, axis=1, keepdims=True))
         thing = there & (which == _THING)
         albedo = np.full(len(points), 0.5)
-        resting = there & (which == _REST)
+        resting = there & (which == _BACKGROUND)
         albedo[resting] = _speckled(points[resting] / self._size)
         corners = self._solid.triangles[found["primitive_ids"].numpy()[thing].astype(np.int64)]
         u, v = found["primitive_uvs"].numpy()[thing].astype(np.float64).T
@@ -87,7 +90,7 @@ class Stage:
         return Hits(there, points, normals, albedo, thing)
 
     def lit(self, points: Floats, light: PlacedDevice) -> Bools:
-        """Which points (n, 3) nothing hides from a device, (n,)."""
+        """Which points (n, 3) nothing occludes from a device, (n,)."""
         towards = light.centre - points
         rays = np.concatenate([points + 100 * _START * towards, (1 - 200 * _START) * towards], axis=1)
         hidden = self._scene.test_occlusions(self._o3d.core.Tensor(rays.astype(np.float32)), tfar=1.0)
@@ -95,7 +98,9 @@ class Stage:
 
 
 def reflected(hits: Hits, to_eye: Floats, to_light: Floats, gloss: float) -> Floats:
-    """From irradiance to brightness, (n,): Lambert's law, and on the thing a lobe of Phong's about the mirror's way."""
+    """Gain (n,) from irradiance to brightness: Lambert's law, and on the thing a Phong lobe around the mirror
+    direction.
+    """
     if gloss == 0:
         return hits.albedo
     facing = np.sum(hits.normals * to_light, axis=1, keepdims=True)
@@ -105,7 +110,7 @@ def reflected(hits: Hits, to_eye: Floats, to_light: Floats, gloss: float) -> Flo
 
 
 def _plate(size: float) -> tuple[Floats, Ints]:
-    """The turntable's plate: a disc and its rim."""
+    """The plate of the turntable: a disc and its rim."""
     around = np.linspace(0, 2 * np.pi, _PLATE_CORNERS, endpoint=False)
     ring = _PLATE_OF_SIZE * size * np.stack([np.cos(around), np.sin(around)], axis=1)
     top, foot = (np.column_stack([ring, np.full(len(ring), z)]) for z in (_PLATE_M * 0.99, 0.0))
@@ -123,7 +128,7 @@ def _plate(size: float) -> tuple[Floats, Ints]:
 
 
 def _surroundings(size: float) -> tuple[Floats, Ints]:
-    """The table, and a wall behind it; the rig looks from where y is negative."""
+    """The table, and a wall behind it. The rig is at negative y."""
     wide, behind = _WIDE * size, _BEHIND * size
     floor = [[-wide, -wide, 0.0], [wide, -wide, 0.0], [wide, behind, 0.0], [-wide, behind, 0.0]]
     wall = [[-wide, behind, 0.0], [wide, behind, 0.0], [wide, 1.1 * behind, wide], [-wide, 1.1 * behind, wide]]
@@ -131,7 +136,7 @@ def _surroundings(size: float) -> tuple[Floats, Ints]:
 
 
 def _speckled(points: Floats) -> Floats:
-    """Albedo (n,) of a printed cloth at points (n, 3) in sizes of the thing."""
+    """Albedo (n,) of a printed cloth at points (n, 3), in units of the size of the thing."""
     cell = np.floor(_SPECKLE * points + 0.5).astype(np.int64)
     mixed = (cell[:, 0] * 73_856_093) ^ (cell[:, 1] * 19_349_663) ^ (cell[:, 2] * 83_492_791)
     albedo: Floats = 0.35 + 0.3 * ((mixed % 997) / 997.0)

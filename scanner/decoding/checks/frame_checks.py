@@ -70,10 +70,10 @@ def check_frames(
     made_alike = _with_brighter_white(plan, made_alike)
     if not found and switch is None:
         return [], None
-    switched = [] if switch is None else [Anomaly(switch.said(plan), (switch.frame,))]
-    proof = _exchange(plan, shown, made_alike, found) or _duplicate(plan, shown, found)
-    if proof:
-        message = "; ".join([*(anomaly.message for anomaly in found), proof])
+    switched = [] if switch is None else [Anomaly(switch.description(plan), (switch.frame,))]
+    mistake = _exchange(plan, shown, made_alike, found) or _duplicate(plan, shown, found)
+    if mistake:
+        message = "; ".join([*(anomaly.message for anomaly in found), mistake])
         raise InputError(f"the frames do not show what the capture says: {message}")
     return [*switched, *contradictions(plan, made_alike)], switch
 

@@ -209,8 +209,8 @@ def _weights(
     if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
     # Noise in the regressors biases the weights towards each other, by its share of their variance.
-    told = np.concatenate([design, *tied[:, chosen]])
-    spread = float(np.linalg.eigvalsh(told.T @ told / len(left))[1])
+    regressors = np.concatenate([design, *tied[:, chosen]])
+    spread = float(np.linalg.eigvalsh(regressors.T @ regressors / len(left))[1])
     if spread <= 0:  # identical frames without light
         return np.ones((count, 1)), inf
     error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread

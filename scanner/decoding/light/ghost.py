@@ -51,8 +51,8 @@ class Ghost:
         if self.of_odd_rows is not None:
             both = f"{self.share:.0%} and {self.of_odd_rows:.0%}"
             return f"each frame shows {both} of the picture before it in even and in odd rows"
-        who = "each frame shows" if self.place is None else f"{plan.name(plan.shown[self.place])} shows"
-        return f"{who} {self.share:.0%} of the picture before it"
+        subject = "each frame shows" if self.place is None else f"{plan.name(plan.shown[self.place])} shows"
+        return f"{subject} {self.share:.0%} of the picture before it"
 
     def of_rows(self, height: int) -> Floats32:
         """Return the share in each row of an image, (height, 1)."""

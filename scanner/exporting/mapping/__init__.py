@@ -1,3 +1,3 @@
-"""Projection mapping: every projector as a camera beside the room's mesh, and maps for players from its own eye."""
+"""Projection mapping: every projector as a camera of the room's mesh, and maps for players from its viewpoint."""
 
 from scanner.exporting.mapping.write import export

@@ -14,8 +14,8 @@ from scipy.ndimage import map_coordinates
 from calib.numerics import Bools, Floats
 from scanner.exporting.mapping.eye import Seen
 
-_EDGE = 0.02  # of the depth: the step to a neighbour beyond what a plane has
-_SAME = 0.005  # of the depth: closer ones are one surface
+_EDGE = 0.02  # relative depth step to a neighbour, beyond that of a plane
+_SAME = 0.005  # relative depth difference within one surface
 
 
 def blend_weights(projectors: Sequence[Seen], shown: Sequence[Bools]) -> list[Floats]:
@@ -34,14 +34,14 @@ def blend_weights(projectors: Sequence[Seen], shown: Sequence[Bools]) -> list[Fl
 def _from_edge(seen: Seen, shown: Bools) -> Floats:
     """Distance (H, W) from the nearest edge, over the image's height."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1 / seen.depth  # of a plane it is linear in the image
+        inverse = 1 / seen.depth  # inverse depth of a plane is linear in the image
     steps = np.zeros(shown.shape)
     for axis in (0, 1):
         bent = np.abs(np.diff(inverse, 2, axis=axis, prepend=np.nan, append=np.nan)) * seen.depth
         steps = np.fmax(steps, bent)
     inside = np.pad(shown & (steps < _EDGE), 1).astype(np.uint8)
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    # Pixels at the very edge, too, belong to somebody.
+    # Pixels at the very edge need a projector, too.
     found: Floats = np.where(shown, np.maximum(distance, 0.5), 0.0) / len(shown)
     return found
 

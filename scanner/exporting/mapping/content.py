@@ -13,10 +13,10 @@ from scanner.exporting.mapping.eye import Seen
 from scanner.exporting.triangles import Mesh
 
 _TRIES, _SAMPLE = 300, 20_000
-_NEAR = 0.005  # of the surface's extent, from a plane
-_ALIKE = np.cos(np.radians(20.0))  # normals of a plane's points
-_UPRIGHT = np.cos(np.radians(45.0))  # a wall's normal is further from the vertical
-_GRAZING = np.sin(np.radians(10.0))  # surfaces that are met at less show streaks
+_NEAR = 0.005  # distance from a plane, over the surface's extent
+_ALIKE = np.cos(np.radians(20.0))  # cosine between the normals of a plane's points
+_UPRIGHT = np.cos(np.radians(45.0))  # a wall's normal is farther from the vertical than this
+_GRAZING = np.sin(np.radians(10.0))  # surfaces seen at a smaller angle show streaks
 _UP = np.array([0.0, -1.0, 0.0])
 _LARGEST_PX = 16_384
 
@@ -34,9 +34,11 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """A rectangle on a wall: its lower left corner `origin`, `right` and `up` of unit length (3,), width and height
-    `extent`, and the picture's `size`, whose pixels are squares. `eye` (3,): from where it is undistorted; None: seen
-    straight on, by parallel rays along the wall's normal.
+    """A rectangle on a wall: its lower left corner `origin`, unit vectors `right` and `up` (3,), width and height
+    `extent`.
+
+    `size`: of the picture, in square pixels. `eye` (3,): viewpoint without distortion; None: parallel projection along
+    the wall's normal.
     """
 
     wall: Wall

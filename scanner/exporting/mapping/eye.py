@@ -42,7 +42,7 @@ def seen_by_all(scene: Scene) -> list[Seen]:
         origins = np.broadcast_to(place.translation, rays.shape)
         hits = caster.cast_rays(o3d.core.Tensor(np.concatenate([origins, rays], axis=-1).astype(np.float32)))
         depth = hits["t_hit"].numpy().astype(np.float64)
-        depth[~np.isfinite(depth)] = np.nan  # rays have a depth of one to their unit
+        depth[~np.isfinite(depth)] = np.nan  # directions have unit depth
         points = place.translation + depth[..., None] * rays
         found.append(Seen(projector, points, _normals(scene, hits, np.isfinite(depth)), depth))
     return found

@@ -14,17 +14,18 @@ from scanner.exporting.triangles import Mesh, build_mesh
 from scanner.io import CloudPoints, StoredDevice, read_cloud, read_network
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, OBJECT_FILE, ROOM_FILE, read_finished_scan
 
-_SHALLOWEST, _DEEPEST = 5, 9  # levels of Poisson's octree: 512 cells to a side
-_AROUND = 1.1  # of the extent
+_SHALLOWEST, _DEEPEST = 5, 9  # levels of the octree of the Poisson reconstruction; 9 is 512 cells per side
+_AROUND = 1.1  # over the extent
 _NEIGHBOURS = 6
-_FAR = 4.0  # times the points' spacing there: further off, a surface is made up
+_FAR = 4.0  # distance over the local point spacing, beyond which a surface is invented
 _FEWEST = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """`projectors` with their places and `mesh`, in the mesh's unit and the frame of the result: y is down.
-    `baseline`: between which devices that unit is, where no length is known.
+    """`projectors` with their poses, and `mesh`, in the mesh's unit and the result's frame, y down.
+
+    `baseline`: the devices whose distance is the unit, if no length is known.
     """
 
     projectors: tuple[StoredDevice, ...]
@@ -75,7 +76,7 @@ def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:
     depth = int(np.clip(np.ceil(np.log2(cells)), _SHALLOWEST, _DEEPEST))
     mesh = poisson(points, cloud.normals[used], cloud.colours[used], depth=depth, scale=_AROUND)
     vertices = np.asarray(mesh.vertices)
-    if not np.isfinite(vertices).all():  # of points so far away that none are near each other
+    if not np.isfinite(vertices).all():  # the points are too far apart for a surface
         return None
     apart, nearest = tree.query(vertices)
     mesh.remove_vertices_by_mask(apart > _FAR * spacing[nearest])

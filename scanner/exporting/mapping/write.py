@@ -23,7 +23,7 @@ from scanner.exporting.units import in_metres
 from scanner.io import block_yaml, new_files, png_of, refuse_existing
 
 SCENE_FILE, LISTING_FILE = "mapping.glb", "mapping.yaml"
-_NEAR, _FAR = 0.1, 2.0  # of the clipping planes: of the nearest depth and the farthest
+_NEAR, _FAR = 0.1, 2.0  # clipping planes, relative to the nearest and the farthest depth
 _MOST = 65535
 _HOW = {
     "axes": "of all places, in metres: x right, y up, z backward; those of mapping.glb",
@@ -68,7 +68,7 @@ def export(request: Request) -> list[str]:
         write_pieces(glb, [Piece(scene.mesh)], metres, cameras)
         for path, data in zip(paths, files.values(), strict=True):
             path.write_bytes(data)
-    return [*_told(scene, content, metres, at), *remarks]
+    return [*_summary(scene, content, metres, at), *remarks]
 
 
 def _maps(seen: Seen, at: Floats, weight: Floats, metres: float, gamma: float) -> dict[str, bytes]:
@@ -135,7 +135,7 @@ def _content_entry(content: Content, metres: float) -> dict[str, Any]:
     }
 
 
-def _told(scene: Scene, content: Content, metres: float, at: list[Floats]) -> list[str]:
+def _summary(scene: Scene, content: Content, metres: float, at: list[Floats]) -> list[str]:
     width, height = (f"{metres * side:.2f}" for side in content.extent)
     count = len(scene.projectors)
     cameras = f"{count} projectors as cameras" if count > 1 else "1 projector as a camera"

@@ -13,24 +13,24 @@ from scanner.reconstruction.keystone.planes import smooth_over
 
 _FEWEST = 300
 _OUTLIER_SIGMAS, _ROUNDS = 3.5, 4
-# Of the amplitude that a linear interpolation between two pixels has, beats have 0.9 to 1.2; what else varies over real
-# scenes has up to 0.6, and in simulated ones explains up to 2 % of the variance, where beats explain 9 % or more.
+# Amplitude of beats relative to that of linear interpolation between two pixels: 0.9 to 1.2. Other variation in real
+# scenes reaches 0.6, and explains up to 2 % of the variance of simulated ones, where beats explain 9 % or more.
 _LEAST_EXPLAINED, _LEAST_STRENGTH, _MOST_STRENGTH = 0.04, 0.75, 1.5
 _SIGNIFICANT_SIGMAS, _LEAST_PX = 6.0, 0.5
-# By how much the misfit must fall, in squared sigmas, to believe that a picture is turned, sheared, or leans twice.
+# Reduction of the misfit, in squared sigmas, required to accept a rotation, a shear or a second keystone.
 _WORTH_THE_REST = 25.0
-# The residuals of a scene are alike over several pixels, however many are taken.
+# Residuals of a scene correlate over several pixels, however many are used.
 _ALIKE, _MOST_INDEPENDENT = 4.0, 1250
-# Of the misfit and of the step, relative to themselves, where a fit ends.
+# Relative changes of the misfit and of the step at which a fit has converged.
 _PRECISE = 1e-5
-# Of a homography, in units of half the picture's width about its middle, less the identity: what x, y and 1 add to x,
-# what they add to y, and what x and y add to the denominator.
+# Parameters of a homography minus the identity, in units of half the picture's width about its middle: coefficients of
+# x, y and 1 in x, in y, and of x and y in the denominator.
 NUMBERS = 8
 EVERYTHING = tuple(range(NUMBERS))
-UPRIGHT = (0, 2, 4, 5)  # what neither turns nor shears
+UPRIGHT = (0, 2, 4, 5)  # parameters without rotation and shear
 LEANS = slice(6, 8)
 
-# Shifts in pixels (N,), and the period of stripes → the logarithm of what is left of these.
+# Shifts in pixels (N,) and a period of stripes → the logarithm of their remaining contrast.
 Wave = Callable[[Floats, float], Floats]
 
 
@@ -74,7 +74,7 @@ class Beat:
 
     @classmethod
     def of(cls, stripes: FinestStripes, plane: Ints, size: tuple[int, int], wave: Wave) -> "Beat | None":
-        """Without what changes smoothly over each plane, and without outliers; None of too few pixels."""
+        """Contrasts without smooth variation over each plane, and without outliers; None for too few pixels."""
         half, middle = (size[0] - 1) / 2, (np.array(size) - 1) / 2
         points = (stripes.projector_px - middle) / half
         found, chosen = None, plane >= 0
@@ -100,11 +100,11 @@ class Beat:
 
     @property
     def alike(self) -> float:
-        """How many pixels tell as much as one would whose residual is independent."""
+        """Number of pixels per independent residual."""
         return max(_ALIKE, len(self.data) / _MOST_INDEPENDENT)
 
     def within(self, share: float) -> "Beat":
-        """What is in the middle of the picture, up to so much of its width and height."""
+        """The pixels in the middle of the picture, up to this share of its width and height."""
         inside = np.all(np.abs(self.points) < (share, share * self.tall), axis=1)
         if inside.all():
             return self

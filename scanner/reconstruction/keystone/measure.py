@@ -21,16 +21,16 @@ from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_lean
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
 _MOST_AT_FIRST = 4000
-# What has more harmonics is found better, but only from nearby.
+# More harmonics are more accurate, but converge only from nearby.
 _ROUND, _SHARP = first_harmonics(1), first_harmonics(5)
 
 
 @dataclass(frozen=True)
 class Keystone:
-    """`homography` (3, 3) takes the picture's pixels to the panel's, whole pixels of whose origin nobody can tell.
+    """`homography` (3, 3): from the picture's pixels to the panel's, whose origin is known up to whole pixels.
 
-    `narrower`: how much smaller the far edge is shown than the near one, as a share. `shifts`: by what panel pixels may
-    err, by fields of one standard deviation.
+    `narrower`: share by which the far edge is smaller than the near one. `shifts`: errors of panel pixels, as fields of
+    one standard deviation.
     """
 
     homography: Floats
@@ -39,13 +39,13 @@ class Keystone:
 
 
 def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int, int]) -> Keystone | None:
-    """What the projector of (width, height) pixels does to its picture, if it shows.
+    """Measure how the projector of (width, height) pixels reshapes its picture, if it does.
 
-    `plane` (N,): which one each match is on, negative where it is on none. Over each plane contrast changes smoothly.
+    `plane` (N,): the plane of each match, negative for none. Contrast varies smoothly over each plane.
     """
     if max(stripes.periods) > _LONGEST_PX or not len(stripes.log_ratio) or not len(matches):
         return None
-    # Few pixels tell that there is something, and all of them what it is.
+    # A few pixels detect a keystone; all of them estimate it.
     few = evenly(np.ones(len(stripes.log_ratio), np.bool_), _MOST_AT_FIRST)
     thin = _beat(stripes.at(few), matches, plane, size)
     found = None if thin is None else _found_at_first(thin)
@@ -70,7 +70,7 @@ def _found_at_first(thin: Beat) -> Fit | None:
             best = max(fits, key=lambda fit: fit.explained)
             fit = sharp.refined(best.values, best.free)
             fit = sharp.believable(sharp.refined(fit.values, EVERYTHING), fit)
-            # A wrong one explains a part of the picture.
+            # A wrong keystone explains only a part of the picture.
             if fit.is_of_a_beat and not Spectrum.of(sharp.without(fit)).beats:
                 return fit
     return None

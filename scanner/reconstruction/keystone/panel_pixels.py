@@ -14,9 +14,9 @@ from scanner.results import AS_SHOWN, Decoded, Panel
 
 
 def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
-    """A capture whose planes are known, with its matches in pixels that are square, as far as its stripes tell.
+    """A capture with known planes, with its matches in square panel pixels, as far as its stripes determine them.
 
-    What panel pixels begin at is that of `others` of the same rig, if they have any.
+    The origin of the panel is that of `others` of the same rig, if they have one.
     """
     decoding, plane = capture.decoding, capture.matches.face if capture.plane is None else capture.plane
     if capture.panel is not None or decoding is None or decoding.stripes is None or plane is None:
@@ -31,11 +31,11 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
             homography = beginning_as(other.panel.homography, homography, size)
             break
     matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))
-    # What five pictures before a scan made suspect was measured.
+    # A check before the scan suspected keystone correction; the capture has measured it.
     warnings = tuple(warning for warning in decoding.warnings if not warning.startswith(CHANGED_SHAPE))
     panel = Panel(homography, keystone.shifts)
     measured = replace(capture, matches=matches, panel=panel, origin=replace(decoding, warnings=warnings))
-    return measured.noting(_said(keystone))
+    return measured.noting(_note(keystone))
 
 
 def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
@@ -46,10 +46,10 @@ def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Fl
     return there
 
 
-def _said(keystone: Keystone) -> str:
+def _note(keystone: Keystone) -> str:
     return (
         f"The projector corrects its picture for keystone: one edge is {percent(keystone.narrower)} narrower than the "
-        "other, as the beat of the finest stripes tells. That was measured and taken out: matches and calibration "
+        "other, as the beat of the finest stripes shows. This was measured and corrected: matches and calibration "
         "are in pixels of the projector's panel, as if it showed its picture as it is. Turn the correction off for "
         "captures that are to use this calibration."
     )

@@ -13,9 +13,9 @@ _FEWEST = 100
 
 
 def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
-    """Which plane camera pixels (P, 2) are on, as all matches near them say; −1 where none does, or they differ.
+    """The plane of camera pixels (P, 2), if all matches around them agree; −1 otherwise.
 
-    `camera_px` (N, 2) are those of matches, `plane` (N,) which one each is on, negative where it is on none.
+    `camera_px` (N, 2): pixels of the matches; `plane` (N,): the plane of each, negative for none.
     """
     at, down = pixels.astype(np.int64).T
     width, height = int(at.max()) + 1, int(down.max()) + 1
@@ -29,7 +29,7 @@ def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
 
 @compiled
 def _note(camera_px: Floats, plane: Ints, labels: NDArray[np.int8]) -> None:
-    """Write the planes of matches (N, 2) where they are, in an image with a border; of those beyond a byte none."""
+    """Write the planes of matches (N, 2) into an image with a border; planes that exceed a byte are left out."""
     height, width = labels.shape
     for i in range(len(plane)):
         row, column = int(camera_px[i, 1] + 0.5) + _NEAR_PX, int(camera_px[i, 0] + 0.5) + _NEAR_PX

@@ -1,6 +1,7 @@
-"""Homographies from which a fit to beating contrasts may start: leans are tried, the rest is the peak of a spectrum.
+"""Starts for a fit of beating contrasts: keystones are tried, the rest comes from the peak of a spectrum.
 
-A lean makes chirps of waves. Where it is undone, each axis has one frequency left, which a Fourier transform finds.
+Keystone turns the beat into a chirp. With the right keystone undone, each axis has a single frequency, which a Fourier
+transform finds.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,18 +17,18 @@ from calib.numerics import Floats, in_parallel
 from scanner.decoding import Floats32
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, UPRIGHT, Beat, homography_of
 
-# How much narrower the far edge may be, for which is looked; more of it leaves no fine stripes.
+# Largest keystone that is searched for; more leaves no fine stripes.
 _MOST_NARROWER = 0.05
-_STEP_PX = 0.5  # at the picture's corners
+_STEP_PX = 0.5  # at the corners of the picture
 _CELLS_ALONG = 213
 _LEAST_CELL_PX = 4.0
 _PADDED = 1.3
 _TRIED, _APART_PX = 8, 0.4
 _BESIDE = 4
-# What no beat explains of a spectrum, relative to noise, stays below the first; below the second even with a lean that
-# is not undone there is none.
+# Limits on the part of a spectrum that no beat explains, relative to noise; the second also holds with a keystone that
+# is not undone, or there is none.
 _LEAST_POWER, _LEAST_CHIRP = 50.0, 40.0
-# Leans along both axes are tried so many to each side, in as much of the picture's middle as these reach around.
+# Number of keystones tried to each side along both axes, in the middle part of the picture that they span.
 _LEANS = 10
 _TRIED_TWICE = 4
 _GROWTH = 1.4
@@ -66,7 +67,9 @@ def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
 
 
 def _apart(found: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
-    """The strongest that differ at the picture's corners; of two opposite ones, which beat alike, the smaller one."""
+    """The strongest starts that differ at the picture's corners; of two opposite ones, with equal beats, the smaller
+    one.
+    """
     corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.tall)
     taken: list[Floats] = []
     for start in sorted(found, key=lambda start: -start.power):
@@ -116,7 +119,7 @@ class Spectrum:
         return _STEP_PX / self.half, _STEP_PX / (self.half * self.tall)
 
     def half_steps(self) -> list[Start]:
-        """Half a step beside the strongest that lean along one axis: fits from whole steps may end on either side."""
+        """Starts half a step beside the strongest along one axis: a fit from whole steps may miss the minimum."""
         strongest = sorted(self.leaning_once, key=lambda start: -start.power)[:_BESIDE]
         leans = {
             (x + by * self._steps[0] / 2, 0.0) if x else (0.0, y + by * self._steps[1] / 2)
@@ -138,7 +141,7 @@ class Spectrum:
         sums = sums.reshape(rows, columns)
         x: Floats = (((np.arange(columns) + 0.5) * cell - width / 2) / beat.half)[None, :].astype(np.float64)
         y: Floats = (((np.arange(rows) + 0.5) * cell - height / 2) / beat.half)[:, None].astype(np.float64)
-        # Of the middle of a picture there is less to transform.
+        # The middle of a picture costs less to transform.
         at_x, at_y = (slice(of.min(), of.max() + 1) for of in (column, row))
         return cls(
             sums[at_y, at_x],
@@ -155,7 +158,7 @@ class Spectrum:
         return in_parallel(lambda lean: self._peak(*lean), leans)
 
     def _peak(self, lean_x: float, lean_y: float) -> Start:
-        # Along one axis alone, it and what it does to that axis are a row or a column.
+        # Along a single axis, the transform is a row or a column.
         leans = [by * along for by, along in ((lean_x, self.x), (lean_y, self.y)) if by]
         lean = sum(leans, np.zeros((1, 1)))
         (power_x, xx, xy, x1), (power_y, yx, yy, y1) = (self._strongest(lean * along) for along in (self.x, self.y))

@@ -1,4 +1,4 @@
-"""Calibration from boards with known truth: errors within sigmas, and refusals with reasons."""
+"""Calibration from boards with ground truth: errors match sigmas, and refusals give reasons."""
 
 from dataclasses import replace
 from typing import Any
@@ -41,7 +41,7 @@ def six() -> tuple[SyntheticBoards, BoardCalibration]:
     return boards, calibrated(boards)
 
 
-def test_errors_are_within_what_the_sigmas_say() -> None:
+def test_errors_match_their_sigmas() -> None:
     errors = []
     for seed in (0, 1, 2):
         boards = made_up(seed, views=5)
@@ -51,7 +51,7 @@ def test_errors_are_within_what_the_sigmas_say() -> None:
     assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
-def test_boards_predict_each_other_as_promised(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
+def test_cross_validation_errors_match_the_prediction(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
     _, found = six
     assert len(found.predictions) == 6
     assert 0.4 < np.sqrt(np.mean([each.sigmas**2 for each in found.predictions])) < 1.9
@@ -59,14 +59,14 @@ def test_boards_predict_each_other_as_promised(six: tuple[SyntheticBoards, Board
     assert set(found.halves.first) | set(found.halves.second) == {f"view {i}" for i in range(6)}
 
 
-def test_the_bend_is_found(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
+def test_the_bend_of_the_board_is_estimated(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
     boards, found = six
     sigma = np.sqrt(found.estimate.covariance.diagonal())[24:27]
     assert np.all(np.abs(found.estimate.state.bend[:3] - boards.bend) < 4 * sigma)
     assert np.all(sigma < 3e-4)
 
 
-def test_a_further_board_is_worth_what_is_promised(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
+def test_a_further_board_reduces_sigmas_as_predicted(six: tuple[SyntheticBoards, BoardCalibration]) -> None:
     boards, found = six
     rig = boards.calibration
     pose = best_next_pose(found.estimate, (rig.camera.size, rig.projector.size))
@@ -74,7 +74,7 @@ def test_a_further_board_is_worth_what_is_promised(six: tuple[SyntheticBoards, B
     assert "projected picture" in pose.words
 
 
-def test_boards_that_look_alike_after_half_a_turn_are_turned_alike() -> None:
+def test_boards_symmetric_under_half_a_turn_are_oriented_consistently() -> None:
     boards = made_up(7, views=4, bend=0.004)
     views = views_of(boards)
     # Cubic terms tell one end from the other; without any, either way round is right.
@@ -99,10 +99,10 @@ def test_a_board_that_moved_is_named_and_left_out() -> None:
     [
         ({"tilt_deg": (0.0, 1.5), "distance": (0.99, 1.01)}, "parallel"),
         ({"square": 0.007, "aside": 0.02}, "cover only"),
-        ({"views": 2}, "three are the least"),
+        ({"views": 2}, "at least three are needed"),
     ],
 )
-def test_what_does_not_determine_a_rig_is_refused_with_a_reason(changes: dict[str, Any], reason: str) -> None:
+def test_boards_that_do_not_determine_a_rig_are_refused_with_a_reason(changes: dict[str, Any], reason: str) -> None:
     boards = made_up(4, **changes)
     with pytest.raises(RefusalError, match=reason):
         calibrated(boards)

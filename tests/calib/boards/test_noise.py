@@ -1,4 +1,6 @@
-"""Noise measured on boards that the model cannot follow: one answer from any start, the same as by hand."""
+"""Noise of boards that the model does not fit: the estimate does not depend on the start, and matches a direct
+computation.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,7 @@ WAVE_PX = 0.1
 
 
 def wavy(views: list[View]) -> list[View]:
-    """The same with a smooth error of the matches that no parameter explains, as of a print that is not to scale."""
+    """The views with a smooth error of the matches that no parameter explains, as of a distorted print."""
     rng = np.random.default_rng(8)
     bent = []
     for view in views:
@@ -38,7 +40,9 @@ def four() -> tuple[SyntheticBoards, list[View], State, Prior]:
     return boards, views, start, prior
 
 
-def test_noise_is_the_same_from_any_start(four: tuple[SyntheticBoards, list[View], State, Prior]) -> None:
+def test_the_noise_estimate_does_not_depend_on_the_start(
+    four: tuple[SyntheticBoards, list[View], State, Prior],
+) -> None:
     _, views, start, prior = four
     rough = rough_levels(views)
     found = []
@@ -55,7 +59,9 @@ def test_noise_is_the_same_from_any_start(four: tuple[SyntheticBoards, list[View
     assert max(weights) < 4 * min(weights)
 
 
-def test_a_board_left_out_moves_the_estimate_as_told(four: tuple[SyntheticBoards, list[View], State, Prior]) -> None:
+def test_leaving_out_a_board_moves_the_estimate_as_predicted(
+    four: tuple[SyntheticBoards, list[View], State, Prior],
+) -> None:
     boards, views, _, _ = four
     sizes = boards.calibration.camera.size, boards.calibration.projector.size
     board = Board(boards.reach, 1, "m")

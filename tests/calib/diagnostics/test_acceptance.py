@@ -1,4 +1,4 @@
-"""What is not determined, not the only solution, or not of a square corner is refused, with its reason; and no more."""
+"""Undetermined, ambiguous or non-square solutions are refused with a reason; others are accepted."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ KNOWLEDGE = Knowledge(
 
 @pytest.fixture(scope="module")
 def good() -> Refinement:
-    """Of a capture that determines everything."""
+    """A solution that is well determined."""
     capture = random_capture(np.random.default_rng(3), count=5000, distance=(1.5, 2.5))
     cells = into_cells(capture.matches)
     focals = np.geomspace(1200.0, 2700.0, 12)
@@ -42,7 +42,7 @@ def refusal_of(refinement: Refinement, knowledge: Knowledge = KNOWLEDGE) -> Refu
 
 
 def with_sigma(refinement: Refinement, device: slice, sigma: float) -> Refinement:
-    """The standard deviation of a device's focal length, relative."""
+    """Set the relative standard deviation of a device's focal length."""
     covariance = refinement.covariance.copy()
     covariance[device.start, device.start] = sigma**2
     return replace(refinement, covariance=covariance)
@@ -53,7 +53,9 @@ def test_a_good_solution_is_accepted(good: Refinement) -> None:
 
 
 @pytest.mark.parametrize(("device", "name"), [(CAMERA, "camera"), (PROJECTOR, "projector")])
-def test_a_focal_is_refused_beyond_the_useful_sigma_only(good: Refinement, device: slice, name: str) -> None:
+def test_a_focal_length_is_refused_only_beyond_the_largest_useful_sigma(
+    good: Refinement, device: slice, name: str
+) -> None:
     refuse_untrustworthy(with_sigma(good, device, 0.149), KNOWLEDGE)
     refusal = refusal_of(with_sigma(good, device, 0.171))
     assert f"hardly determines the {name}'s focal length: its sigma is 17 %" in refusal.reason
@@ -70,7 +72,7 @@ def test_a_focal_is_refused_beyond_the_useful_sigma_only(good: Refinement, devic
         (30.0, 0.3, "A principal point that is known, or a corner that is known to be square, also helps."),
     ],
 )
-def test_what_was_not_said_is_what_else_helps(centre_px: float, squareness_deg: float, offered: str) -> None:
+def test_the_advice_names_missing_knowledge(centre_px: float, squareness_deg: float, offered: str) -> None:
     knowledge = replace(KNOWLEDGE, principal_point_sigma_px=centre_px, squareness_deg=squareness_deg)
     assert what_else_helps(knowledge).strip() == offered
 
@@ -106,9 +108,7 @@ def test_two_solutions_are_ambiguous_if_both_fit_and_differ(good: Refinement) ->
         ("projector", 10.1, False),
     ],
 )
-def test_focals_that_no_device_has_are_refused(
-    good: Refinement, device: str, widths: float, is_plausible: bool
-) -> None:
+def test_impossible_focal_lengths_are_refused(good: Refinement, device: str, widths: float, is_plausible: bool) -> None:
     state = good.fit.state
     camera, projector = state.camera.copy(), state.projector.copy()
     if device == "camera":
@@ -134,7 +134,7 @@ def test_smooth_misfit_is_judged_by_the_noise(good: Refinement) -> None:
     assert "the matches of capture 2:" in refusal_of(replace(good, noise=(below, above))).reason
 
 
-def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None:
+def test_angles_off_the_assumed_ones_are_refused(good: Refinement) -> None:
     # χ² with three degrees of freedom exceeds 21.1 once in ten thousand times.
     refuse_untrustworthy(replace(good, tension=21.0), KNOWLEDGE)
     refusal = refusal_of(replace(good, tension=21.2))
@@ -157,7 +157,7 @@ def test_angles_that_are_not_those_assumed_are_refused(good: Refinement) -> None
     assert "where 0.3 degrees were allowed for" in refusal.reason
 
 
-def test_faces_of_one_plane_are_no_corner() -> None:
+def test_faces_of_one_plane_are_refused() -> None:
     capture = random_capture(np.random.default_rng(4), count=3000)
     matches = capture.matches
     assert matches.face is not None
@@ -177,7 +177,7 @@ def test_faces_of_one_plane_are_no_corner() -> None:
     assert "camera and projector well apart" in caught.value.advice
 
 
-def test_where_no_focal_makes_a_corner_the_devices_have_their_names() -> None:
+def test_without_a_possible_focal_length_the_message_names_the_devices() -> None:
     for words in (RIG, PHOTOS):
         refusal = no_corner([], words)
         assert "not the picture of a square corner for any focal length" in refusal.reason

@@ -1,4 +1,4 @@
-"""Two calibrations of one rig: those of two sets of boards agree, a changed one does not."""
+"""Calibrations of one rig from two sets of boards agree; a changed calibration does not."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ DEPTHS = np.array([0.8, 1.2])
 
 @pytest.fixture(scope="module")
 def boards() -> tuple[SystematicErrors, SystematicErrors]:
-    """What boards say, and the truth, which says nothing of its sigmas."""
+    """The calibration from boards, and the truth, which states no sigmas."""
     case = before(1)
     return errors_of(case.known), SystematicErrors.of(case.truth, None)
 
@@ -35,7 +35,7 @@ def test_the_truth_is_within_the_sigmas(boards: tuple[SystematicErrors, Systemat
     assert difference.scale == 1.0
 
 
-def test_a_zoom_of_half_a_per_cent_is_told(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
+def test_a_zoom_of_half_a_per_cent_is_found(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
     found, truth = boards
     projector = truth.calibration.projector
     zoomed = replace(projector, focal_px=(1.005 * projector.focal_px[0],) * 2)
@@ -46,7 +46,7 @@ def test_a_zoom_of_half_a_per_cent_is_told(boards: tuple[SystematicErrors, Syste
     assert 1.0 < difference.px.max() < 20.0
 
 
-def test_without_a_length_only_shapes_count(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
+def test_without_a_scale_only_shapes_are_compared(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
     found, truth = boards
     tripled = SystematicErrors.of(replace(truth.calibration, translation=3 * truth.calibration.translation), None)
     free = compare(found, tripled, grid(found), DEPTHS, metric=False)

@@ -1,4 +1,4 @@
-"""Degenerate views are named with their angles and shares, which are known of each state here."""
+"""Degenerate views are named with their angles and shares, which are known here."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 def state_seen(sines: Floats, distance: float, ahead_deg: float = 90.0) -> State:
-    """A corner straight ahead of the camera, `distance` baselines away, whose faces' slants have these sines (3,), and
-    a projector that is turned in no way, `ahead_deg` from the line to the corner.
+    """A corner straight ahead of the camera, `distance` baselines away. The sines of its faces' slants are given (3,);
+    the projector is not rotated, and is `ahead_deg` from the line to the corner.
     """
     sines = sines / np.linalg.norm(sines)
     frame = Rotation.align_vectors(AHEAD[None], sines[None])[0].as_matrix().T
@@ -27,7 +27,7 @@ def state_seen(sines: Floats, distance: float, ahead_deg: float = 90.0) -> State
     return State(device, device, np.eye(3), -direction, np.zeros((1, 3)), (pose,))
 
 
-def test_an_even_view_has_nothing_to_name() -> None:
+def test_a_balanced_view_has_no_degeneracy() -> None:
     assert reasons_in_space(state_seen(np.ones(3), 4.0), 0, RIG) == []
 
 
@@ -42,7 +42,7 @@ def test_a_grazing_face_is_named_with_its_slant(slant_deg: float, is_named: bool
         assert f"the second face is seen at a slant of only {slant_deg:.0f}° from {device}" in reason
 
 
-def test_the_projectors_slant_is_its_own() -> None:
+def test_the_slant_seen_by_the_projector_is_named_separately() -> None:
     # The corner is two baselines away and the projector at one side: it looks along (−1, 0, 2), and along the first
     # face, which is turned away from that by 3°.
     rows = np.array([[2.0, 0.0, 1.0], [-1.0, 1.2, 2.0], [-1.2, -5.0, 2.4]])
@@ -55,7 +55,7 @@ def test_the_projectors_slant_is_its_own() -> None:
 
 
 @pytest.mark.parametrize(("ahead_deg", "is_named"), [(4.0, True), (11.9, True), (12.1, False), (170.0, True)])
-def test_devices_behind_one_another_are_named_with_the_angle(ahead_deg: float, is_named: bool) -> None:
+def test_a_corner_along_the_baseline_is_named_with_the_angle(ahead_deg: float, is_named: bool) -> None:
     found = reasons_in_space(state_seen(np.ones(3), 5.0, ahead_deg), 0, RIG)
     angle = min(ahead_deg, 180 - ahead_deg)
     assert [f"behind one another ({angle:.0f}° from the line" in reason for reason in found] == [True] * is_named
@@ -72,7 +72,7 @@ def test_a_short_baseline_is_named_with_its_share(distance: float, is_named: boo
 
 
 def cells_of(*faces: tuple[float, float]) -> Cells:
-    """Faces of these widths and heights in pixels, 1000 pixels from one to the next."""
+    """Faces with these widths and heights in pixels, 1000 pixels apart."""
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 1, 12)), axis=-1).reshape(-1, 2)
     pixels = np.concatenate([grid * size + (1000.0 * i, 0.0) for i, size in enumerate(faces)])
     one = np.ones(len(pixels))

@@ -1,4 +1,4 @@
-"""What is propagated is what happens: errors are put into a calibration, and the measurements are made again."""
+"""Propagated errors match the effect of errors put into a calibration."""
 
 from dataclasses import replace
 
@@ -100,7 +100,7 @@ def spreads_of(matches: Matches, errors: SystematicErrors) -> list[Spread]:
 
 
 @pytest.mark.parametrize("curved", [False, True])
-def test_a_step_of_the_calibration_moves_angles_and_vertex_as_told(
+def test_a_step_of_the_calibration_moves_angles_and_vertex_as_predicted(
     matches: Matches, state: State, curved: bool
 ) -> None:
     step = (0.1 if curved else 0.01) * STEP
@@ -119,8 +119,8 @@ def test_a_step_of_the_calibration_moves_angles_and_vertex_as_told(
     assert [spread.budget(axis).calibration for axis in range(3)] == pytest.approx(abs(shift), rel=0.05, abs=1e-5)
 
 
-def test_a_known_distance_is_known(matches: Matches, state: State) -> None:
-    """With the distance to the vertex given, the calibration moves everything but that."""
+def test_a_known_distance_has_only_its_own_sigma(matches: Matches, state: State) -> None:
+    """With a known distance to the vertex, errors of the calibration change everything else."""
     errors = SystematicErrors.of(in_metres(state), uncertainty_of(state, 0.1 * STEP), 0.01)
     vertex, spread = spread_of_vertex(planes_of(matches, errors.calibration), spreads_of(matches, errors))
     length = float(np.linalg.norm(vertex))
@@ -133,7 +133,7 @@ def test_a_known_distance_is_known(matches: Matches, state: State) -> None:
     assert known.through(by_vertex).budget().scale == pytest.approx(0.002 * length, rel=1e-3)
 
 
-def test_lengths_in_the_middle(matches: Matches, state: State) -> None:
+def test_lengths_at_the_middle_of_the_cloud(matches: Matches, state: State) -> None:
     points = intersect(matches, in_metres(state)).points
     exact = SystematicErrors.of(in_metres(state), uncertainty_of(state, np.zeros(SHARED)), 0.003)
     assert length_in_the_middle(points, exact).sigma == pytest.approx(0.003, rel=1e-6)
@@ -141,7 +141,7 @@ def test_lengths_in_the_middle(matches: Matches, state: State) -> None:
     assert 0.003 < length_in_the_middle(points, wrong).sigma < 0.1
 
 
-def test_points_err_by_their_sigma(matches: Matches, state: State) -> None:
+def test_point_errors_match_their_sigmas(matches: Matches, state: State) -> None:
     rng, errors = np.random.default_rng(0), SystematicErrors.of(in_metres(state), None)
     part = matches[:200]
     assert part.sigma_px is not None
@@ -152,7 +152,7 @@ def test_points_err_by_their_sigma(matches: Matches, state: State) -> None:
     assert 0.9 < np.sqrt(np.mean((moved / sigma) ** 2)) < 1.1
 
 
-def test_smooth_errors_are_told_from_scatter() -> None:
+def test_smooth_errors_are_distinguished_from_scatter() -> None:
     rng = np.random.default_rng(1)
     pixel = rng.uniform(0, 600, (20_000, 2))
     modes, cluster = smooth_modes(pixel), blocks(pixel.astype(np.int64), 10)
@@ -162,7 +162,7 @@ def test_smooth_errors_are_told_from_scatter() -> None:
     assert smooth_error_px(wavy, modes, cluster) == pytest.approx(0.02 * np.sqrt(2 / 5), rel=0.15)
 
 
-def test_the_form_of_a_bent_face() -> None:
+def test_the_shape_of_a_bent_face() -> None:
     rng = np.random.default_rng(2)
     place = rng.uniform(-1, 1, (8_000, 2))
     bow = 1e-3 * (place[:, 0] ** 2 - 1 / 3)

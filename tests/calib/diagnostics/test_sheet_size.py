@@ -1,4 +1,4 @@
-"""The size of a sheet of known points, out of its matches, with a sigma that is true."""
+"""The size of a board of known points from its matches, with a true sigma."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ RIG = Calibration(PAPER_CAMERA, PAPER_PROJECTOR, ROTATION, -ROTATION @ np.array(
 
 
 def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float) -> tuple[Floats, Floats, Matches]:
-    """Points of a sheet in metres, their pixels with a tenth of the noise, and matches on it."""
+    """Points of a board in metres, their pixels with a tenth of the noise, and matches on the board."""
     column, row = np.meshgrid(np.arange(7.0), np.arange(5.0))
     points = 0.03 * np.stack([column.ravel() - 3, row.ravel() - 2], axis=1)
     turn = look_at(np.zeros(3), np.array([0.3, 0.8, 1.0]), np.array([0.0, -1.0, 0.0])).T
@@ -32,7 +32,7 @@ def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float)
     return points, rig.camera.project(placed(points)) + rng.normal(0, px / 2, points.shape), matches
 
 
-def test_errors_are_within_the_noise_that_is_told() -> None:
+def test_errors_are_within_the_stated_noise() -> None:
     errors = []
     for seed in range(30):
         found = size_of_sheet(*seen(np.random.default_rng(seed), RIG, 2.0, 0.1), RIG, None)
@@ -41,7 +41,7 @@ def test_errors_are_within_the_noise_that_is_told() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
-def test_it_goes_with_the_calibration_as_is_told() -> None:
+def test_the_scale_changes_with_the_calibration_as_predicted() -> None:
     case = before(1)
     rig, uncertainty = case.known.calibration, case.known.uncertainty
     sheet = seen(np.random.default_rng(0), rig, 0.9, 0.05)

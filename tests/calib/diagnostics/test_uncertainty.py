@@ -1,4 +1,4 @@
-"""What the covariance says of points, of an assumption, and of a capture that has not been taken yet."""
+"""What the covariance predicts for points, for an assumption, and for a further capture."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def uncertainty_and_matches() -> tuple[Uncertainty, Matches]:
 
 
 @pytest.mark.parametrize("column", range(SHARED))
-def test_points_move_with_every_parameter_as_stated(
+def test_points_move_with_every_parameter_as_predicted(
     uncertainty_and_matches: tuple[Uncertainty, Matches], column: int
 ) -> None:
     uncertainty, matches = uncertainty_and_matches
@@ -58,7 +58,7 @@ def test_points_move_with_every_parameter_as_stated(
     assert np.abs(stated - numerical).max() < 0.03 * scale
 
 
-def test_noise_of_the_matches_moves_points_as_stated(uncertainty_and_matches: tuple[Uncertainty, Matches]) -> None:
+def test_noise_of_the_matches_moves_points_as_predicted(uncertainty_and_matches: tuple[Uncertainty, Matches]) -> None:
     uncertainty, matches = uncertainty_and_matches
     sigma_px = 0.05
     stated = replace(uncertainty, covariance=np.zeros((SHARED, SHARED)), match_px=sigma_px).of_points(matches)
@@ -74,7 +74,7 @@ def test_noise_of_the_matches_moves_points_as_stated(uncertainty_and_matches: tu
     assert 0.9 < ratio < 1.1
 
 
-def test_the_price_of_a_wrong_principal_point_is_told(uncertainty_and_matches: tuple[Uncertainty, Matches]) -> None:
+def test_the_cost_of_a_wrong_principal_point_is_predicted(uncertainty_and_matches: tuple[Uncertainty, Matches]) -> None:
     capture = random_capture(np.random.default_rng(2), count=6000, distance=(1.5, 2.5))
     uncertainty, _ = uncertainty_and_matches
     assert uncertainty.by_principal_point is not None
@@ -86,7 +86,7 @@ def test_the_price_of_a_wrong_principal_point_is_told(uncertainty_and_matches: t
     assert 0.5 < paid / told < 1.5
 
 
-def test_the_next_view_gains_what_was_promised() -> None:
+def test_the_next_view_reduces_sigmas_as_predicted() -> None:
     rng = np.random.default_rng(4)
     capture = random_capture(rng, count=20_000, walls_off_deg=0.3, distance=(1.5, 2.5))
     cells = into_cells(capture.matches)
@@ -129,7 +129,7 @@ def test_the_next_view_gains_what_was_promised() -> None:
 
 
 @pytest.mark.parametrize("bends", [(-0.06, -0.03), (0.05, 0.0), (0.0, 0.02)])
-def test_straightness_of_planes_tells_the_bend_of_the_lenses(bends: tuple[float, float]) -> None:
+def test_straightness_of_planes_gives_the_lens_distortion(bends: tuple[float, float]) -> None:
     camera = replace(PAPER_CAMERA, distortion=(bends[0], 0.0, 0.0, 0.0, 0.0))
     projector = replace(PAPER_PROJECTOR, distortion=(bends[1], 0.0, 0.0, 0.0, 0.0))
     capture = random_capture(np.random.default_rng(1), camera=camera, projector=projector, noise_px=0.01)
@@ -140,7 +140,7 @@ def test_straightness_of_planes_tells_the_bend_of_the_lenses(bends: tuple[float,
 
 
 def _bend_of_faces(matches: Matches) -> float:
-    """Root mean square deviation in px from the faces' homographies."""
+    """Root mean square deviation from the faces' homographies, in px."""
     squares = []
     for face in range(3):
         on_face = matches.on_face(face)

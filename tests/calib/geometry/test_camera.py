@@ -31,7 +31,7 @@ def test_negative_k1_pulls_towards_the_centre() -> None:
     assert barrel.project(point)[0] == pytest.approx([890.0, 500.0])
 
 
-def test_behind_the_device_is_nowhere() -> None:
+def test_points_behind_the_device_project_to_nan() -> None:
     camera = Intrinsics(100, 100, (100.0, 100.0), (50.0, 50.0))
     assert np.isnan(camera.project(np.array([[0.0, 0.0, -1.0]]))).all()
 

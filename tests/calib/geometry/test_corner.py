@@ -1,4 +1,4 @@
-"""The corner's image and the corner for given intrinsics, against corners that are known."""
+"""The image of a corner, and the corner for given intrinsics, compared with known corners."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ SEEDS = st.integers(0, 10_000)
 
 @settings(max_examples=15)
 @given(seed=SEEDS)
-def test_image_of_the_vertex(seed: int) -> None:
+def test_the_image_of_the_vertex(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
     image = image_of_corner(face_grams(capture.matches))
     vertex = image.vertex[:2] / image.vertex[2]
@@ -27,7 +27,7 @@ def test_image_of_the_vertex(seed: int) -> None:
 
 @settings(max_examples=15)
 @given(seed=SEEDS)
-def test_one_of_the_two_corners_is_the_true_one_and_both_are_square(seed: int) -> None:
+def test_both_solutions_are_square_and_one_is_the_true_corner(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
     image = image_of_corner(face_grams(capture.matches))
     inverse: Any = np.linalg.inv(intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px))
@@ -43,7 +43,7 @@ def test_one_of_the_two_corners_is_the_true_one_and_both_are_square(seed: int) -
 
 @settings(max_examples=15)
 @given(seed=SEEDS)
-def test_transfer_of_the_true_camera_is_the_true_projector(seed: int) -> None:
+def test_transferring_the_true_camera_gives_the_true_projector(seed: int) -> None:
     capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
     grams = face_grams(capture.matches)
     matrices = intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px)
@@ -66,7 +66,7 @@ def test_legs_and_normals_are_polar_to_each_other() -> None:
     assert polar(normals) == pytest.approx(legs, abs=1e-15)
 
 
-def test_axes_are_the_rotation_nearest_to_the_legs_and_up_is_upright() -> None:
+def test_axes_are_the_nearest_rotation_to_the_legs_with_up_vertical() -> None:
     rotation = Rotation.from_rotvec([0.1, 0.2, -0.1]).as_matrix()
     corner = Corner(np.array([0.0, 0.0, 3.0]), rotation[[0, 2, 1]])  # numbered the left-handed way round
     assert corner.axes == pytest.approx(rotation, abs=1e-12)

@@ -1,4 +1,4 @@
-"""A coordinate and the epipolar line give the other back; checked against points that both devices see."""
+"""One coordinate and the epipolar line give the other, checked with points that both devices see."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def room(count: int, seed: int = 0) -> Floats:
 @pytest.mark.parametrize("bent", [False, True])
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("count", [1, 3000])  # few rays come from Newton's method, many from a polynomial
-def test_the_other_coordinate_comes_back(axis: int, bent: bool, count: int) -> None:
+def test_the_other_coordinate_is_recovered(axis: int, bent: bool, count: int) -> None:
     calibration = rig(bent=bent)
     camera_px, projector_px = seen(calibration, room(count))
     found = cross_epipolar_lines(camera_px, projector_px[:, axis], axis, calibration)
@@ -49,7 +49,7 @@ def test_the_other_coordinate_comes_back(axis: int, bent: bool, count: int) -> N
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_sine_says_how_far_an_error_carries(axis: int) -> None:
+def test_the_sine_gives_the_error_amplification(axis: int) -> None:
     calibration, step = rig(), 1e-3
     camera_px, projector_px = seen(calibration, room(500))
     here, beside = (
@@ -60,8 +60,8 @@ def test_the_sine_says_how_far_an_error_carries(axis: int) -> None:
     assert np.ptp(here.sine) > 0.05
 
 
-def test_stripes_along_the_epipolar_lines_have_no_sine() -> None:
-    """Beside each other, devices have epipolar lines along the rows: y tells nothing, x everything."""
+def test_stripes_along_the_epipolar_lines_have_zero_sine() -> None:
+    """Side by side, devices have epipolar lines along the rows: y gives no depth, x all of it."""
     rotation, centre = np.eye(3), np.array([0.4, 0.0, 0.0])
     calibration = Calibration(CAMERA, PROJECTOR, rotation, -rotation @ centre)
     camera_px, projector_px = seen(calibration, room(200))
@@ -70,7 +70,7 @@ def test_stripes_along_the_epipolar_lines_have_no_sine() -> None:
     np.testing.assert_allclose(y.sine, 0.0, atol=1e-9)
 
 
-def test_what_lies_behind_a_device_is_not_in_front() -> None:
+def test_points_behind_a_device_are_flagged() -> None:
     calibration = rig(bent=False)
     camera_px, projector_px = seen(calibration, room(300))
     turned = replace(calibration, translation=-calibration.translation)
@@ -78,10 +78,10 @@ def test_what_lies_behind_a_device_is_not_in_front() -> None:
     assert not found.in_front.any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(-0.6, 0.6), st.sampled_from([0, 1]))
-def test_every_pose_gives_the_other_coordinate_back(x: float, y: float, z: float, roll: float, axis: int) -> None:
-    """Wherever a point is in the projector's image, and the line of its camera pixel not along the stripe."""
+def test_the_other_coordinate_is_recovered_for_every_pose(x: float, y: float, z: float, roll: float, axis: int) -> None:
+    """For any point in the projector's image whose epipolar line is not parallel to the stripe."""
     centre = np.array([x, y, z])
     assume(np.linalg.norm(centre) > 0.05)
     calibration = rig(centre, roll=roll)

@@ -25,7 +25,7 @@ def _equations(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.concatenate([first, np.concatenate([zero, x, -target[:, 1:] * x], axis=1)])
 
 
-def test_gram_matrices_are_those_of_the_stacked_equations() -> None:
+def test_gram_matrices_match_the_stacked_equations() -> None:
     matches = random_capture(np.random.default_rng(1), count=3000).matches
     grams = face_grams(matches)
     for label in range(3):
@@ -53,7 +53,7 @@ def test_a_homography_is_found_and_applied() -> None:
 
 
 @pytest.mark.parametrize("number", [np.float32, np.float64])
-def test_grams_of_faces_give_the_homographies_whatever_the_order(number: type) -> None:
+def test_gram_matrices_give_the_homographies_for_any_order_of_matches(number: type) -> None:
     capture = random_capture(np.random.default_rng(2), count=5000, noise_px=0.0)
     matches = capture.matches
     order = np.random.default_rng(3).permutation(len(matches))

@@ -1,4 +1,4 @@
-"""Matches: what is counted of them."""
+"""Matches are counted."""
 
 import numpy as np
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The lens of a rig's device: there and back, like the camera model, with exact derivatives."""
+"""Lens distortion and its inverse match the camera model, with exact derivatives."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def _pixels() -> np.ndarray:
     return np.concatenate([pixels, DEVICE[None, 1:3]])
 
 
-def test_a_ray_meets_its_pixel_again_and_is_that_of_the_camera_model() -> None:
+def test_rays_project_back_to_their_pixels_and_match_the_camera_model() -> None:
     pixels = _pixels()
     rays, _ = unproject(DEVICE, pixels)
     again, _, _ = project(DEVICE, 3.0 * rays)

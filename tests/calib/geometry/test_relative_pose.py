@@ -1,4 +1,4 @@
-"""Rotations about a vector, directions beside a direction, and steps between motions."""
+"""Rotation vectors, tangents of directions, and steps between motions."""
 
 import numpy as np
 from hypothesis import given
@@ -13,7 +13,7 @@ DIRECTIONS = VECTORS.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v 
 
 
 @given(VECTORS, st.sampled_from([1.0, 1e-6, 1e-9, 0.0]))
-def test_rotations_are_those_of_scipy(vector: np.ndarray, scale: float) -> None:
+def test_rotations_match_scipy(vector: np.ndarray, scale: float) -> None:
     expected = Rotation.from_rotvec(scale * vector).as_matrix()
     np.testing.assert_allclose(rotation_about(scale * vector), expected, atol=1e-14)
 
@@ -25,7 +25,7 @@ def test_a_direction_and_its_tangents_are_a_frame(direction: np.ndarray) -> None
 
 
 @given(DIRECTIONS, st.floats(0.3, 3.0))
-def test_a_small_step_is_the_step_to_where_it_leads(direction: np.ndarray, length: float) -> None:
+def test_step_to_recovers_a_small_step(direction: np.ndarray, length: float) -> None:
     start = Motion(rotation_about(np.array([0.3, -0.2, 0.5])), length * direction)
     step = 1e-5 * np.array([1.0, -2.0, 0.5, 0.7, -0.3, 1.5])
     np.testing.assert_allclose(start.step_to(start.moved(step)), step, atol=1e-9)

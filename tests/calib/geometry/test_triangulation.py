@@ -55,7 +55,9 @@ def test_exact_matches_give_back_their_points(lens: str, count: int) -> None:
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_residual_is_the_distance_from_the_epipolar_line(lens: str) -> None:
-    """The line is drawn through what the projector sees of the camera's ray; the foot is on it, nearest in space."""
+    """The epipolar line is the projector's image of the camera's ray; the foot of the distance is the nearest point in
+    space.
+    """
     calibration, truth = rig(lens), points(2000)
     camera_px, projector_px = seen(calibration, truth)
     projector_px = projector_px + np.random.default_rng(1).normal(0, NOISE_PX, projector_px.shape)
@@ -79,7 +81,7 @@ def test_the_residual_changes_sign_across_the_line() -> None:
     assert np.all(above * below < 0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), noise_px=st.floats(0.01, 3.0))
 def test_the_point_is_midway_between_the_rays(seed: int, noise_px: float) -> None:
     calibration, truth = rig("radial"), points(40, seed)
@@ -96,7 +98,7 @@ def test_the_point_is_midway_between_the_rays(seed: int, noise_px: float) -> Non
     np.testing.assert_allclose(from_projector, gap / 2, atol=1e-9)
 
 
-def test_rays_that_meet_behind_a_device_are_not_in_front() -> None:
+def test_rays_that_meet_behind_a_device_are_flagged() -> None:
     calibration = rig("none")
     camera_px, projector_px = seen(calibration, points(500))
     backwards = replace(calibration, translation=-calibration.translation)
@@ -112,8 +114,8 @@ def test_parallel_rays_meet_nowhere() -> None:
     assert not intersect_rays(same_px, same_px, calibration).in_front.any()
 
 
-def test_pixels_far_outside_the_image_are_right_too() -> None:
-    """The polynomial that inverts a lens holds within the image only."""
+def test_pixels_far_outside_the_image_are_handled() -> None:
+    """The polynomial inverse of a lens holds inside the image only."""
     calibration = rig("radial")
     truth = points(3000)
     truth[::100, 0] *= 1.5
@@ -124,7 +126,7 @@ def test_pixels_far_outside_the_image_are_right_too() -> None:
     np.testing.assert_allclose(met.points, truth, atol=1e-7)
 
 
-def test_single_precision_and_any_memory_layout_are_taken() -> None:
+def test_single_precision_and_any_memory_layout_are_accepted() -> None:
     calibration = rig("radial")
     camera_px, projector_px = seen(calibration, points(100))
     met = intersect_rays(camera_px, projector_px, calibration)

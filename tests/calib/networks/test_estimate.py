@@ -21,7 +21,9 @@ def sizes_of(network: SyntheticNetwork) -> dict[str, Size]:
 
 
 def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[Floats, Floats, Floats]:
-    """Of focals (devices,), relative; of places (devices,) in metres; and both over their sigmas, (4 devices − 4,)."""
+    """Relative errors of focal lengths (devices,), errors of positions (devices,) in metres, and both over their
+    sigmas, (4 devices − 4,).
+    """
     first, second = (network.poses[name] for name in estimate.seed)
     unit = np.linalg.norm(second.translation - first.translation)
     focals, places, relative = [], [], []
@@ -38,7 +40,7 @@ def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[Floats
 
 
 def without_faces_but(network: SyntheticNetwork, pair: tuple[str, str]) -> SyntheticNetwork:
-    """Only one pair has labels, so the others have to find theirs."""
+    """Only one pair has labels; the others must find theirs."""
     captures = {
         each: matches if each == pair else matches.with_faces(np.full(len(matches), -1, np.int32))
         for each, matches in network.captures.items()
@@ -47,7 +49,7 @@ def without_faces_but(network: SyntheticNetwork, pair: tuple[str, str]) -> Synth
 
 
 @pytest.mark.parametrize(("cameras", "projectors", "focal", "place_m"), [(2, 1, 1e-2, 1e-2), (2, 2, 4e-3, 5e-3)])
-def test_all_devices_follow_from_one_corner(cameras: int, projectors: int, focal: float, place_m: float) -> None:
+def test_one_corner_determines_all_devices(cameras: int, projectors: int, focal: float, place_m: float) -> None:
     made = random_network(np.random.default_rng(3), cameras, projectors, OPTIONS)
     network = without_faces_but(made, ("camera1", "projector1"))
 
@@ -61,8 +63,8 @@ def test_all_devices_follow_from_one_corner(cameras: int, projectors: int, focal
 
 
 @pytest.mark.parametrize(("walls", "sights"), [(0, 0), (1, 1)])
-def test_a_camera_that_sees_less_than_two_faces_follows_by_shared_points(walls: int, sights: int) -> None:
-    """Boxes, of which no labels are known, and one wall or none."""
+def test_a_camera_that_sees_fewer_than_two_faces_is_placed_by_shared_points(walls: int, sights: int) -> None:
+    """It sees boxes without labels, and at most one wall."""
     made = random_network(np.random.default_rng(4), 2, 1, replace(OPTIONS, boxes=5))
     captures = {
         pair: each.with_faces(np.where(each.labels < 3, each.labels, -1)) for pair, each in made.captures.items()
@@ -81,8 +83,8 @@ def test_a_camera_that_sees_less_than_two_faces_follows_by_shared_points(walls: 
     assert 0.7 < estimate.noise["camera2", "projector1"].match_px / OPTIONS.noise_px < 1.6
 
 
-def test_a_sight_that_is_on_another_plane_has_a_plane_of_its_own() -> None:
-    """The floor is 5 cm higher for one pair."""
+def test_an_observation_of_another_plane_gets_its_own_plane() -> None:
+    """One pair sees the floor 5 cm higher."""
     made = random_network(np.random.default_rng(3), 2, 2, OPTIONS)
     pair = ("camera2", "projector2")
     seen = made.captures[pair]
@@ -109,7 +111,7 @@ def test_a_sight_that_is_on_another_plane_has_a_plane_of_its_own() -> None:
     assert 0 < errors(estimate, made)[0].max() < 0.004
 
 
-def test_a_wall_that_is_not_flat_is_told_and_widens_sigmas(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_uneven_wall_is_reported_and_widens_sigmas(monkeypatch: pytest.MonkeyPatch) -> None:
     def of_the_floor(rng: np.random.Generator, options: RoomOptions) -> Floats:
         return random_waves(rng, options) * (np.arange(6) == 0)[:, None, None]
 
@@ -125,7 +127,7 @@ def test_a_wall_that_is_not_flat_is_told_and_widens_sigmas(monkeypatch: pytest.M
     assert 0.05 < np.sqrt(np.mean(errors(estimate, made)[2] ** 2)) < 1.5
 
 
-def test_what_is_known_of_a_device_is_used() -> None:
+def test_prior_knowledge_of_a_device_is_used() -> None:
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     known = {name: PrincipalPoint(made.devices[name].principal_point_px, 0.0) for name in ("camera1", "camera2")}
     lens = LensPrior().with_sigmas(decentering=0.0)
@@ -157,8 +159,8 @@ def test_a_device_that_shares_no_light_is_named() -> None:
     )
 
 
-def test_where_an_overlap_is_missing_is_told() -> None:
-    """Two cameras see one half of the projector's picture each."""
+def test_a_missing_overlap_is_named() -> None:
+    """Two cameras see one half each of the projector's picture."""
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     one, other = made.captures.values()
     right = (each.projector_px[:, 0] > made.devices["projector1"].width / 2 for each in (one, other))
@@ -173,7 +175,7 @@ def test_where_an_overlap_is_missing_is_told() -> None:
     assert re.search("Let camera. see what", no.value.advice)
 
 
-def test_a_camera_that_sees_one_wall_is_placed_before_it() -> None:
+def test_a_camera_that_sees_one_wall_is_placed_in_front_of_it() -> None:
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     seen = made.captures["camera2", "projector1"]
     captures = {**made.captures, ("camera2", "projector1"): replace(seen[seen.labels == 0], face=None)}
@@ -201,7 +203,7 @@ def test_a_mirrored_picture_is_named() -> None:
         estimate_network(captures, sizes_of(made))
 
 
-def test_what_cannot_be_a_network_is_told() -> None:
+def test_impossible_networks_are_refused() -> None:
     made = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     first, second = made.captures.values()
 

@@ -8,7 +8,7 @@ from calib.synthetic import RoomOptions, random_network
 OPTIONS = RoomOptions(boxes=1, count=15_000)
 
 
-def test_points_are_on_the_walls_and_cameras_agree_as_noise_says() -> None:
+def test_points_lie_on_the_walls_and_cameras_agree_within_noise() -> None:
     network = random_network(np.random.default_rng(3), 2, 1, OPTIONS)
     estimate = estimate_network(network.captures, {name: each.size for name, each in network.devices.items()})
     by_camera = {camera: matches for (camera, _), matches in network.captures.items()}

@@ -6,7 +6,7 @@ from calib.networks.raster import Raster
 RASTER = Raster(4, 20, 30)
 
 
-def test_labels_are_told_inside_a_plane_and_not_beside_it() -> None:
+def test_labels_spread_inside_a_plane_and_not_beyond_it() -> None:
     rng = np.random.default_rng(0)
     pixels = rng.uniform((-0.5, -0.5), (119.5, 79.5), (8000, 2))
     left, right = pixels[:, 0] < 40, pixels[:, 0] > 80  # between them nobody knows anything
@@ -21,7 +21,7 @@ def test_labels_are_told_inside_a_plane_and_not_beside_it() -> None:
     assert found.tolist() == [0, -1, 3, -1]
 
 
-def test_nothing_is_told_where_two_planes_meet() -> None:
+def test_matches_where_two_planes_meet_stay_unlabelled() -> None:
     x, y = np.meshgrid(np.arange(120.0), np.arange(80.0))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
     labels = np.where(pixels[:, 0] < 60, 1, 2).astype(np.int32)

@@ -10,7 +10,7 @@ LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
 
 
 def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoints]:
-    """Points that the second of three devices shares with the others; a few of them with one only."""
+    """Points that the second of three devices shares with the others; some of them with only one."""
     poses = [
         Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)
     ]
@@ -31,7 +31,7 @@ def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoin
     return network, SharedPoints(1, (0, 2), seen(1), others, variance, 1.1 * ahead)
 
 
-def test_the_gradient_is_that_of_the_cost() -> None:
+def test_the_gradient_matches_the_cost() -> None:
     rng = np.random.default_rng(0)
     network, shared = made(rng, 0.5)
     columns = shared.columns(network)
@@ -51,7 +51,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
     assert curvature[columns == 20][0] > 0
 
 
-def test_points_err_as_their_variances_say() -> None:
+def test_point_errors_match_their_variances() -> None:
     network, shared = made(np.random.default_rng(1), 0.2)
 
     relative, across = shared.relative(network)

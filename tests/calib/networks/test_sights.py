@@ -8,7 +8,7 @@ from calib.refinement import Cells
 from calib.rooms.planes import RoomPlane
 
 
-def test_the_jacobian_is_that_of_the_prediction() -> None:
+def test_the_jacobian_matches_the_prediction() -> None:
     rng = np.random.default_rng(0)
     lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
     at, light = (Motion(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))

@@ -1,4 +1,4 @@
-"""Machine code in the user's cache folder: kept, never another source's, never in the way."""
+"""Machine code in the cache folder is reused, and never for another source."""
 
 import os
 import shutil
@@ -39,7 +39,7 @@ def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(program: Path) -> tuple[float, bool]:
-    """What it makes of 1 in a process that has just started, and whether that had to be compiled."""
+    """The result for 1 in a new process, and whether the function was compiled."""
     for remembered in (code_cache._digest, code_cache._note_use, code_cache._forget_unused):
         remembered.cache_clear()
     spec = spec_from_file_location("loops", program)
@@ -53,7 +53,7 @@ def kept(caches: Path) -> list[Path]:
     return sorted(caches.rglob("*.nbc"))
 
 
-def test_it_is_kept_for_this_source_and_for_no_other(program: Path, caches: Path) -> None:
+def test_code_is_cached_per_source(program: Path, caches: Path) -> None:
     assert [run(program), run(program)] == [(2.0, True), (2.0, False)]
     assert [path for path in program.parent.rglob("*") if path.suffix in (".nbi", ".nbc")] == []
     assert len(kept(caches)) == 1
@@ -67,7 +67,7 @@ def test_it_is_kept_for_this_source_and_for_no_other(program: Path, caches: Path
     assert len(kept(caches)) == 2
 
 
-def test_other_options_versions_and_processors_have_their_own(
+def test_code_is_cached_per_option_version_and_processor(
     program: Path, caches: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(program)
@@ -78,7 +78,7 @@ def test_other_options_versions_and_processors_have_their_own(
     assert len({path.parent for path in kept(caches)}) == 3
 
 
-def test_a_copy_elsewhere_uses_the_same_and_may_vanish(program: Path, caches: Path, tmp_path: Path) -> None:
+def test_a_copied_source_shares_the_cache(program: Path, caches: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(program.parent, copy)
     assert run(copy / program.name) == (2.0, True)
@@ -88,7 +88,7 @@ def test_a_copy_elsewhere_uses_the_same_and_may_vanish(program: Path, caches: Pa
 
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_what_is_damaged_is_made_anew(program: Path, caches: Path, ending: str) -> None:
+def test_damaged_entries_are_recompiled(program: Path, caches: Path, ending: str) -> None:
     run(program)
     (file,) = caches.rglob(f"*.{ending}")
     for damage in (b"", b"nonsense", file.read_bytes()[:-40]):
@@ -96,7 +96,7 @@ def test_what_is_damaged_is_made_anew(program: Path, caches: Path, ending: str) 
         assert [run(program), run(program)] == [(2.0, True), (2.0, False)]
 
 
-def test_another_function_s_code_under_this_name_is_not_used(program: Path, caches: Path) -> None:
+def test_code_of_another_function_with_the_same_name_is_not_used(program: Path, caches: Path) -> None:
     run(program)
     spec = spec_from_file_location("loops", program)
     module = module_from_spec(spec)
@@ -107,12 +107,12 @@ def test_another_function_s_code_under_this_name_is_not_used(program: Path, cach
     assert run(program) == (2.0, True)
 
 
-def test_without_a_folder_to_write_it_is_compiled_each_time(program: Path, caches: Path) -> None:
+def test_without_a_writable_folder_code_is_compiled_each_time(program: Path, caches: Path) -> None:
     caches.touch()  # a file, where a folder would have to be
     assert [run(program), run(program)] == [(2.0, True)] * 2
 
 
-def test_what_nobody_has_used_for_long_goes(program: Path, caches: Path) -> None:
+def test_entries_unused_for_long_are_deleted(program: Path, caches: Path) -> None:
     run(program)
     (used,) = {path.parent for path in kept(caches)}
     old = used.parent / "0123456789"
@@ -127,7 +127,7 @@ def test_what_nobody_has_used_for_long_goes(program: Path, caches: Path) -> None
     assert not old.exists()
 
 
-def test_it_is_below_the_user_s_caches(program: Path, tmp_path: Path) -> None:
+def test_the_cache_is_in_the_users_cache_folder(program: Path, tmp_path: Path) -> None:
     caches = tmp_path / "of-the-user"
     environment = {"PYTHONPATH": f"{program.parent}:{ROOT}", "XDG_CACHE_HOME": str(caches)}
     command = [sys.executable, "-c", "import loops; print(loops.shifted(1.0))"]

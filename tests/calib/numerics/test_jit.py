@@ -1,4 +1,4 @@
-"""Compiled functions: NumPy's results, side by side in threads; no machine code older than its source."""
+"""Compiled functions give NumPy's results, also in threads, and are recompiled when their source changes."""
 
 import ast
 from importlib import import_module
@@ -23,7 +23,7 @@ LASTING = {"numpy", "math"}
 
 @compiled
 def ratios(numerator: Floats, denominator: Floats, found: Floats) -> None:
-    """Element by element (N,)."""
+    """Elementwise ratios (N,)."""
     for i in range(len(numerator)):
         found[i] = numerator[i] / denominator[i]
 
@@ -32,7 +32,7 @@ NUMBERS = arrays.arrays(np.float64, 20, elements=st.floats(allow_nan=True, allow
 
 
 @given(NUMBERS, NUMBERS)
-def test_divides_as_numpy_does(numerator: Floats, denominator: Floats) -> None:
+def test_division_follows_numpy(numerator: Floats, denominator: Floats) -> None:
     found = np.empty(20)
     ratios(numerator, denominator, found)
     with np.errstate(all="ignore"):
@@ -48,7 +48,7 @@ def test_threads_share_the_work() -> None:
 
 
 def borrowed(source: str) -> list[str]:
-    """The names that compiled functions of a source file use, and that another changing file defines; not of types."""
+    """Names that compiled functions of a source file import from another file that may change, except types."""
     tree = ast.parse(source)
     imported = {
         alias.asname or alias.name
@@ -83,7 +83,7 @@ def test_machine_code_follows_the_compiled_functions_that_it_calls() -> None:
     assert {"projection.py", "relative_pose.py"} <= set(files)
 
 
-def test_a_borrowed_name_is_found() -> None:
+def test_an_imported_constant_is_found() -> None:
     source = (
         "from calib.geometry.radial_distortion import STEP\n"
         "import numpy as np\n@compiled\ndef f(x):\n    return STEP * np.sin(x)\n"
@@ -91,7 +91,7 @@ def test_a_borrowed_name_is_found() -> None:
     assert borrowed(source) == ["STEP"]
 
 
-def test_compiling_is_told_once() -> None:
+def test_compiling_is_announced_once() -> None:
     told: list[str] = []
     when_compiling(lambda: told.append("compiling"))
     for _ in range(2):

@@ -35,7 +35,7 @@ def test_a_pattern_too_weak_to_matter_is_significant_but_not_structure() -> None
     assert (found.significant, found.structured) == (True, False)
 
 
-def test_a_shift_of_everything_is_structure() -> None:
+def test_a_common_offset_is_structure() -> None:
     found = spatial_correlation(PIXELS, np.random.default_rng(0).normal(0.1, 0.1, len(PIXELS)), 10)
     assert found is not None
     assert found.shared_px == pytest.approx(0.1, rel=0.05)

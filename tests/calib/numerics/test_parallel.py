@@ -1,4 +1,4 @@
-"""Work shared among threads."""
+"""Parallel work in threads."""
 
 import threading
 
@@ -11,8 +11,8 @@ def test_results_are_in_the_order_of_the_items() -> None:
     assert in_parallel(lambda item: item * item, range(1000)) == [item * item for item in range(1000)]
 
 
-def test_shared_work_may_share_its_own_parts() -> None:
-    """More at once than there are threads, each of which would wait for another one."""
+def test_parallel_work_may_be_nested() -> None:
+    """More nested calls than threads, each of which would wait for another."""
 
     def row(number: int) -> int:
         return sum(in_parallel(lambda column: number * column, range(50)))
@@ -20,7 +20,7 @@ def test_shared_work_may_share_its_own_parts() -> None:
     assert in_parallel(row, range(64)) == [number * 1225 for number in range(64)]
 
 
-def test_calls_share_their_threads() -> None:
+def test_calls_share_one_thread_pool() -> None:
     def used(_: int) -> str:
         return threading.current_thread().name
 
@@ -28,7 +28,7 @@ def test_calls_share_their_threads() -> None:
     assert 1 <= len(names) <= (threading.active_count())
 
 
-def test_an_error_comes_out_and_spoils_nothing_later() -> None:
+def test_an_error_is_raised_and_later_work_runs() -> None:
     def inverse(item: int) -> float:
         return 1 / item
 

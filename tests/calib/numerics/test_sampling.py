@@ -1,4 +1,4 @@
-"""Samples: evenly spread, neither too few nor too many."""
+"""Samples are evenly spread, and of the requested number."""
 
 import numpy as np
 from hypothesis import given

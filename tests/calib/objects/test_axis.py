@@ -1,4 +1,4 @@
-"""A turntable among places: found where the places are turns about one axis, and not where they are not."""
+"""A turntable is found where poses are rotations about one axis, and not elsewhere."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -31,9 +31,9 @@ def places(rng: np.random.Generator, count: int, step_deg: float, tumbling_deg: 
     return found, np.diag(variances).astype(np.float64)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000), st.floats(5, 35))
-def test_it_is_found_with_its_angles(seed: int, step_deg: float) -> None:
+def test_the_axis_is_found_with_its_angles(seed: int, step_deg: float) -> None:
     true, covariance = places(np.random.default_rng(seed), 8, step_deg, 0.0)
     table = find_turntable(true, covariance, np.linalg.pinv(covariance).astype(np.float64), MIDDLE)
     assert table is not None
@@ -43,8 +43,8 @@ def test_it_is_found_with_its_angles(seed: int, step_deg: float) -> None:
     assert np.trace(table.covariance) < 1.5 * np.trace(covariance)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000))
-def test_places_by_hand_are_none(seed: int) -> None:
+def test_poses_placed_by_hand_have_no_axis(seed: int) -> None:
     true, covariance = places(np.random.default_rng(seed), 8, 25.0, 1.0)
     assert find_turntable(true, covariance, np.linalg.pinv(covariance).astype(np.float64), MIDDLE) is None

@@ -1,4 +1,4 @@
-"""Where a view's normals are to be trusted: not at the rim, where the windows that they are fitted in are one-sided."""
+"""Reliability of a view's normals: not at the rim, where fitting windows are one-sided."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ SIDE, FOCAL = 160, 400.0
 SHADOW = -45  # pixels from the middle: what is left of it the projector does not reach
 
 
-def test_normals_inside_are_unbiased_and_those_at_the_rim_err_towards_the_camera() -> None:
+def test_interior_normals_are_unbiased_and_rim_normals_tilt_towards_the_camera() -> None:
     middle, radius = np.array([0.0, 0.0, 3.0]), 0.5
     row, column = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
     rays = np.stack([column / FOCAL, row / FOCAL, np.ones_like(row)], axis=-1)

@@ -1,4 +1,4 @@
-"""Which of many candidates is chosen: homographies, fundamental matrices, corners; against truths that are known."""
+"""The best of many candidates is chosen: homographies, fundamental matrices, corners, with ground truth."""
 
 import numpy as np
 import pytest
@@ -24,13 +24,13 @@ def cross_matrix(v: Floats) -> Floats:
 
 
 def changed(matrix: Floats, by: float) -> Floats:
-    """The matrix, and with each number in turn changed, (19, 3, 3), the right one in the middle."""
+    """The matrix, and copies with one entry changed each, (19, 3, 3), the true one in the middle."""
     steps = [sign * by * step.reshape(3, 3) for step in np.eye(9) for sign in (-1, 1)]
     return matrix + np.stack([*steps[:9], np.zeros((3, 3)), *steps[9:]])
 
 
 def points(rng: np.random.Generator, parallax: float) -> tuple[Floats, Floats]:
-    """x, u (400, 2), a fifth of them wrong; off the homography towards the epipole by up to `parallax`."""
+    """x, u (400, 2), a fifth of them wrong, displaced from the homography towards the epipole by up to `parallax`."""
     x = rng.uniform(-1, 1, (400, 2))
     h = homogeneous(x) @ HOMOGRAPHY.T + parallax * rng.uniform(-1, 1, (400, 1)) * EPIPOLE
     u = h[:, :2] / h[:, 2:] + rng.normal(0, 1e-4, x.shape)
@@ -56,7 +56,7 @@ def test_the_true_fundamental_matrix_is_chosen(seed: int) -> None:
 def test_regular_angles_are_likelier_than_others(
     monkeypatch: pytest.MonkeyPatch, angle_deg: float, focal: float
 ) -> None:
-    """An even mixture of an angle that is anything from 0° to 90°, and one that is either, within a normal error."""
+    """An equal mixture of a uniform angle from 0° to 90°, and of 0° or 90° with a normal error."""
     sigma = 1.7
     monkeypatch.setattr(corner_hypotheses, "_ANGLE_SIGMA_DEG", sigma)
     one = np.array([0.6, -0.48, 0.64])
@@ -102,7 +102,7 @@ def test_the_corner_fits_where_the_projectors_pixels_are_square(focal: float, pr
     np.testing.assert_allclose(found.at_infinity, [-0.1, 0.05, -0.2], atol=0.01)
 
 
-def test_matches_that_are_smooth_at_few_places_only_are_refused() -> None:
+def test_matches_smooth_in_few_places_are_refused() -> None:
     x, y = np.meshgrid(np.arange(450.0), np.arange(400.0))
     camera_px = np.stack([x.ravel(), y.ravel()], axis=1)
     scattered = np.random.default_rng(0).uniform(0, 200, camera_px.shape)

@@ -1,4 +1,4 @@
-"""The derivatives that planes and epipolar lines are fitted with, against differences; and the sums made of them."""
+"""Derivatives for fits of planes and epipolar lines, compared with differences; and their sums."""
 
 from collections.abc import Callable
 from functools import partial
@@ -34,17 +34,17 @@ def assert_derivatives(evaluate: Evaluate, parameters: Floats) -> None:
     assert np.all(np.abs(analytic).max(axis=(0, 1)) > 0)
 
 
-def test_of_distances_from_a_homography(pairs: _Pairs) -> None:
+def test_derivatives_of_distances_from_a_homography(pairs: _Pairs) -> None:
     homography = np.eye(3) + np.random.default_rng(1).normal(0, 0.1, (3, 3))
     assert_derivatives(partial(_plane_residuals, pairs, 100.0), np.concatenate([LENSES, homography.ravel()]))
 
 
-def test_of_distances_from_epipolar_lines(pairs: _Pairs) -> None:
+def test_derivatives_of_distances_from_epipolar_lines(pairs: _Pairs) -> None:
     fundamental = np.random.default_rng(2).normal(0, 1, (3, 3))
     assert_derivatives(partial(_epipolar_residuals, pairs, 100.0), np.concatenate([LENSES, fundamental.ravel()]))
 
 
-def test_of_distances_from_planes(pairs: _Pairs) -> None:
+def test_derivatives_of_distances_from_planes(pairs: _Pairs) -> None:
     rng = np.random.default_rng(3)
     view = TwoView(CAMERA, PROJECTOR, np.eye(3) + rng.normal(0, 0.1, (3, 3)), np.array([0.8, 0.1, 0.1]))
     planes, label = rng.normal(0, 0.3, (3, 3)), rng.integers(0, 3, 40)

@@ -1,4 +1,4 @@
-"""Faces in matches of furnished rooms and boxes, against the surfaces that the rays really met."""
+"""Faces in matches of furnished rooms and boxes, compared with the true surfaces."""
 
 from dataclasses import replace
 from typing import Any
@@ -52,7 +52,7 @@ def faces(room: Scene) -> Faces:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_furnished_rooms(seed: int) -> None:
+def test_faces_of_furnished_rooms(seed: int) -> None:
     scene = furnished_room(np.random.default_rng(100 + seed), scale=0.5)
     result = score(scene, faces_of(scene).matches.face)
     assert result.off_square_deg < 0.01
@@ -62,7 +62,7 @@ def test_furnished_rooms(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_rooms_with_hidden_vertex(seed: int) -> None:
+def test_faces_of_rooms_with_a_hidden_vertex(seed: int) -> None:
     scene = furnished_room(np.random.default_rng(200 + seed), scale=0.5, hidden_vertex=True)
     result = score(scene, faces_of(scene).matches.face)
     assert result.off_square_deg < 0.01
@@ -70,7 +70,7 @@ def test_rooms_with_hidden_vertex(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_box_seen_from_outside(seed: int) -> None:
+def test_faces_of_a_box_seen_from_outside(seed: int) -> None:
     scene = box_on_table(np.random.default_rng(300 + seed), scale=0.5)
     result = score(scene, faces_of(scene).matches.face)
     assert result.off_square_deg < 0.01
@@ -78,7 +78,7 @@ def test_box_seen_from_outside(seed: int) -> None:
     assert np.all((result.labelled > 0.85) & (result.labelled < 1))
 
 
-def test_few_noisy_matches_of_a_bare_corner() -> None:
+def test_faces_of_few_noisy_matches_of_a_bare_corner() -> None:
     capture = random_capture(np.random.default_rng(5), count=10_000, noise_px=0.3, outliers=0.05, walls_off_deg=0.3)
     truth = capture.matches.face
     assert truth is not None
@@ -162,7 +162,7 @@ def test_a_wall_on_both_sides_of_a_pillar_is_one_plane() -> None:
     assert plane[on_wall & left][0] == plane[on_wall & right][0]
 
 
-def test_a_turned_box_loses_against_smaller_walls() -> None:
+def test_smaller_walls_win_against_a_rotated_box() -> None:
     # Its front is larger than the wall behind it and 12 degrees off it.
     box = Box(np.array([0.75, 0.55, 0.3]), np.array([0.7, 0.3, 0.6]), 0.2)
     scene = plain_room(np.random.default_rng(2), boxes=(box,), look_at=(0.55, 0.4, 0.25))
@@ -186,7 +186,7 @@ def test_outliers_get_no_label(room: Scene, faces: Faces) -> None:
     assert np.mean(faces.plane[wrong] >= 0) < 0.02
 
 
-def test_homographies_hold_where_lenses_are_straight() -> None:
+def test_without_distortion_faces_follow_homographies() -> None:
     scene = plain_room(np.random.default_rng(4), lens_k1=0.0)
     faces = faces_of(scene)
     for index, plane in enumerate(faces.planes):
@@ -228,7 +228,7 @@ def test_a_corner_that_is_not_square_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("seed", "oblong_percent"), [(101, 17), (102, 16)])
-def test_a_box_on_the_floor_before_a_keystoned_picture_is_no_corner(seed: int, oblong_percent: int) -> None:
+def test_a_box_under_keystone_correction_is_not_taken_for_a_corner(seed: int, oblong_percent: int) -> None:
     # Some three planes are a corner before square pixels by chance; before oblong ones the walls are, all is square.
     scene = furnished_room(np.random.default_rng(seed), scale=0.5)
     assert faces_of(scene).planes[2].face is not None
@@ -238,7 +238,7 @@ def test_a_box_on_the_floor_before_a_keystoned_picture_is_no_corner(seed: int, o
 
 
 def keystoned(scene: Scene, narrower: float) -> Matches:
-    """Matches with a picture whose top edge is shown so much narrower than its bottom edge."""
+    """Matches of a picture with keystone: its top edge is narrower by this share than its bottom edge."""
     width, height = size(scene.calibration.projector)
     lean = (1 / (1 - narrower) - 1) / 2
     shape = np.linalg.inv(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -lean, 1 + lean]]))

@@ -1,4 +1,4 @@
-"""Faces are found about the principal point that is known, which a cropped picture has far from its centre."""
+"""Faces are found with a known principal point, which is far from the centre of a cropped picture."""
 
 import numpy as np
 import pytest
@@ -14,11 +14,11 @@ CAMERA, PROJECTOR = (480, 270), (854, 480)
 
 @pytest.fixture(scope="module")
 def room() -> SimulatedRoom:
-    """Of a camera that shows the upper two thirds of its sensor; boxes stand before the corner, askew."""
+    """A camera that shows the upper two thirds of its sensor; rotated boxes stand in front of the corner."""
     return SimulatedRoom(SimulatedRigSettings(seed=15), CAMERA, PROJECTOR)
 
 
-def test_a_box_is_no_wall_where_the_principal_point_is_known(room: SimulatedRoom) -> None:
+def test_with_a_known_principal_point_a_box_is_not_taken_for_a_wall(room: SimulatedRoom) -> None:
     truth, known = room.ground_truth(), room.calibration
     assert known is not None
     lit = np.isfinite(truth.projector_px).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Planes that grow from a patch, and the fits of the cells that they are made of."""
+"""Planes grow from a patch, and cells are fitted."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ GATE = 3.5
 
 
 def evidence_of(planes: Floats, label: Ints, x: Floats, rng: np.random.Generator) -> Floats:
-    """Rows (12, M) of surfels at x (M, 2) on the planes that label (M,) names, with errors of standard deviation 1."""
+    """Rows (12, M) of surfels at x (M, 2) on the planes named by label (M,), with errors of standard deviation 1."""
     rows = np.empty((12, len(x)))
     at = np.concatenate([x, np.ones((len(x), 1))], axis=1)
     rows[1:4] = 1000 * at.T
@@ -95,7 +95,7 @@ def test_a_cell_is_the_least_squares_of_its_inliers() -> None:
     assert fits.square[0] == pytest.approx(square.sum())
 
 
-def test_matches_on_a_line_say_nothing_about_what_is_across() -> None:
+def test_matches_on_a_line_leave_the_perpendicular_direction_open() -> None:
     rng = np.random.default_rng(4)
     along = np.array([0.6, 0.8])
     camera_px = rng.uniform(0, 10, (40, 1)) * along

@@ -1,4 +1,4 @@
-"""The parts that faces are found with: surfels, lenses and parallax, robust least squares."""
+"""Parts of the segmentation: surfels, lenses and parallax, robust least squares."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_random_matches_make_no_surfels() -> None:
 
 
 @given(k1=SMALL, k2=SMALL, x=SMALL, y=SMALL, u=st.floats(0, 1223), v=st.floats(0, 1023))
-def test_lens_derivatives_are_those_of_the_lens(k1: float, k2: float, x: float, y: float, u: float, v: float) -> None:
+def test_lens_derivatives_match_differences(k1: float, k2: float, x: float, y: float, u: float, v: float) -> None:
     lens, pixel, step = Lens((1224, 1024), k1, k2, (x, y)), np.array([[u, v]]), 1e-6
     analytic = lens.jacobian(pixel)[0]
     for term in range(4):
@@ -90,7 +90,7 @@ def test_parallax_on_a_plane_is_affine() -> None:
     assert np.allclose(np.abs(change), parallax.per_px, rtol=1e-2)
 
 
-def test_stray_residuals_do_not_sway_the_fit() -> None:
+def test_outliers_do_not_bias_the_fit() -> None:
     rng = np.random.default_rng(0)
     x = np.linspace(-1, 1, 200)
     y = 2 * x + 1 + rng.normal(0, 0.01, len(x))
@@ -107,7 +107,7 @@ def test_stray_residuals_do_not_sway_the_fit() -> None:
     assert 3 < np.max(np.abs(swayed.parameters - (2, 1))) < 15
 
 
-def test_a_prior_holds_what_the_data_leave_open() -> None:
+def test_a_prior_determines_what_the_data_leave_open() -> None:
     def evaluate(parameters: Floats) -> tuple[Floats, Floats]:
         return (parameters[:1] + parameters[1:] - 1.0).reshape(1, 1) / 1e-3, np.full((1, 1, 2), 1e3)
 

@@ -1,4 +1,4 @@
-"""Which leg of the corner is which, found from what rendered rooms look like; the truth is the rooms'."""
+"""The order of the corner's legs, found from rendered rooms and compared with their truth."""
 
 from dataclasses import replace
 from functools import cache
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.xdist_group("alignment")
 
 @cache
 def seen(seed: int, pose: int, *, furniture: bool) -> View:
-    """The lit part of a room as its truth has it, the corner's legs being the world's axes in their order."""
+    """The lit part of a room; the corner's legs are the world's axes in order."""
     settings = SimulatedRigSettings(seed=seed, pose=pose, furniture=furniture)
     room = SimulatedRoom(settings, CAMERA, PROJECTOR)
     truth, camera = room.ground_truth(), room.room.camera
@@ -32,13 +32,13 @@ def seen(seed: int, pose: int, *, furniture: bool) -> View:
 
 
 def renumbered(view: View, turn: int) -> View:
-    """Its legs numbered clockwise, as a calibration numbers those of several captures, from another one on."""
+    """The view with its legs numbered clockwise from another leg, as a joint calibration numbers them."""
     legs = np.roll(view.corner.legs[[0, 2, 1]], turn, axis=0)
     return replace(view, corner=Corner(view.corner.vertex, legs))
 
 
 def world_axes(view: View, turn: int, original: View) -> list[int]:
-    """Which of the world's axes those of the corner's frame are."""
+    """The world's axes of the axes of the corner's frame."""
     axes = np.roll(view.axes, turn, axis=0)
     return [int(axis) for axis in np.argmax(np.abs(axes @ original.corner.legs.T), axis=1)]
 
@@ -46,7 +46,7 @@ def world_axes(view: View, turn: int, original: View) -> list[int]:
 @pytest.mark.parametrize(
     ("seed", "furniture"), [(0, True), (2, True), (0, False)], ids=["furnished", "furnished otherwise", "posters only"]
 )
-def test_the_order_is_found_from_what_was_seen(seed: int, furniture: bool) -> None:
+def test_the_order_of_legs_is_found_from_overlap(seed: int, furniture: bool) -> None:
     originals = [seen(seed, pose, furniture=furniture) for pose in (0, 1, 2)]
     views = [renumbered(view, turn) for view, turn in zip(originals, (0, 2, 1), strict=True)]
     order = find_order(views)
@@ -57,7 +57,7 @@ def test_the_order_is_found_from_what_was_seen(seed: int, furniture: bool) -> No
     assert axes[0][2] == 2  # the world's z points up
 
 
-def test_bare_walls_of_one_colour_do_not_tell() -> None:
+def test_bare_walls_of_one_colour_are_ambiguous() -> None:
     views = [replace(seen(0, pose, furniture=False), brightness=None) for pose in (0, 1)]
     order = find_order(views)
     assert not order.decided
@@ -74,7 +74,7 @@ def test_a_view_of_nothing_decides_nothing() -> None:
         assert order.refuted == 0
 
 
-def test_another_room_is_noticed() -> None:
+def test_another_room_is_detected() -> None:
     order = find_order([seen(0, 0, furniture=True), seen(2, 0, furniture=True)])
     assert not order.decided
     assert order.refuted > 0.5
@@ -90,7 +90,7 @@ def test_many_views_take_no_longer_than_few() -> None:
     assert axes == [axes[0]] * len(views)
 
 
-def test_a_frame_and_back() -> None:
+def test_a_transform_and_its_inverse() -> None:
     view = renumbered(seen(0, 1, furniture=True), 1)
     points = np.random.default_rng(0).normal((0, 0, 3), 1, (20, 3))
     for turn in range(3):
@@ -100,7 +100,7 @@ def test_a_frame_and_back() -> None:
     assert np.linalg.det(view.axes) == pytest.approx(1.0)
 
 
-def test_legs_that_are_not_square_are_met_halfway() -> None:
+def test_legs_off_square_give_the_nearest_rotation() -> None:
     legs = np.eye(3) + np.radians(0.3) * np.array([[0, 1, -1], [0.5, 0, 1], [1, -0.5, 0]])
     legs /= np.linalg.norm(legs, axis=1, keepdims=True)
     camera = Intrinsics(4, 3, (3.0, 3.0), (1.5, 1.0))

@@ -1,4 +1,4 @@
-"""Spheres and planes through points that are known: exact, with noise, with outliers, and how honest the sigmas are."""
+"""Spheres and planes through known points: exact, with noise, with outliers, and with true sigmas."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def test_exact_points_give_the_exact_sphere(
 
 
 def errors_in_sigmas(alike: int, trials: int = 150) -> NDArray[np.float64]:
-    """(Fitted − true radius and centre) over sigma, (trials, 4), where `alike` neighbours have the same error."""
+    """(Fitted − true radius and centre) over sigma, (trials, 4); groups of `alike` neighbours share their error."""
     rng = np.random.default_rng(7)
     found = []
     for _ in range(trials):
@@ -55,12 +55,12 @@ def errors_in_sigmas(alike: int, trials: int = 150) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("alike", [1, 10])
-def test_the_sphere_errs_by_its_sigma(alike: int) -> None:
+def test_sphere_errors_match_their_sigmas(alike: int) -> None:
     rms = np.sqrt(np.mean(errors_in_sigmas(alike) ** 2, axis=0))
     assert np.all((rms > 0.8) & (rms < 1.25)), rms
 
 
-def test_strays_do_not_move_the_sphere() -> None:
+def test_outliers_do_not_move_the_sphere() -> None:
     rng = np.random.default_rng(3)
     points = cap(1000, rng)
     points += (points - CENTRE) / RADIUS * rng.normal(0, 1e-4, (1000, 1))
@@ -70,7 +70,7 @@ def test_strays_do_not_move_the_sphere() -> None:
     assert np.median(np.abs(found.residual[:100])) > 1e-3
 
 
-def test_with_the_radius_held_only_the_centre_is_found() -> None:
+def test_with_a_fixed_radius_only_the_centre_is_fitted() -> None:
     points = cap(500, np.random.default_rng(4))
     found = fit_sphere(points, np.arange(500), CENTRE, 1.01 * RADIUS, fixed_radius=True)
     assert found.radius == 1.01 * RADIUS
@@ -93,7 +93,7 @@ def face(normal: NDArray[np.float64], rng: np.random.Generator, noise: float) ->
     return points + rng.normal(0, noise, (400, 1)) * normal
 
 
-def test_angles_err_by_their_sigma() -> None:
+def test_angle_errors_match_their_sigmas() -> None:
     rng = np.random.default_rng(11)
     a, b = np.array([0.6, 0.1, -0.8]), np.array([-0.7, 0.2, -0.6])
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
@@ -105,7 +105,7 @@ def test_angles_err_by_their_sigma() -> None:
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-def test_a_plane_faces_the_camera_and_ignores_strays() -> None:
+def test_a_plane_faces_the_camera_and_ignores_outliers() -> None:
     rng = np.random.default_rng(5)
     normal = np.array([0.0, 0.6, -0.8])
     points = face(normal, rng, 1e-4)
@@ -126,7 +126,7 @@ def test_weights_and_blocks() -> None:
     assert np.isinf(robust_covariance(jacobian, residual, np.array([0, 0, 1, 1]))).all()
 
 
-def test_points_err_by_their_covariance() -> None:
+def test_point_errors_match_their_covariance() -> None:
     scene = room(noise_px=0.1)
     matches = replace(scene.matches, sigma_px=np.full(len(scene.matches), 0.1))[::7]
     error = intersect(matches, scene.calibration).points - scene.points[::7]

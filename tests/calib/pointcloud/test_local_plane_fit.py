@@ -9,7 +9,7 @@ FOCAL_PX = 400.0
 
 
 def wavy_surface(height: int, width: int, missing: float, noise: float = 0.002) -> NDArray[np.float32]:
-    """Points on a camera's grid, a share of them missing."""
+    """Points on a camera's grid, some of them missing."""
     rng = np.random.default_rng(height + width)
     y, x = np.mgrid[:height, :width].astype(np.float64)
     depth = 2 + 0.2 * np.sin(x / 31) + 0.3 * np.cos(y / 23) + noise * rng.normal(size=x.shape)
@@ -19,7 +19,7 @@ def wavy_surface(height: int, width: int, missing: float, noise: float = 0.002) 
 
 
 def fitted_at(points: NDArray[np.float32], row: int, column: int, window: int) -> tuple[Floats, float, int]:
-    """Normal, roughness and number of points by linear least squares on the window's points alone."""
+    """Normal, roughness and number of points of a least-squares fit to the window alone."""
     half = window // 2
     around = points[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1].reshape(-1, 3)
     x, y, z = around[np.isfinite(around[:, 2])].astype(np.float64).T
@@ -30,8 +30,8 @@ def fitted_at(points: NDArray[np.float32], row: int, column: int, window: int) -
 
 
 @pytest.mark.parametrize(("window", "missing"), [(7, 0.0), (7, 0.3), (11, 0.5), (15, 0.0)])
-def test_planes_are_those_of_least_squares(window: int, missing: float) -> None:
-    """On a picture of several strips and tiles, at their borders and the picture's as much as elsewhere."""
+def test_planes_match_least_squares(window: int, missing: float) -> None:
+    """In a picture of several strips and tiles, also at their borders and the border of the picture."""
     points = wavy_surface(140, 530, missing)
     planes = window_planes(points, FOCAL_PX, window)
     there = np.isfinite(points[..., 2])
@@ -48,7 +48,7 @@ def test_planes_are_those_of_least_squares(window: int, missing: float) -> None:
     assert compared > 0.4 * len(rows) * len(columns)
 
 
-def test_where_no_plane_can_be_fitted_there_is_none() -> None:
+def test_degenerate_windows_give_no_plane() -> None:
     points = wavy_surface(60, 60, 0.0)
     lonely, in_a_row = np.full_like(points, np.nan), np.full_like(points, np.nan)
     lonely[::10, ::10] = points[::10, ::10]
@@ -67,7 +67,7 @@ def test_pictures_smaller_than_a_window() -> None:
     assert np.isfinite(planes.normals).all()
 
 
-def test_a_point_far_off_spoils_only_the_windows_it_is_in() -> None:
+def test_an_outlier_affects_only_its_own_windows() -> None:
     points = wavy_surface(80, 80, 0.0)
     spoiled = points.copy()
     spoiled[40, 40] *= 1e-4

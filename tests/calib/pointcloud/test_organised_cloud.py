@@ -77,7 +77,7 @@ def test_normals_do_not_bridge_occlusion_edges(scene: Scene, cloud: Cloud) -> No
     assert np.percentile(off, 95) < 20
 
 
-def test_mistakes_of_the_decoder_are_dropped(scene: Scene) -> None:
+def test_decoder_errors_are_dropped(scene: Scene) -> None:
     spoiled, wrong = with_mistakes(scene, 0.1)
     cloud = cloud_of(spoiled)
     kept = at_matches(cloud.there, spoiled)
@@ -123,7 +123,7 @@ def test_flying_points_are_dropped_though_their_rays_agree(scene: Scene) -> None
 
 
 def test_one_match_per_projector_pixel_still_gets_normals(scene: Scene) -> None:
-    """Pure Gray captures: sparse on the grid, between pixels."""
+    """Plain Gray codes: sparse on the grid, between pixels."""
     rng = np.random.default_rng(3)
     few = rng.random(len(scene.matches)) < 0.06
     thin = replace(
@@ -141,7 +141,7 @@ def test_one_match_per_projector_pixel_still_gets_normals(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4, 250])
-def test_a_handful_of_matches(scene: Scene, count: int) -> None:
+def test_a_few_matches_give_a_cloud(scene: Scene, count: int) -> None:
     few = np.random.default_rng(4).permutation(len(scene.matches))[:count]
     statistics = build_cloud(scene.matches[few], scene.texture, scene.calibration).statistics
     assert statistics.disagreeing == 0
@@ -170,7 +170,7 @@ def test_every_match_is_accounted_for(scene: Scene) -> None:
     assert statistics.kept + sum(dropped) == statistics.matched
 
 
-def test_of_two_matches_at_a_pixel_the_better_is_kept(scene: Scene, cloud: Cloud) -> None:
+def test_the_better_of_two_matches_at_a_pixel_is_kept(scene: Scene, cloud: Cloud) -> None:
     m = scene.matches
     worse = Matches(np.tile(m.camera_px, (2, 1)), np.concatenate([m.projector_px + 0.6, m.projector_px]))
     both = build_cloud(worse, scene.texture, scene.calibration)
@@ -197,7 +197,7 @@ def test_the_unit_does_not_matter(scene: Scene, cloud: Cloud, factor: float) -> 
     assert np.abs(other.normals[other.there] - cloud.normals[cloud.there]).max() < 1e-2
 
 
-def test_colours(scene: Scene) -> None:
+def test_colours_come_from_the_texture(scene: Scene) -> None:
     grey = scene.texture[..., 1]
     there = cloud_of(scene).there
     rgb, of_grey, deep, none = (
@@ -225,7 +225,7 @@ def test_a_texture_of_another_size_is_an_error(scene: Scene) -> None:
 
 @pytest.mark.skipif(not SLTK.exists(), reason="the real captures in shared/data are not there")
 def test_a_real_capture_lies_on_its_reference() -> None:
-    """The reference has one point per 0.38 mm; an independent decoder came to 0.012 (see the README of the data)."""
+    """The reference has one point per 0.38 mm; an independent decoder reached 0.012 mm (see the README of the data)."""
     stream = open_capture(SLTK).stream()
     decoder = Decoder(stream.patterns, stream.projector_size)
     for _, frame in stream.frames:

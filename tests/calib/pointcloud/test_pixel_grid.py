@@ -1,4 +1,4 @@
-"""That every match is accounted for, and which of several at a pixel is kept, is tested with the clouds."""
+"""Tests of the clouds check that every match is counted, and which match of a pixel is kept."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def organised(scene: Scene, order: np.ndarray) -> Organised:
 
 
 def test_the_order_of_matches_does_not_matter(scene: Scene) -> None:
-    """Row by row they are put in place by threads side by side, in another order by one."""
+    """In image order, threads place them in parallel; in another order, one thread does."""
     count = len(scene.matches)
     in_order, shuffled = (
         organised(scene, order) for order in (np.arange(count), np.random.default_rng(0).permutation(count))
@@ -31,7 +31,7 @@ def test_the_order_of_matches_does_not_matter(scene: Scene) -> None:
     np.testing.assert_array_equal(in_order.points[both], shuffled.points[both])
 
 
-def test_the_residual_at_a_pixel_is_that_of_its_point(scene: Scene) -> None:
+def test_the_residual_of_a_pixel_belongs_to_its_point(scene: Scene) -> None:
     """Even if a match that was dropped for its residual comes later."""
     matches, alone = scene.matches, organised(scene, np.arange(len(scene.matches)))
     camera_px, wrong = matches.camera_px[::10], matches.projector_px[::10] + np.array([40.0, 25.0])

@@ -1,4 +1,4 @@
-"""A ball is found where it is, and nowhere else."""
+"""A ball is found at its place, and nowhere else."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,7 @@ SMALL = Intrinsics(136, 114, (99.7, 99.7), (69.3, 58.3))
 
 
 @pytest.mark.parametrize(("camera", "noise_px"), [(CAMERA, 0.0), (CAMERA, 0.05), (CAMERA, 0.5), (SMALL, 0.05)], ids=str)
-def test_it_is_found(camera: Intrinsics, noise_px: float) -> None:
+def test_the_ball_is_found(camera: Intrinsics, noise_px: float) -> None:
     scene = room(camera, noise_px=noise_px)
     for seed in range(3):
         centre = find(scene, SPHERE_RADIUS_M, seed)
@@ -39,14 +39,14 @@ def test_it_is_found(camera: Intrinsics, noise_px: float) -> None:
 
 
 @pytest.mark.parametrize("error", [0.93, 1.07])
-def test_it_is_found_although_the_scale_is_wrong(error: float) -> None:
+def test_the_ball_is_found_although_the_scale_is_wrong(error: float) -> None:
     scene = room()
     centre = find(scene, error * SPHERE_RADIUS_M)
     assert centre is not None
     assert 1e-6 < np.linalg.norm(centre - scene.sphere_centre) < 0.2 * SPHERE_RADIUS_M
 
 
-def test_it_is_found_among_wrong_matches() -> None:
+def test_the_ball_is_found_among_wrong_matches() -> None:
     scene, wrong = with_mistakes(room(), 0.1)
     assert wrong.mean() > 0.09
     centre = find(scene, SPHERE_RADIUS_M)
@@ -60,12 +60,12 @@ def test_a_corner_without_a_ball_has_none(radius: float) -> None:
 
 
 @pytest.mark.parametrize("radius", [0.004, 0.05, 0.2, 0.3])
-def test_a_ball_of_another_size_is_not_it(radius: float) -> None:
+def test_a_ball_of_another_size_is_not_found(radius: float) -> None:
     assert find(room(), radius) is None
 
 
 @pytest.mark.parametrize("share", [0.5, 0.11, 0.05])
-def test_it_is_found_among_sparse_points(share: float) -> None:
+def test_the_ball_is_found_among_sparse_points(share: float) -> None:
     scene = room()
     free = np.random.default_rng(0).random(len(scene.matches)) < share
     centre = find_sphere(organised(scene), SPHERE_RADIUS_M, free, np.random.default_rng(0))
@@ -89,14 +89,14 @@ def test_gaps_are_closed_and_holes_are_not() -> None:
     assert np.array_equal(without_gaps(whole), whole)
 
 
-def test_no_points_no_ball() -> None:
+def test_without_points_no_ball_is_found() -> None:
     scene = room()
     nothing = np.zeros(len(scene.matches), bool)
     assert find_sphere(organised(scene), 0.15, nothing, np.random.default_rng(0)) is None
 
 
-def test_a_hollow_is_no_ball(tmp_path: Path) -> None:
-    """Points on the far side of a sphere, as in a bowl, bulge away from the camera."""
+def test_a_concave_sphere_is_not_found(tmp_path: Path) -> None:
+    """Points on the far side of a sphere, as in a bowl, curve away from the camera."""
     scene = room()
     cloud = organised(scene)
     from_centre = cloud.points - scene.sphere_centre

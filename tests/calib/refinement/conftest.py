@@ -1,4 +1,4 @@
-"""One capture that the parts of the refinement are tried on."""
+"""One capture for all tests of the refinement."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ KNOWLEDGE = Knowledge(
 
 @dataclass(frozen=True)
 class Case:
-    """A capture of a square corner through straight lenses, whose cells err by `SIGMA_PX`; `best` is its fit."""
+    """A capture of a square corner with ideal lenses, whose cells have errors of `SIGMA_PX`; `best` is its fit."""
 
     cells: Cells
     truth: State

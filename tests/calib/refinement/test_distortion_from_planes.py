@@ -1,4 +1,4 @@
-"""The bend of both lenses from the straightness of planes alone."""
+"""Distortion of both lenses from the straightness of planes alone."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from tests.support.states import device_of
 
 
 @pytest.mark.parametrize(("seed", "k1", "k1_projector"), [(1, 0.0, 0.0), (2, -0.1, 0.0), (3, -0.06, 0.05)])
-def test_bends_are_found_and_taken_off(seed: int, k1: float, k1_projector: float) -> None:
+def test_distortion_is_estimated_and_removed(seed: int, k1: float, k1_projector: float) -> None:
     camera = replace(PAPER_CAMERA, distortion=(k1, 0.0, 0.0, 0.0, 0.0))
     projector = replace(PAPER_PROJECTOR, distortion=(k1_projector, 0.0, 0.0, 0.0, 0.0))
     capture = random_capture(np.random.default_rng(seed), camera=camera, projector=projector, count=30_000)
@@ -29,7 +29,7 @@ def test_bends_are_found_and_taken_off(seed: int, k1: float, k1_projector: float
     assert 1e-4 < np.sqrt(np.mean((ideal_px - found.matches.projector_px) ** 2)) < 1.0
 
 
-def test_the_derivatives_are_those_of_the_deviations() -> None:
+def test_derivatives_match_the_deviations() -> None:
     cells = into_cells(random_capture(np.random.default_rng(4), count=5000).matches)
     camera, projector = device_of(PAPER_CAMERA), device_of(PAPER_PROJECTOR)
     parameters = np.concatenate([_homographies(cells, camera, projector).ravel(), [-0.2, 0.3]])
@@ -40,7 +40,7 @@ def test_the_derivatives_are_those_of_the_deviations() -> None:
         np.testing.assert_allclose(found, (ahead - behind) / 2e-6, rtol=1e-4, atol=1e-4 * np.abs(found).max())
 
 
-def test_bends_that_nothing_shows_stay_where_the_prior_has_them() -> None:
+def test_unobserved_distortion_stays_at_the_prior() -> None:
     cells = into_cells(
         random_capture(
             np.random.default_rng(4), count=5000, camera=replace(PAPER_CAMERA, distortion=(-0.2, 0, 0, 0, 0))

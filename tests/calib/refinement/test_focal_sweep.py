@@ -1,4 +1,4 @@
-"""The sweep along the focal length: starts from the paper's transfer; minima told apart, hopeless ones left out."""
+"""The sweep along the focal length: starts from the paper's transfer; minima are separated, hopeless ones dropped."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from tests.support.states import each_a_cell, true_state
 FOCALS = np.geomspace(1200.0, 2600.0, 12)
 
 
-def test_the_starts_at_the_true_focal_hold_the_truth() -> None:
+def test_the_starts_at_the_true_focal_include_the_truth() -> None:
     capture = random_capture(np.random.default_rng(3), count=800, noise_px=0.0)
     truth = true_state(capture)
     family = family_of(each_a_cell(capture), KNOWLEDGE)
@@ -29,7 +29,7 @@ def test_the_starts_at_the_true_focal_hold_the_truth() -> None:
     np.testing.assert_allclose(best.poses[0].vertex, truth.poses[0].vertex, rtol=0.03)
 
 
-def test_both_focals_move_in_proportion(case: Case) -> None:
+def test_both_focals_scale_together(case: Case) -> None:
     moved = at_focal(case.truth, 2000.0)
     assert moved.camera[0] == pytest.approx(2000.0)
     assert moved.projector[0] / case.truth.projector[0] == pytest.approx(2000.0 / case.truth.camera[0])

@@ -1,4 +1,4 @@
-"""Planes beside the corner constrain it if they are square to it, and are left out if they are not."""
+"""Planes beside the corner constrain it if they are perpendicular to it, and are left out otherwise."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def _sigma(found: SelfCalibration) -> float:
 
 
 @pytest.mark.parametrize("seed", [3, 8])
-def test_planes_along_the_faces_lower_the_sigma(seed: int) -> None:
+def test_further_planes_along_the_faces_lower_the_sigma(seed: int) -> None:
     rng = np.random.default_rng(seed)
     capture = random_capture(rng, walls_off_deg=0.3, distance=(1.5, 2.5))
     matches, plane = _with_planes(capture, (0.2, 0.3, 0.25), 0.0, rng)
@@ -68,7 +68,7 @@ def test_planes_that_are_not_square_change_nothing() -> None:
     assert abs(np.log(together.calibration.camera.focal_px[0] / alone.calibration.camera.focal_px[0])) < 1e-3
 
 
-def test_matches_that_are_wrong_are_no_plane_of_the_scene() -> None:
+def test_wrong_matches_form_no_plane() -> None:
     rng = np.random.default_rng(3)
     capture = random_capture(rng, distance=(1.5, 2.5))
     matches, plane = _with_planes(capture, (0.2,), 0.0, rng)

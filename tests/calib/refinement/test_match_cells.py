@@ -1,4 +1,4 @@
-"""Means over cells: faithful to the plane, deaf to outliers, the same in any order."""
+"""Means over cells lie on the plane, are robust to outliers, and do not depend on the order."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,7 +18,7 @@ LENSES: dict[str, Any] = {
 
 
 def _matches(noise_px: float, **options: Any) -> tuple[Matches, Matches]:
-    """Noisy matches, and where their pixels would be without noise."""
+    """Noisy matches, and their pixels without noise."""
     noisy, exact = (
         random_capture(np.random.default_rng(4), count=30_000, noise_px=noise, **LENSES, **options).matches
         for noise in (noise_px, 0.0)
@@ -27,7 +27,7 @@ def _matches(noise_px: float, **options: Any) -> tuple[Matches, Matches]:
 
 
 def _apart(cells: Cells, exact: Matches) -> np.ndarray:
-    """How far each cell's mean is from the exact match nearest to it, moved there along the plane, (M, 2)."""
+    """Distance of each cell's mean from the nearest exact match, moved there along the plane, (M, 2)."""
     apart = []
     for camera_px, projector_px, plane in zip(cells.camera_px, cells.projector_px, cells.plane, strict=True):
         on_plane = exact.on_face(int(plane))
@@ -79,7 +79,7 @@ def test_too_few_matches_are_named() -> None:
         into_cells(matches.with_faces(face), (0,))
 
 
-def test_cells_that_hold_next_to_nothing_are_left_out() -> None:
+def test_nearly_empty_cells_are_left_out() -> None:
     noisy, _ = _matches(0.1)
     cells = into_cells(noisy)
     per_cell = (cells.noise_px / cells.sigma_px) ** 2

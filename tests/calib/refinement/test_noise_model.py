@@ -1,4 +1,4 @@
-"""What residuals say of their noise: drawn from known laws, they give back its parameters."""
+"""Noise parameters are recovered from residuals with known distributions."""
 
 import numpy as np
 import pytest
@@ -20,14 +20,14 @@ def cells(coarseness: float | None = None) -> Cells:
 
 
 def drawn(of: Cells, tau_px: float, seed: int = 1) -> np.ndarray:
-    """Residuals (M, 2) with variances σ² + τ², τ in proportion to the coarseness."""
+    """Residuals (M, 2) with variances σ² + τ², with τ proportional to the coarseness."""
     sigma = np.sqrt(of.sigma_px**2 + (tau_px * of.coarseness) ** 2)
     return np.random.default_rng(seed).normal(size=(len(of), 2)) * sigma[:, None]
 
 
 @pytest.mark.parametrize("coarseness", [None, 0.5])
 @pytest.mark.parametrize("tau_px", [0.03, 0.1, 0.4])
-def test_what_the_means_do_not_explain_is_measured(tau_px: float, coarseness: float | None) -> None:
+def test_excess_noise_is_measured(tau_px: float, coarseness: float | None) -> None:
     of = cells(coarseness)
     noise = noise_of(of, drawn(of, tau_px), absorbed=10)
     assert noise.systematic_px == pytest.approx(tau_px, rel=0.12)
@@ -36,7 +36,7 @@ def test_what_the_means_do_not_explain_is_measured(tau_px: float, coarseness: fl
     np.testing.assert_allclose(noise.variances(of), of.sigma_px**2 + (noise.systematic_px * of.coarseness) ** 2)
 
 
-def test_residuals_no_larger_than_stated_leave_nothing_unexplained() -> None:
+def test_residuals_as_small_as_stated_give_no_excess_noise() -> None:
     of = cells()
     noise = noise_of(of, 0.9 * drawn(of, 0.0), absorbed=10)
     assert noise.systematic_px == 0.0
@@ -45,7 +45,7 @@ def test_residuals_no_larger_than_stated_leave_nothing_unexplained() -> None:
     assert noise.smooth_px == pytest.approx(0.9 * SIGMA_PX * np.sqrt(2 * 30 / len(of)), rel=0.25)
 
 
-def test_stray_residuals_do_not_pass_for_noise() -> None:
+def test_outliers_are_not_taken_for_noise() -> None:
     of = cells()
     residual = drawn(of, 0.1)
     residual[::20] += 5.0
@@ -67,12 +67,12 @@ def test_long_waves_inflate_the_variance() -> None:
     np.testing.assert_allclose(noise.variances(of), noise.inflation * variance)
 
 
-def test_few_cells_say_nothing_of_long_waves() -> None:
+def test_few_cells_give_no_inflation() -> None:
     of = cells()[::60]
     noise = noise_of(of, drawn(of, 0.0) + 1.0, absorbed=0)
     assert (noise.smooth_px, noise.inflation) == (0.0, 1.0)
 
 
-def test_the_variances_are_those_of_independent_cells_times_the_inflation() -> None:
+def test_variances_are_those_of_independent_cells_times_the_inflation() -> None:
     of = cells()
     np.testing.assert_allclose(Noise(0.3, 0.2, 0.0, 2.5).variances(of), 2.5 * (SIGMA_PX**2 + 0.04))

@@ -1,4 +1,4 @@
-"""The refinement's model: exact derivatives, and agreement with the devices' own projection."""
+"""The refinement's model has exact derivatives, and matches the devices' projection."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def _prior(capture: SyntheticCapture, state: State) -> Prior:
     return Knowledge(*sizes, (1200.0, 1000.0), 50.0, 0.3).prior(state)
 
 
-def test_the_gradient_is_that_of_the_cost() -> None:
+def test_the_gradient_matches_the_cost() -> None:
     capture = random_capture(np.random.default_rng(4), camera=CAMERA, projector=PROJECTOR, count=400, outliers=0.1)
     cells = [each_a_cell(replace(capture, matches=capture.matches.with_faces(np.maximum(capture.matches.face, 0))))]
     state = true_state(capture)
@@ -78,7 +78,7 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         assert abs(slope - fit.gradient[column]) < 1e-4 * np.sqrt(fit.information[column, column]), f"column {column}"
 
 
-def test_cells_behind_a_device_cost_and_say_nothing_more() -> None:
+def test_cells_behind_a_device_cost_and_have_no_gradient() -> None:
     capture = random_capture(np.random.default_rng(5), count=2000)
     state, cells = true_state(capture), each_a_cell(capture)
     prior, variance = _prior(capture, state), np.ones(len(cells))

@@ -1,4 +1,4 @@
-"""Starts for a pair of photos: at the true focal length, the true places of camera and corner."""
+"""Starts for a pair of photos: the true focal length gives the true pose of camera and corner."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from calib.synthetic.photos import random_photos
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_starts_at_the_true_focal_hold_the_truth(seed: int) -> None:
+def test_the_starts_at_the_true_focal_include_the_truth(seed: int) -> None:
     photos = random_photos(np.random.default_rng([7, seed]))
     matches, truth = photos.pairs[0]
     size = photos.camera.width, photos.camera.height

@@ -1,4 +1,4 @@
-"""The posterior along the focal length: a Gaussian where it is one, and its true spread where it is not."""
+"""The posterior along the focal length: Gaussian where it should be, and with its true spread otherwise."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def test_columns_of_very_different_scales_are_inverted(seed: int) -> None:
     np.testing.assert_allclose(found * np.outer(scale, scale), np.linalg.inv(plain), rtol=1e-6, atol=1e-8)
 
 
-def test_columns_that_are_known_have_no_covariance() -> None:
+def test_known_parameters_have_no_covariance() -> None:
     information = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
     free = np.array([True, False, True])
     found = covariance_of(information, free)
@@ -52,7 +52,7 @@ def test_a_well_determined_focal_has_the_covariance_of_the_curvature(case: Case)
 
 @pytest.mark.parametrize(("share", "sigmas"), [(0.0, 1.0), (0.02, 1.19), (0.05, 6.8)])
 def test_a_second_basin_widens_the_sigma_from_one_in_forty_on(case: Case, share: float, sigmas: float) -> None:
-    """Two basins, of which the smaller holds a `share`: the central 68 % are in the larger, but not always 95 %."""
+    """Two basins; the smaller has the given `share`. The central 68 % are in the larger, but not always 95 %."""
     sigma, apart = 0.02, 0.5
     t = np.linspace(-5 * sigma, apart + 5 * sigma, 200)
     density = (1 - share) * np.exp(-((t / sigma) ** 2) / 2) + share * np.exp(-(((t - apart) / sigma) ** 2) / 2)
@@ -66,7 +66,7 @@ def test_a_second_basin_widens_the_sigma_from_one_in_forty_on(case: Case, share:
     assert np.sqrt(found[CAMERA.start, CAMERA.start]) == pytest.approx(sigmas * sigma, rel=0.04)
 
 
-def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
+def test_a_curved_profile_adds_its_moments(case: Case) -> None:
     """A Gaussian along log f, along which the projector's centre moves with the square: E[t²] = σ², E[t⁴] = 3 σ⁴."""
     sigma, bend = 0.03, 900.0
     t = np.linspace(-5 * sigma, 5 * sigma, 81)
@@ -85,7 +85,7 @@ def test_a_curved_valley_spreads_by_its_own_moments(case: Case) -> None:
     assert across[centre, centre] - found[centre, centre] == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_valley_that_widens_has_its_middle_where_it_is_wide(case: Case) -> None:
+def test_a_widening_profile_shifts_the_mean_to_its_wide_side(case: Case) -> None:
     """A Gaussian times exp(slope t) is a Gaussian of the same width, shifted by slope σ²."""
     sigma, slope = 0.03, 20.0
     t = np.linspace(-5 * sigma, 5 * sigma, 31)
@@ -100,7 +100,7 @@ def test_a_valley_that_widens_has_its_middle_where_it_is_wide(case: Case) -> Non
 
 
 @pytest.mark.parametrize(("column", "power"), [(0, 2), (1, 4), (2, 0), (4, 6)])
-def test_the_volume_across_the_valley_is_that_of_a_prior_that_grows_with_the_focal(
+def test_the_volume_across_the_profile_includes_a_prior_that_grows_with_the_focal(
     case: Case, column: int, power: int
 ) -> None:
     """One lens term of the projector is free, which the matches tell: against the integral over it, by a sum."""
@@ -122,7 +122,7 @@ def test_the_volume_across_the_valley_is_that_of_a_prior_that_grows_with_the_foc
     assert found == pytest.approx(np.log(integral / np.sqrt(2 * np.pi)), abs=0.01)
 
 
-def test_a_walk_tells_of_what_is_lower_than_where_it_began(case: Case) -> None:
+def test_walking_the_profile_reports_a_lower_minimum(case: Case) -> None:
     sigma = np.sqrt(covariance_of(case.best.information, case.prior.free)[CAMERA.start, CAMERA.start])
     anchored = case.prior.holding(CAMERA.start)
     beside = at_focal(case.best.state, case.best.state.camera[0] * float(np.exp(1.5 * sigma)))

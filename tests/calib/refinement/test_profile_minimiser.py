@@ -1,4 +1,4 @@
-"""Down to the nearest minimum: along the focal length with everything else relaxed."""
+"""Descent to the nearest minimum along the focal length, with all other parameters relaxed."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.calib.refinement.conftest import Case
 
 
 @pytest.mark.parametrize("factor", [0.8, 0.97, 1.25])
-def test_the_minimum_is_found_from_afar(case: Case, factor: float) -> None:
+def test_the_minimum_is_found_from_a_distant_start(case: Case, factor: float) -> None:
     start = at_focal(case.truth, factor * case.truth.camera[0])
     found = minimise([case.cells], start, case.prior, case.variances)
     assert found.cost == pytest.approx(case.best.cost, abs=0.01)
@@ -29,7 +29,7 @@ def test_two_residuals_of_each_cell_cost_two(case: Case) -> None:
     assert abs(case.best.cost - degrees) < 4 * np.sqrt(2 * degrees)
 
 
-def test_a_ceiling_stops_only_what_stays_above_it(case: Case) -> None:
+def test_a_ceiling_stops_only_hopeless_starts(case: Case) -> None:
     start = at_focal(case.truth, 1.05 * case.truth.camera[0])
     lowest = case.best.cost
     relaxed = relax([case.cells], start, case.prior.holding(CAMERA.start), case.variances)
@@ -40,7 +40,7 @@ def test_a_ceiling_stops_only_what_stays_above_it(case: Case) -> None:
     assert stopped.cost == pytest.approx(relaxed.cost)
 
 
-def test_a_held_column_stays_and_the_others_reach_their_minimum(case: Case) -> None:
+def test_a_fixed_parameter_stays_and_the_others_reach_their_minimum(case: Case) -> None:
     start = at_focal(case.truth, 1.02 * case.truth.camera[0])
     anchored = case.prior.holding(CAMERA.start)
     fit = relax([case.cells], start, anchored, case.variances, tolerance=1e-6)
@@ -51,7 +51,7 @@ def test_a_held_column_stays_and_the_others_reach_their_minimum(case: Case) -> N
     assert fit.gradient[CAMERA.start] > 10 * np.abs(slope).max() / size.max()
 
 
-def test_few_steps_are_fewer_than_many(case: Case) -> None:
+def test_fewer_steps_end_farther_from_the_minimum(case: Case) -> None:
     start = at_focal(case.truth, 1.3 * case.truth.camera[0])
     costs = [relax([case.cells], start, case.prior, case.variances, steps=steps).cost for steps in (0, 1, 3, 40)]
     assert costs[0] > costs[1] > costs[2] > costs[3]

@@ -1,4 +1,4 @@
-"""What shifted matches do to a calibration, predicted without a new fit."""
+"""The effect of shifted matches on a calibration, predicted without a new fit."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ _PX = 0.1
 
 
 def tilt(camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
-    """A projector tilted by so many pixels after x and before y."""
+    """A projector tilted by this many pixels after x and before y."""
     assert camera_px.shape == projector_px.shape == gradient.shape[:2]
     (_, y), focal = projector_px.T - np.array([[427.0], [240.0]]), PAPER_PROJECTOR.focal_px[0]
     return np.stack([np.zeros(len(y)), _PX * (1 + (y / focal) ** 2)], axis=1)
@@ -31,7 +31,7 @@ def solve(which: Matches, shifts: Shifts | None) -> SelfCalibration:
     return self_calibrate(which, *sizes, principal_point=point, squareness_deg=0.0, shifts=shifts)
 
 
-def test_the_prediction_is_what_a_new_fit_does() -> None:
+def test_the_prediction_matches_a_new_fit() -> None:
     capture = random_capture(np.random.default_rng(0), count=20_000, distance=(1.5, 3.0))
     matches = capture.matches
     gradient = np.zeros((len(matches), 2, 2))
@@ -53,8 +53,8 @@ def test_the_prediction_is_what_a_new_fit_does() -> None:
     assert sigma[0] < sigma[1] < sigma[0] + 0.02 * before.possible_percent * PAPER_CAMERA.focal_px[0]
 
 
-def test_smooth_errors_move_the_solution_as_far_as_their_covariance_says() -> None:
-    """Drawn again and again on the same matches, with their noise."""
+def test_smooth_errors_move_the_solution_as_their_covariance_predicts() -> None:
+    """Smooth errors are drawn repeatedly on the same noisy matches."""
     rng, smooth_px = np.random.default_rng(1), 0.003
     matches = random_capture(rng, count=20_000, distance=(1.5, 3.0)).matches
     before, doubted = solve(matches, None), solve(matches, Shifts(smooth_px=smooth_px))
@@ -72,7 +72,7 @@ def test_smooth_errors_move_the_solution_as_far_as_their_covariance_says() -> No
 
 
 def smoothly_off(matches: Matches, smooth_px: float, rng: np.random.Generator) -> Floats:
-    """The projector's pixels (N, 2) with random cubic polynomials over each face on top."""
+    """The projector's pixels (N, 2) plus random cubic polynomials over each face."""
     off = matches.projector_px.copy()
     for face in range(3):
         members = np.flatnonzero(matches.labels == face)

@@ -1,4 +1,4 @@
-"""One made-up room that the parts of the estimate are tried on."""
+"""One synthetic room for all tests of the estimate."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +16,7 @@ STATIONS = 6
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A room, its cells, a start away from the truth, and what is found from there."""
+    """A room, its cells, a disturbed start, and the estimate from there."""
 
     made: SyntheticRoom
     truth: Room

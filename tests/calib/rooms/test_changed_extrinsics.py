@@ -1,4 +1,4 @@
-"""Stations whose rig was changed by so little that only all planes together tell."""
+"""Stations whose rig changed so little that only all planes together reveal it."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from tests.support.rooms import cells_of
 
 
 def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Case:
-    """The same, but for one station's projector, which was turned about its own axes."""
+    """The room with one station's projector rotated about its own axes."""
     projector, stations = case.made.calibration.projector, list(case.made.stations)
     matches = stations[station].matches
     rays = projector.unproject(matches.projector_px) @ Rotation.from_rotvec(turn_deg, degrees=True).as_matrix().T
@@ -24,12 +24,14 @@ def turned(case: Case, station: int, turn_deg: tuple[float, float, float]) -> Ca
     return replace(found, found=found.estimate())
 
 
-def test_rigs_that_are_the_same_are_not_turned(case: Case) -> None:
+def test_unchanged_rigs_are_not_reported(case: Case) -> None:
     assert changed_extrinsics(case.found) == ()
 
 
 @pytest.mark.parametrize(("station", "turn_deg"), [(2, (0.0, 0.02, 0.0)), (4, (0.01, 0.0, 0.03))])
-def test_a_small_turn_is_found_with_its_size(case: Case, station: int, turn_deg: tuple[float, float, float]) -> None:
+def test_a_small_rotation_is_found_with_its_size(
+    case: Case, station: int, turn_deg: tuple[float, float, float]
+) -> None:
     (found,) = changed_extrinsics(turned(case, station, turn_deg).found)
     assert found.station == station
     assert found.turn_deg == pytest.approx(float(np.linalg.norm(turn_deg)), rel=0.2)

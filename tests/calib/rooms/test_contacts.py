@@ -12,7 +12,7 @@ NOISE_PX = 0.05
 
 @pytest.fixture(scope="module")
 def balls() -> Case:
-    """A room in whose middle balls hang, which stations see from different sides."""
+    """A room with balls in its middle, which the stations see from different sides."""
     return case_of(4, balls=8, count=15_000)
 
 
@@ -31,7 +31,7 @@ def with_balls(case: Case) -> RoomEstimate:
     )
 
 
-def test_points_in_contact_are_one_surface(balls: Case) -> None:
+def test_points_in_contact_lie_on_one_surface(balls: Case) -> None:
     contacts = contacts_of(balls)
     assert len(contacts) >= 3
     for contact in contacts:
@@ -41,7 +41,7 @@ def test_points_in_contact_are_one_surface(balls: Case) -> None:
         assert 0.3 < np.median(np.abs(distances) / np.sqrt(contact.variance)) / 0.6745 < 1.5
 
 
-def test_derivatives_of_distances(balls: Case) -> None:
+def test_derivatives_of_distances_match_differences(balls: Case) -> None:
     contact = contacts_of(balls)[0]
     columns = contact.columns(balls.start).tolist()
     _, by_room, _ = contact.distances(balls.start)
@@ -49,7 +49,7 @@ def test_derivatives_of_distances(balls: Case) -> None:
     assert np.allclose(by_room, numeric, atol=1e-5 * np.abs(numeric).max())
 
 
-def test_misfit_is_what_its_gradient_says(balls: Case) -> None:
+def test_the_gradient_matches_the_misfit(balls: Case) -> None:
     contact = contacts_of(balls)[0]
     columns = contact.columns(balls.start).tolist()
     _, gradient, _ = contact.misfit(balls.start)
@@ -57,7 +57,7 @@ def test_misfit_is_what_its_gradient_says(balls: Case) -> None:
     assert np.allclose(gradient, numeric, atol=1e-4 * np.abs(numeric).max())
 
 
-def test_balls_make_places_surer_and_not_wronger(balls: Case) -> None:
+def test_curved_surfaces_reduce_pose_sigmas_without_bias(balls: Case) -> None:
     found = with_balls(balls)
     off = []
     for station in range(1, len(balls.truth.places)):

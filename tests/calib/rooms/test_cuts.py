@@ -25,7 +25,7 @@ def scene() -> Scene:
     }
 
 
-def test_stations_of_a_room_are_held_together(scene: Scene) -> None:
+def test_stations_of_a_room_are_firmly_connected(scene: Scene) -> None:
     surfaces, places = scene
     cut = weakest_cut(surfaces, places)
     assert 1 <= len(cut.part) <= 2
@@ -33,7 +33,7 @@ def test_stations_of_a_room_are_held_together(scene: Scene) -> None:
     assert held_together(surfaces, places) == places
 
 
-def test_halves_that_share_nothing_come_apart_though_each_station_is_held_by_its_half(scene: Scene) -> None:
+def test_halves_without_common_surfaces_are_separated(scene: Scene) -> None:
     surfaces, places = scene
     far = {k: Motion(at.rotation, at.translation + np.array([100.0 * (k > 1), 0, 0])) for k, at in places.items()}
     for k in far:
@@ -45,7 +45,7 @@ def test_halves_that_share_nothing_come_apart_though_each_station_is_held_by_its
     assert len(held_together(surfaces, far)) == 2
 
 
-def test_the_middle_one_of_three_in_a_row_is_no_misfit(scene: Scene) -> None:
+def test_the_middle_of_three_stations_in_a_row_is_no_outlier(scene: Scene) -> None:
     surfaces, places = scene
     worst = worst_misfit(surfaces, {k: places[k] for k in (1, 2, 3)})
     assert worst is not None
@@ -53,7 +53,7 @@ def test_the_middle_one_of_three_in_a_row_is_no_misfit(scene: Scene) -> None:
     assert 0.5 < worst.times_worse < 1.5
 
 
-def test_a_rig_that_was_changed_is_the_misfit(scene: Scene) -> None:
+def test_a_changed_rig_is_the_outlier(scene: Scene) -> None:
     surfaces, places = scene
     _, stations = stations_in(0, 4)
     changed = {**surfaces, 1: surfaces_of(view_of(moved_rig(stations[1], 0.08)))}

@@ -18,18 +18,18 @@ ROOMS = 3
 
 
 def deviations(case: Case) -> Floats:
-    """The truth's distance from what was found, in sigmas, (size,); NaN where something is held or unseen."""
+    """(Estimate − truth) in sigmas, (size,); NaN for fixed or unobserved parameters."""
     variance = np.diag(case.found.covariance)
     return case.found.room.step_to(case.truth) / np.sqrt(np.where(variance > 0, variance, np.nan))
 
 
 def millimetres(case: Case, room: Room) -> float:
-    """Root mean square error of the places."""
+    """Root mean square error of the positions."""
     apart = [a.translation - b.translation for a, b in zip(room.places[1:], case.truth.places[1:], strict=True)]
     return 1000 * case.made.calibration.baseline * float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1))))
 
 
-def test_errors_are_as_large_as_their_sigmas() -> None:
+def test_errors_match_their_sigmas() -> None:
     cases = [case_of(seed) for seed in range(10, 10 + ROOMS)]
     off = [deviations(case) for case in cases]
     places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
@@ -38,7 +38,7 @@ def test_errors_are_as_large_as_their_sigmas() -> None:
     assert all(case.found.residual_px.min() > 0.005 and case.found.residual_px.max() < 0.1 for case in cases)
 
 
-def test_lens_terms_are_found_where_there_are_some(case: Case) -> None:
+def test_lens_distortion_is_estimated(case: Case) -> None:
     options = RoomOptions()
     camera, projector = (
         replace(device, distortion=(*device.distortion[:2], *terms, 0.0))
@@ -57,7 +57,7 @@ def test_lens_terms_are_found_where_there_are_some(case: Case) -> None:
     assert np.all(np.abs(deviations(case)[tangential]) < 4)
 
 
-def test_a_far_start_ends_where_the_truth_does(case: Case) -> None:
+def test_a_distant_start_converges_to_the_same_estimate(case: Case) -> None:
     assert 10 < millimetres(case, case.start) < 100
     from_truth = estimate_room(
         case.cells,
@@ -71,7 +71,7 @@ def test_a_far_start_ends_where_the_truth_does(case: Case) -> None:
     assert np.all(np.abs(case.found.room.step_to(from_truth.room)) <= 0.1 * sigma + 1e-9)
 
 
-def test_a_true_rig_that_is_held_makes_places_surer(case: Case) -> None:
+def test_fixing_the_true_rig_reduces_pose_sigmas(case: Case) -> None:
     found = estimate_room(
         case.cells,
         case.plane_of,
@@ -87,8 +87,8 @@ def test_a_true_rig_that_is_held_makes_places_surer(case: Case) -> None:
         assert 0 < surer < before
 
 
-def test_a_station_that_sees_two_directions_slides_and_is_named(case: Case) -> None:
-    """Of station 1 only the floor and what is parallel to it, and one wall."""
+def test_a_station_that_sees_two_directions_is_underdetermined_and_named(case: Case) -> None:
+    """Station 1 sees only the floor with planes parallel to it, and one wall."""
     normals = np.stack([plane.normal for plane in case.truth.planes])
     shared = [plane for plane in case.plane_of[1] if 0 in case.found.stations_of[plane]]
     first, second = min(
@@ -108,7 +108,7 @@ def test_a_station_that_sees_two_directions_slides_and_is_named(case: Case) -> N
     assert np.linalg.norm(across) * case.made.calibration.baseline < 0.01  # the rest is held
 
 
-def test_what_the_registration_knows_holds_a_station_that_slides(case: Case) -> None:
+def test_the_registration_constrains_an_underdetermined_station(case: Case) -> None:
     sigma = 0.01
     alone = [tuple(-1 for _ in planes) if station == 3 else planes for station, planes in enumerate(case.plane_of)]
     found = estimate_room(
@@ -125,7 +125,7 @@ def test_what_the_registration_knows_holds_a_station_that_slides(case: Case) -> 
     assert np.allclose(found.places[3].translation, case.start.places[3].translation)
 
 
-def test_a_station_without_cells_and_a_plane_without_are_said_to_be_unknown(case: Case) -> None:
+def test_stations_and_planes_without_cells_are_reported_as_unknown(case: Case) -> None:
     unseen = [tuple(-1 for _ in case.plane_of[0]), *case.plane_of[1:]]
     unseen[0], unseen[3] = case.plane_of[0], tuple(-1 for _ in case.plane_of[3])
     found = case.estimate(unseen)
@@ -138,8 +138,8 @@ def test_a_station_without_cells_and_a_plane_without_are_said_to_be_unknown(case
         assert np.isnan(found.covariance[columns, columns]).all() == (plane in lost)
 
 
-def test_a_view_of_another_plane_gets_one_of_its_own(case: Case) -> None:
-    """A box 4 cm before the wall that it is taken for by the one station that sees it."""
+def test_an_observation_of_another_plane_gets_its_own_plane(case: Case) -> None:
+    """One station takes a box 4 cm in front of the wall for the wall."""
     found, truth = case.found, case.truth
     free = np.nan_to_num(np.diag(found.covariance)) > 0
     _, freedom = tie_scores(found.patches, found.fit, found.levels.variances(found.patches), free)
@@ -162,7 +162,7 @@ def test_a_view_of_another_plane_gets_one_of_its_own(case: Case) -> None:
     assert np.linalg.norm(step) < 4 * sigma
 
 
-def test_walls_that_are_not_flat_cost_certainty() -> None:
+def test_uneven_walls_widen_sigmas() -> None:
     flat, wavy = case_of(3, stations=3), case_of(3, stations=3, wavy=0.002)
     assert np.count_nonzero(flat.found.waves) <= 1
     assert np.count_nonzero(wavy.found.waves) >= 2
@@ -171,8 +171,8 @@ def test_walls_that_are_not_flat_cost_certainty() -> None:
     assert 0.2 < np.sqrt(np.nanmean(deviations(wavy)[SHARED:] ** 2)) < 2.0
 
 
-def test_an_error_that_no_lens_term_makes_is_alike_at_all_stations(case: Case) -> None:
-    """A wave over the image, across the epipolar lines, which are nearly level."""
+def test_an_unmodelled_smooth_error_is_common_to_all_stations(case: Case) -> None:
+    """A wave over the image, across the nearly horizontal epipolar lines."""
 
     def shifted(cells: Cells) -> Cells:
         wave = 0.3 * np.sin(cells.camera_px[:, 0] / 120.0) * np.cos(cells.camera_px[:, 1] / 150.0)
@@ -194,8 +194,8 @@ def test_smooth_errors_of_the_decoder_add_to_the_covariance(case: Case) -> None:
     assert 1.2 < after[0] / before[0] < 100
 
 
-def test_smooth_errors_that_residuals_would_show_are_not_supposed(case: Case) -> None:
-    """These cells have none, however bad a decoder they are said to be of."""
+def test_smooth_errors_that_residuals_would_show_are_not_assumed(case: Case) -> None:
+    """These cells have no smooth errors, whatever is stated about the decoder."""
     places = slice(SHARED + PER_PLACE, SHARED + PER_PLACE * STATIONS)
     before = np.sqrt(np.diag(case.found.covariance)[places])
     found = [case.estimate(shifts=[Shifts(smooth_px=smooth_px)] * STATIONS) for smooth_px in (1e-4, 0.01, 0.1)]
@@ -204,8 +204,8 @@ def test_smooth_errors_that_residuals_would_show_are_not_supposed(case: Case) ->
     assert 1.02 < larger[1] < 1.3
 
 
-def test_smooth_errors_that_there_are_make_sigmas_larger(case: Case) -> None:
-    """As of `Shifts.smooth_px`: polynomials over each plane, orthonormal in the mean."""
+def test_smooth_errors_widen_sigmas(case: Case) -> None:
+    """As of `Shifts.smooth_px`: polynomials over each plane, orthonormal on average."""
     rng, smooth_px = np.random.default_rng(0), 0.01
 
     def bent(cells: Cells) -> Cells:
@@ -223,7 +223,7 @@ def test_smooth_errors_that_there_are_make_sigmas_larger(case: Case) -> None:
     assert 0.6 < np.sqrt(np.nanmean(deviations(found)[places] ** 2)) < 1.5
 
 
-def test_a_prior_on_square_walls_makes_angles_surer(case: Case) -> None:
+def test_a_prior_on_square_walls_reduces_angle_sigmas(case: Case) -> None:
     normals = np.stack([plane.normal for plane in case.truth.planes])
     pair = min(
         ((a, b) for a in range(len(normals)) for b in range(a)),
@@ -237,7 +237,7 @@ def test_a_prior_on_square_walls_makes_angles_surer(case: Case) -> None:
     assert abs(np.degrees(a @ b)) < 1e-3
 
 
-def test_what_does_not_fit_is_refused(case: Case) -> None:
+def test_inconsistent_input_is_refused(case: Case) -> None:
     prior = RigPrior.from_knowledge(case.knowledge, case.start.rig)
     rest = case.start.planes, case.start.rig, prior
     with pytest.raises(ValueError, match="3 places"):

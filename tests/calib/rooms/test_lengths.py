@@ -14,7 +14,7 @@ from tests.support.numeric import gradient_of
 
 
 def at(found: RoomEstimate, room: Room) -> RoomEstimate:
-    """As if that were the most likely room."""
+    """The estimate with this room as its solution."""
     return replace(found, fit=replace(found.fit, layout=room))
 
 
@@ -45,7 +45,7 @@ def some_points(case: Case) -> list[Callable[[RoomEstimate], RoomPoint]]:
     ]
 
 
-def test_sigmas_of_angles_and_gaps_are_those_of_their_derivatives(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigmas_of_angles_and_gaps_match_their_derivatives(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     pair = facing(case.truth)
     centres = {plane: lengths.centre_of(case.found, plane) for plane in range(len(case.truth.planes))}
     monkeypatch.setattr(lengths, "centre_of", lambda _, plane: centres[plane])  # where it is taken does not move
@@ -70,7 +70,7 @@ def test_points_follow_the_room(case: Case) -> None:
         check(each)
 
 
-def test_distances_are_as_far_off_as_their_sigmas_say(case: Case) -> None:
+def test_errors_of_distances_match_their_sigmas(case: Case) -> None:
     points = some_points(case)
     for a, b in combinations(range(2), 2):
         measured = lengths.distance(case.found, points[a](case.found), points[b](case.found))
@@ -80,7 +80,7 @@ def test_distances_are_as_far_off_as_their_sigmas_say(case: Case) -> None:
         assert abs(measured.value - exact) < 4 * measured.sigma
 
 
-def test_matches_beside_the_estimate_bring_noise_of_their_own(case: Case) -> None:
+def test_further_matches_add_their_own_noise(case: Case) -> None:
     station, cells = 2, case.cells[2]
     one = Matches(cells.camera_px[:1], cells.projector_px[:1])
     many = Matches(np.repeat(one.camera_px, 4, axis=0), np.repeat(one.projector_px, 4, axis=0))

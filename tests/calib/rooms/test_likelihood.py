@@ -17,7 +17,7 @@ def prior_of(case: Case, rig: RigPrior | None = None) -> RoomPrior:
     return RoomPrior.of(rig, [(0, 1), (2, 1), (1, 0)], 0.3, case.truth, (1.0, REACH))
 
 
-def test_gradient_is_that_of_the_cost(case: Case) -> None:
+def test_the_gradient_matches_the_cost(case: Case) -> None:
     prior, patches = prior_of(case), patches_of(case.cells, case.plane_of)
     variances = [np.full(len(patch.cells), 1e4) for patch in patches]  # no cell is beyond Huber's threshold
     room = case.start
@@ -39,7 +39,7 @@ def test_a_prior_costs_nothing_at_its_mean_and_one_at_a_sigma(case: Case) -> Non
         )
 
 
-def test_knowledge_of_a_rig_is_that_of_a_corner(case: Case) -> None:
+def test_the_prior_of_a_rig_follows_from_the_corners_knowledge(case: Case) -> None:
     knowledge = case.knowledge
     prior = RigPrior.from_knowledge(knowledge, case.start.rig)
     assert not prior.known.any()
@@ -50,7 +50,7 @@ def test_knowledge_of_a_rig_is_that_of_a_corner(case: Case) -> None:
     assert prior.mean.camera[1:3] == pytest.approx(knowledge.principal_point_px)
 
 
-def test_what_is_exactly_known_is_held(case: Case) -> None:
+def test_exactly_known_parameters_are_fixed(case: Case) -> None:
     size = case.made.calibration.camera.size
     exact = Knowledge(size, case.made.calibration.projector.size, (600.0, 500.0), 0.0, 0.3)
     prior = RigPrior.from_knowledge(exact, case.start.rig)
@@ -62,7 +62,7 @@ def test_what_is_exactly_known_is_held(case: Case) -> None:
     assert free.sum() == case.truth.size - 2 - 6
 
 
-def test_a_patch_behind_the_camera_costs_but_does_not_pull(case: Case) -> None:
+def test_a_patch_behind_the_camera_costs_but_has_no_gradient(case: Case) -> None:
     prior, patches = prior_of(case), patches_of(case.cells, case.plane_of)[:1]
     variances = [np.full(len(patches[0].cells), 1.0)]
     columns = case.truth.plane_columns(patches[0].plane)

@@ -1,4 +1,4 @@
-"""Pictures hold what surfaces leave open: a bare room, whose corners are all alike."""
+"""Pictures resolve what surfaces leave open: a bare room with equal corners."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def views(painted: list[Station]) -> list[StationView]:
     return [with_marks(station) for station in painted]
 
 
-def test_marks_that_look_alike_are_one(painted: list[Station], views: list[StationView]) -> None:
+def test_matching_marks_are_paired(painted: list[Station], views: list[StationView]) -> None:
     pose = composed(inverse(painted[0].place), painted[1].place)
     far, depth = apart(views[0].marks, views[1].marks, pose)
     assert len(far) >= 12
@@ -43,14 +43,14 @@ def test_marks_that_look_alike_are_one(painted: list[Station], views: list[Stati
     assert 0.0005 < np.median(far[right]) < 0.03
 
 
-def test_marks_alone_tell_the_pose(painted: list[Station], views: list[StationView]) -> None:
+def test_marks_alone_determine_the_pose(painted: list[Station], views: list[StationView]) -> None:
     poses = marked_poses(*(surfaces_of(view) for view in views[:2]))
     degrees, metres = off(poses[0], composed(inverse(painted[0].place), painted[1].place))
     assert 1e-3 < degrees < 0.8
     assert 1e-4 < metres < 0.04
 
 
-def test_a_bare_room_is_settled_by_its_pictures(painted: list[Station], views: list[StationView]) -> None:
+def test_pictures_resolve_a_bare_room(painted: list[Station], views: list[StationView]) -> None:
     (group,) = register([views[2], views[0], views[1]]).groups
     assert group.stations == (0, 1, 2)
     assert not group.ambiguous
@@ -60,7 +60,7 @@ def test_a_bare_room_is_settled_by_its_pictures(painted: list[Station], views: l
         assert 1e-4 < metres < 0.05
 
 
-def test_a_repeated_mark_is_like_none(views: list[StationView]) -> None:
+def test_repeated_marks_are_not_used(views: list[StationView]) -> None:
     marks = views[0].marks
     twice = Marks(
         np.tile(marks.pixels, (2, 1)),

@@ -11,7 +11,7 @@ from tests.support.numeric import gradient_of
 SMALL = 1e-3
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_step_to_undoes_moved(case: Case, seed: int) -> None:
     room = case.truth
@@ -21,7 +21,7 @@ def test_step_to_undoes_moved(case: Case, seed: int) -> None:
     assert np.allclose(room.step_to(room), 0.0)
 
 
-def test_planes_and_places_stay_what_they_are(case: Case) -> None:
+def test_planes_and_poses_stay_normalised(case: Case) -> None:
     moved = case.truth.moved(np.full(case.truth.size, 0.1))
     for plane in moved.planes:
         assert abs(np.linalg.norm(plane.normal) - 1) < 1e-12
@@ -37,8 +37,8 @@ def test_columns_do_not_overlap(case: Case) -> None:
     assert np.array_equal(np.concatenate(parts), every)
 
 
-def test_gradient_of_a_known_function(case: Case) -> None:
-    """The numerical gradient that other tests rely on, where it is known."""
+def test_the_numerical_gradient_of_a_known_function(case: Case) -> None:
+    """The numerical gradient that other tests use."""
 
     def offset(room: Room) -> Floats:
         return np.array(room.planes[0].offset)

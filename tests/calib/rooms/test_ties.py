@@ -1,4 +1,4 @@
-"""Whether what several stations take for one plane is one."""
+"""Whether the planes of several stations are one plane."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def prior(case: Case) -> RoomPrior:
 
 @pytest.fixture(scope="module")
 def flat(case: Case) -> list[Floats]:
-    """Of cells that err by nothing but noise."""
+    """Variances of cells with noise only."""
     return [
         case.found.levels.stations[patch.station].variances(patch.cells).astype(np.float64)
         for patch in case.found.patches
@@ -38,9 +38,7 @@ def fitted(case: Case, prior: RoomPrior, variances: list[Floats], free: Bools) -
     return minimise(case.found.patches, case.found.room, prior, variances, free)
 
 
-def test_scores_are_chi_square_and_of_two_patches_the_same(
-    case: Case, prior: RoomPrior, flat: list[Floats], free: Bools
-) -> None:
+def test_plane_scores_are_chi_square_distributed(case: Case, prior: RoomPrior, flat: list[Floats], free: Bools) -> None:
     fit, patches = fitted(case, prior, flat, free), case.found.patches
     scores, freedom = plane_scores(patches, fit, flat, free, flat)
     assert chi2.ppf(1e-4, freedom.sum()) < scores.sum() < chi2.ppf(0.9999, freedom.sum())
@@ -54,10 +52,10 @@ def test_scores_are_chi_square_and_of_two_patches_the_same(
     assert of_patches[same] == pytest.approx(scores[planes[same]], rel=0.05)
 
 
-def test_a_plane_of_little_weight_is_tested_as_if_it_had_all(
+def test_a_down_weighted_plane_is_tested_with_full_weight(
     case: Case, prior: RoomPrior, flat: list[Floats], free: Bools
 ) -> None:
-    """Or a plane that was once taken for a bent one would remain one."""
+    """Otherwise a plane that was once judged bent would stay so."""
     patches = case.found.patches
     stations = np.array([len(each) for each in case.found.stations_of])
     plane = int(np.argmax(stations == 2))

@@ -1,4 +1,4 @@
-"""Points that two pictures show on a plane, against where they are."""
+"""Points of a plane tracked between two pictures, compared with the truth."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from calib.geometry import Calibration, Motion, Sigmas
 from calib.numerics import Floats
 from calib.refinement import SHARED
 from calib.rooms import Room, RoomPlane, Sight
-from calib.rooms.followed import find_tracks
+from calib.rooms.point_tracking import find_tracks
 from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
@@ -52,7 +52,7 @@ def shifted(room: Room, shift: Floats) -> Room:
     return replace(room, places=(room.places[0], Motion(place.rotation, place.translation + shift)))
 
 
-def test_points_of_both_pictures_are_at_one_place(scene: Scene, tracks: tuple[Track, ...]) -> None:
+def test_tracked_points_coincide(scene: Scene, tracks: tuple[Track, ...]) -> None:
     assert sum(len(track.variance) for track in tracks) > 60
     for track in tracks:
         off, _, _ = track.differences(scene[0])
@@ -60,7 +60,7 @@ def test_points_of_both_pictures_are_at_one_place(scene: Scene, tracks: tuple[Tr
         assert 0.3 < np.sqrt(np.mean(off**2 / track.variance[:, None])) < 2.0
 
 
-def test_derivatives_of_differences(scene: Scene, tracks: tuple[Track, ...]) -> None:
+def test_derivatives_of_differences_match_finite_differences(scene: Scene, tracks: tuple[Track, ...]) -> None:
     room, track = scene[0], tracks[0]
     columns = track.columns(room).tolist()
     # Where there is a difference it turns with the plane's axes: derivatives are those of points that coincide.
@@ -69,7 +69,7 @@ def test_derivatives_of_differences(scene: Scene, tracks: tuple[Track, ...]) -> 
     assert np.allclose(by_room, numeric, atol=2e-3 * np.abs(numeric).max())
 
 
-def test_a_station_that_slid_along_a_wall_is_brought_back(scene: Scene) -> None:
+def test_tracks_correct_a_station_shifted_along_a_wall(scene: Scene) -> None:
     room, sights, plane_of = scene
     shift = np.array([0.03, -0.02, 0.0])
     moved = shifted(room, shift)
@@ -83,7 +83,7 @@ def test_a_station_that_slid_along_a_wall_is_brought_back(scene: Scene) -> None:
     assert 1e-6 < left < 0.002
 
 
-def test_light_that_falls_differently_shifts_nothing(scene: Scene) -> None:
+def test_different_lighting_shifts_no_track(scene: Scene) -> None:
     room, sights, plane_of = scene
     height, width = sights[1].light.shape
     slope = np.linspace(-40, 40, width)[None, :] + np.linspace(30, -30, height)[:, None]
@@ -94,7 +94,7 @@ def test_light_that_falls_differently_shifts_nothing(scene: Scene) -> None:
     assert 1e-6 < np.abs(np.median(off, axis=0)).max() < 0.002
 
 
-def test_nothing_is_followed_without_a_picture_or_a_plane_in_common(scene: Scene) -> None:
+def test_without_a_picture_or_a_common_plane_nothing_is_tracked(scene: Scene) -> None:
     room, sights, _ = scene
     assert find_tracks([sights[0], None], [tuple(range(6))] * 2, room) == ()
     assert find_tracks(sights, [tuple(range(6)), (-1,) * 6], room) == ()

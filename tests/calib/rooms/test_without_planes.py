@@ -1,4 +1,4 @@
-"""Two views of a lump, turned by 5° in between, by a rig that is known: nothing in it is flat."""
+"""Two views of a lump without planes, rotated by 5° in between, with a known rig."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ STATE = State(
 
 
 def lump(rng: np.random.Generator, count: int) -> Floats:
-    """Points (count, 3) of a ball with bumps, on the side of the camera, about the origin."""
+    """Points (count, 3) on the camera side of a bumpy ball about the origin."""
     way = rng.standard_normal((count, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     way[:, 2] = -np.abs(way[:, 2])
@@ -46,7 +46,7 @@ def seen(points: Floats, rng: np.random.Generator) -> Matches:
     return Matches(camera_px, projector_px + noise, None, np.full(len(points), NOISE_PX))
 
 
-def test_the_turn_is_recovered_with_a_true_sigma() -> None:
+def test_the_rotation_is_recovered_with_a_true_sigma() -> None:
     rng = np.random.default_rng(1)
     stations = [
         seen(lump(rng, 30_000) + CENTRE, rng),
@@ -69,5 +69,5 @@ def test_surfaces_that_are_apart_are_refused() -> None:
     rng = np.random.default_rng(2)
     stations = [seen(lump(rng, 5000) + CENTRE, rng), seen(lump(rng, 5000) + CENTRE, rng)]
     apart = Motion(np.eye(3), np.array([5.0, 0.0, 0.0]))
-    with pytest.raises(RefusalError, match="do not lie on each other"):
+    with pytest.raises(RefusalError, match="too far apart"):
         estimate_without_planes(stations, [Motion(np.eye(3), np.zeros(3)), apart], STATE, RigPrior.exactly(STATE))

@@ -1,4 +1,4 @@
-"""Matches that are well-formed and of no corner: refused with a reason, whatever equation has no solution."""
+"""Well-formed matches of no corner are refused with a reason, whichever equation fails."""
 
 from collections.abc import Callable
 
@@ -39,7 +39,7 @@ CHANGES: dict[str, Change] = {
 @pytest.mark.filterwarnings("ignore")  # NumPy's, of divisions on the way to the refusal
 @pytest.mark.parametrize("method", ["refined", "paper"])
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_is_no_corner_is_refused(change: str, method: Method) -> None:
+def test_matches_of_no_corner_are_refused(change: str, method: Method) -> None:
     whole = room().matches
     some = whole[np.sort(np.random.default_rng(0).permutation(len(whole))[:600])]
     camera_px, projector_px = some.camera_px.copy(), some.projector_px.copy()

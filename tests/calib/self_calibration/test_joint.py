@@ -1,4 +1,4 @@
-"""Several captures by one rig: one corner or several, faces in any order, nothing known beforehand."""
+"""Several captures of one rig: one corner or several, faces in any order, no prior knowledge."""
 
 from dataclasses import replace
 from typing import Any
@@ -35,7 +35,7 @@ def _calibrate(
 
 
 def _errors(found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """Relative errors of f_c, f_p, x_p, y_p, and in sigmas."""
+    """Relative errors of f_c, f_p, x_p, y_p, and the errors in sigmas."""
     calibration = found.calibration
     values = [calibration.camera.focal_px[0], calibration.projector.focal_px[0]]
     values += calibration.projector.principal_point_px
@@ -60,7 +60,7 @@ def test_two_captures_of_one_corner_measure_its_angles() -> None:
     assert np.abs(np.sort(angles[0]) - np.sort(true)).max() < 0.15
 
 
-def test_faces_are_numbered_alike_in_captures_of_one_corner() -> None:
+def test_faces_are_numbered_consistently_in_captures_of_one_corner() -> None:
     captures = random_captures(np.random.default_rng(3), 3, walls_off_deg=0.3, count=20_000, **RIG)
     found = _calibrate(captures, KNOWN)
     assert found[0].order_nats > 7
@@ -71,7 +71,7 @@ def test_faces_are_numbered_alike_in_captures_of_one_corner() -> None:
         assert np.abs(result.corner.angles_deg - carried).max() < 0.1
 
 
-def test_three_captures_need_to_know_nothing() -> None:
+def test_three_captures_need_no_prior_knowledge() -> None:
     captures = random_captures(np.random.default_rng(8), 3, walls_off_deg=0.3, count=20_000, **RIG)
     found = _calibrate(captures, CENTRE)
     error, deviation = _errors(found[0])
@@ -119,7 +119,7 @@ def test_different_square_corners_determine_the_principal_point() -> None:
     assert np.abs(np.array(found[0].calibration.camera.principal_point_px) - PAPER_CAMERA.principal_point_px).max() < 2
 
 
-def test_different_corners_are_told_apart() -> None:
+def test_different_corners_are_distinguished() -> None:
     captures = random_captures(np.random.default_rng(4), 2, walls_off_deg=0.5, same=False, count=20_000, **RIG)
     found = _calibrate(captures, KNOWN, squareness_deg=0.5)
     assert any("do not show the same corner" in note for note in found[0].notes)
@@ -128,7 +128,7 @@ def test_different_corners_are_told_apart() -> None:
     assert np.abs(_errors(found[0])[1]).max() < 5
 
 
-def test_a_capture_that_holds_too_little_is_named() -> None:
+def test_a_capture_with_too_few_matches_is_named() -> None:
     captures = random_captures(np.random.default_rng(1), 2, count=5_000, **RIG)
     second = captures[1].matches
     flat = second.on_face(0)
@@ -139,8 +139,8 @@ def test_a_capture_that_holds_too_little_is_named() -> None:
         _calibrate(captures, KNOWN)
 
 
-def test_a_rig_that_was_not_moved_measures_nothing_again() -> None:
-    """The same view twice, with other noise: it is named, and is worth about as much as once."""
+def test_a_repeated_view_adds_no_information() -> None:
+    """The same view twice with other noise is named, and counts about once."""
     rng = np.random.default_rng(21)
     (capture,) = random_captures(rng, 1, walls_off_deg=0.3, count=20_000, **RIG)
     noise = rng.normal(0, 0.1, capture.matches.projector_px.shape)

@@ -1,4 +1,4 @@
-"""Photos of random corners: how true the answer is, whether its sigma is, and what is refused."""
+"""Photos of random corners: accuracy, true sigmas, and refusals."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,7 +28,7 @@ def solve(photos: SyntheticPhotos, **options: Any) -> SelfCalibration:
 
 
 def errors_and_sigmas(photos: SyntheticPhotos, found: SelfCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """Of (f, x_0, y_0), (3,): f relative to itself, the others to the width."""
+    """Errors and sigmas of (f, x_0, y_0), (3,): f relative to itself, the others to the width."""
     camera, truth, sigma = found.calibration.camera, photos.camera, found.calibration.sigma
     scale = np.array([truth.focal_px[0], truth.width, truth.width])
     error = [camera.focal_px[0] - truth.focal_px[0], *np.subtract(camera.principal_point_px, truth.principal_point_px)]
@@ -130,7 +130,7 @@ def test_derivatives_of_the_shared_camera_are_exact() -> None:
             assert np.abs(numerical - exact).max() < 1e-5 * max(1.0, np.abs(exact).max()), f"column {column}"
 
 
-def test_a_step_between_states_is_undone_by_moving() -> None:
+def test_step_to_is_the_inverse_of_moved() -> None:
     photos = random_photos(np.random.default_rng(6), photos=3, count=100)
     camera = without_lens(1500.0, np.array([700.0, 600.0]), -0.05)
     (_, first), (_, second) = photos.pairs

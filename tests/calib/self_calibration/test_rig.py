@@ -1,4 +1,4 @@
-"""Both methods against corners that are known; what cannot be calibrated is refused."""
+"""Both methods on known corners; undeterminable calibrations are refused."""
 
 from dataclasses import replace
 
@@ -67,8 +67,8 @@ def test_bounded_search_ends_below_the_exact_search() -> None:
     assert abs(solution.best_focal_px - focal_px[np.argmin(solution.objective)]) <= 1.0
 
 
-def test_every_sum_of_the_objective_closes_at_the_truth_and_there_only() -> None:
-    """E_pro and E_cycle each tell the focal length on their own, as in the paper's second table."""
+def test_every_term_of_the_objective_vanishes_only_at_the_truth() -> None:
+    """E_pro and E_cycle each determine the focal length, as in the paper's second table."""
     capture = random_capture(np.random.default_rng(2), count=5_000, noise_px=0.0)
     objective = objective_for(capture.matches, PAPER_CAMERA.principal_point_px)
     focal_px = PAPER_CAMERA.focal_px[0] * np.array([0.8, 0.95, 1.0, 1.05, 1.25])
@@ -94,7 +94,7 @@ def test_refined_reaches_its_own_sigma_with_lens_distortion() -> None:
     assert 0.3 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
-def test_walls_off_square_are_inside_the_sigma() -> None:
+def test_walls_off_square_stay_within_the_sigma() -> None:
     rng = np.random.default_rng(8)
     deviations = []
     for _ in range(5):
@@ -106,7 +106,7 @@ def test_walls_off_square_are_inside_the_sigma() -> None:
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
-def test_walls_farther_off_square_than_told_are_inside_a_wider_sigma() -> None:
+def test_walls_farther_off_square_than_assumed_stay_within_a_wider_sigma() -> None:
     rng = np.random.default_rng(8)
     deviations, warned = [], 0
     for _ in range(5):
@@ -114,7 +114,7 @@ def test_walls_farther_off_square_than_told_are_inside_a_wider_sigma() -> None:
         found = _calibrate(capture, "refined", squareness_deg=0.3, decentering=0.0)
         sigma = found.calibration.sigma.camera.focal_px[0]
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
-        warned += any("farther from square than was expected" in note for note in found.notes)
+        warned += any("farther from square than expected" in note for note in found.notes)
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
     assert 1 <= warned <= 5
 
@@ -127,13 +127,13 @@ def test_legs_leave_the_vertex_along_the_faces(method: Method) -> None:
     assert np.sum(found.normals * capture.corner.normals, axis=1).min() > 0.999
 
 
-def test_residual_is_the_noise() -> None:
+def test_the_residual_matches_the_noise() -> None:
     capture = random_capture(np.random.default_rng(4), noise_px=0.1)
     # Two coordinates of 0.1 px each.
     assert 0.13 < _calibrate(capture, "refined").residual_px < 0.15
 
 
-def test_wrong_matches_do_not_move_the_answer() -> None:
+def test_outliers_do_not_move_the_solution() -> None:
     capture = random_capture(np.random.default_rng(4), **LENSES, outliers=0.02)  # type: ignore[arg-type]
     face = capture.matches.face
     assert face is not None

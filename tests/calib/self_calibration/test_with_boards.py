@@ -1,4 +1,4 @@
-"""Boards and a corner before one rig: one estimate over both, and a rig that changed in between."""
+"""Boards and a corner of one rig: a joint estimate, and a rig that changed in between."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def metric(case: Before) -> Calibration:
     return case.joint().metric
 
 
-def test_errors_are_within_what_the_sigmas_say(some: list[Before]) -> None:
+def test_errors_match_their_sigmas(some: list[Before]) -> None:
     errors = []
     for case in some:
         joint = metric(case)
@@ -31,7 +31,7 @@ def test_errors_are_within_what_the_sigmas_say(some: list[Before]) -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(errors))) < 1.6
 
 
-def test_together_they_know_more_than_either_alone(some: list[Before]) -> None:
+def test_the_joint_sigmas_are_smaller_than_either_alone(some: list[Before]) -> None:
     shares = []
     for case in some:
         joint, by_boards = sigmas(metric(case)), sigmas(case.boards.calibration)
@@ -45,14 +45,14 @@ def test_together_they_know_more_than_either_alone(some: list[Before]) -> None:
     assert 0.3 < np.min(shares) < 0.97
 
 
-def test_a_zoom_in_between_is_found_and_named() -> None:
+def test_a_zoom_between_boards_and_corner_is_named() -> None:
     with pytest.raises(RefusalError, match="not of one unchanged rig") as refused:
         before(1, zoom=1.02).joint()
     assert "they differ in the " in refused.value.reason
     assert "the projector's " in refused.value.reason
 
 
-def test_lenses_that_the_boards_have_measured_are_known_to_the_corner() -> None:
+def test_board_lens_estimates_are_used_as_priors_of_the_corner() -> None:
     options = BoardOptions()
     camera = replace(options.camera, distortion=(-0.08, 0.05, 0.004, -0.003, 0.0))
     case = before(3, camera=camera)
@@ -68,7 +68,7 @@ def test_lenses_that_the_boards_have_measured_are_known_to_the_corner() -> None:
     assert np.sqrt(np.mean(errors**2)) < 2.5
 
 
-def test_what_is_known_pulls_by_its_gradient(some: list[Before]) -> None:
+def test_the_gradient_of_the_prior_matches_its_cost(some: list[Before]) -> None:
     rig, rng = some[0].known.rig, np.random.default_rng(0)
     scale = np.sqrt(rig.safe_covariance.diagonal())
     state = rig.state.moved(30 * scale * rng.normal(size=SHARED))
@@ -83,7 +83,7 @@ def test_what_is_known_pulls_by_its_gradient(some: list[Before]) -> None:
     assert KnownRig(rig.state, rig.covariance).misfit(rig.state)[0] == pytest.approx(0, abs=1e-9)
 
 
-def test_the_length_goes_with_the_columns_as_far_as_it_is_unsure(some: list[Before]) -> None:
+def test_the_covariance_of_the_baseline_includes_its_own_sigma(some: list[Before]) -> None:
     known = some[0].known
     sigma = known.calibration.sigma.known_baseline / known.calibration.baseline
     causes = errors_of(known).log_scale

@@ -1,4 +1,4 @@
-"""One small simulated room that all tests here look at; making it takes seconds."""
+"""One small simulated room for all tests here, because construction takes seconds."""
 
 import pytest
 

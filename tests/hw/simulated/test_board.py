@@ -1,4 +1,4 @@
-"""A chessboard before the simulated rig."""
+"""A board in front of the simulated rig."""
 
 import cv2
 import numpy as np
@@ -18,7 +18,7 @@ def room() -> SimulatedRoom:
     return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, furniture=False), *SIZES)
 
 
-def test_it_is_seen_where_it_is(room: SimulatedRoom) -> None:
+def test_the_board_appears_at_its_true_corners(room: SimulatedRoom) -> None:
     posed = room.under(board={"square_m": 0.08, "columns": 5, "rows": 4})
     board = posed.renderer.caster.board
     projector = SimulatedProjector(posed)
@@ -32,12 +32,12 @@ def test_it_is_seen_where_it_is(room: SimulatedRoom) -> None:
     assert np.count_nonzero(changed.data) > 1000
 
 
-def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
+def test_rays_meet_the_board_which_is_slightly_bent(room: SimulatedRoom) -> None:
     camera, projector = room.room.camera, room.room.projector
     board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector, room.room.scene)
     uv = np.random.default_rng(0).uniform(-1, 1, (2, 50)) * board.half[:, None]
     points = board.points(uv)
-    met, hit = board.meet(camera.centre, points - camera.centre[:, None])
+    met, hit = board.intersect(camera.centre, points - camera.centre[:, None])
     assert hit.all()
     assert np.abs(met - uv).max() < 1e-9
     heights = (board.rotation.T @ (points - board.middle[:, None]))[2]
@@ -45,7 +45,7 @@ def test_its_rays_meet_it_and_it_is_slightly_bent(room: SimulatedRoom) -> None:
     assert np.allclose(np.linalg.norm(board.normals(uv), axis=0), 1)
 
 
-def test_each_pose_is_another_and_the_board_stays_the_same(room: SimulatedRoom) -> None:
+def test_poses_differ_and_the_board_stays_the_same(room: SimulatedRoom) -> None:
     first, again, other = (
         draw_board(BoardSettings(square_m=0.06, pose=pose), 0, room.room.camera, room.room.projector, room.room.scene)
         for pose in (0, 0, 1)
@@ -55,7 +55,7 @@ def test_each_pose_is_another_and_the_board_stays_the_same(room: SimulatedRoom) 
     assert np.array_equal(first.bend, other.bend)
 
 
-def test_a_board_that_is_seen_by_nobody_is_refused(room: SimulatedRoom) -> None:
+def test_a_board_outside_both_views_is_refused(room: SimulatedRoom) -> None:
     settings = BoardSettings(square_m=0.06, columns=50, rows=3)
     hidden = room.room.projector
     turned = type(hidden)(hidden.optics, -hidden.rotation, hidden.centre)
@@ -63,7 +63,7 @@ def test_a_board_that_is_seen_by_nobody_is_refused(room: SimulatedRoom) -> None:
         draw_board(settings, 0, room.room.camera, turned, room.room.scene)
 
 
-def test_a_sheet_lies_on_the_floor_where_both_devices_see_it(room: SimulatedRoom) -> None:
+def test_a_charuco_board_lies_on_the_floor_in_both_views(room: SimulatedRoom) -> None:
     settings = BoardSettings(kind="charuco", columns=5, rows=4, square_m=0.08, on_floor=True)
     camera, projector = room.room.camera, room.room.projector
     board = draw_board(settings, 0, camera, projector, room.room.scene)
@@ -80,7 +80,7 @@ def test_a_sheet_lies_on_the_floor_where_both_devices_see_it(room: SimulatedRoom
     assert board.albedo(first)[0] < board.albedo(first)[1]
 
 
-def test_a_sheet_that_finds_no_place_is_refused(room: SimulatedRoom) -> None:
+def test_a_charuco_board_that_fits_nowhere_is_refused(room: SimulatedRoom) -> None:
     settings = BoardSettings(kind="charuco", columns=9, rows=9, square_m=0.3, on_floor=True)
     with pytest.raises(DeviceError, match="sees no charuco"):
         draw_board(settings, 0, room.room.camera, room.room.projector, room.room.scene)

@@ -1,4 +1,4 @@
-"""What goes wrong with real projectors, cameras and rooms, each in bands."""
+"""Imperfections of real projectors, cameras and rooms, each within bands."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def stripes(width: int) -> np.ndarray:
     return np.broadcast_to(np.where(np.arange(40) // width % 2 == 0, 255, 0), (24, 40)).astype(np.uint8)
 
 
-def test_light_that_flickers_differs_between_frames_by_as_much_as_set(room: SimulatedRoom) -> None:
+def test_flicker_has_the_configured_amplitude(room: SimulatedRoom) -> None:
     taken = frames(room.under(flicker=0.1, exposure_us=0.5 * room.sensor.exposure_us), 40)
     brightness = taken[:, lit(room)].mean(axis=1)
     relative = brightness / brightness.mean() - 1
@@ -63,7 +63,7 @@ def test_fine_stripes_lose_light(width: int, kept: float) -> None:
     np.testing.assert_allclose(crosstalk.linear(np.full((24, 40), 255, np.uint8)), 1.0, rtol=1e-5)
 
 
-def test_sharpening_steepens_edges_and_leaves_even_areas() -> None:
+def test_sharpening_steepens_edges_and_leaves_uniform_areas() -> None:
     ramp = np.broadcast_to(np.clip(40 * np.arange(40) - 700, 60, 180), (24, 40)).astype(np.uint8)
     plain, sharp = (PICTURE.under(SimulatedRigSettings(gamma=1.0, sharpening=s)).linear(ramp) for s in (0.0, 1.0))
     assert 0.01 < np.ptp(sharp) - np.ptp(plain) < 0.3
@@ -73,7 +73,7 @@ def test_sharpening_steepens_edges_and_leaves_even_areas() -> None:
 @pytest.mark.parametrize(
     "panel", [{"scale": 0.8}, {"scale": 1.2, "squeeze": 0.75}, {"keystone": 0.2}, {"mirrored": True}]
 )
-def test_the_truth_knows_what_a_panel_does_to_the_picture(room: SimulatedRoom, panel: Any) -> None:
+def test_ground_truth_includes_the_panels_homography(room: SimulatedRoom, panel: Any) -> None:
     reshaped = room.under(panel=panel)
     truth = reshaped.ground_truth().projector_px
     x = np.broadcast_to(np.arange(214, dtype=np.uint8), (120, 214))
@@ -86,7 +86,7 @@ def test_the_truth_knows_what_a_panel_does_to_the_picture(room: SimulatedRoom, p
     assert 0 < np.median(np.abs(error)) < 0.05
 
 
-def test_an_enlarged_picture_is_thrown_by_a_longer_lens(room: SimulatedRoom) -> None:
+def test_enlarging_the_picture_changes_the_true_focal_length(room: SimulatedRoom) -> None:
     plain, enlarged = room.calibration, room.under(panel={"scale": 0.8, "squeeze": 0.75}).calibration
     assert enlarged.projector.focal_px[1] == pytest.approx(plain.projector.focal_px[1] / 0.8)
     assert enlarged.projector.focal_px[0] == pytest.approx(plain.projector.focal_px[0] / 0.6)
@@ -97,12 +97,12 @@ def test_an_enlarged_picture_is_thrown_by_a_longer_lens(room: SimulatedRoom) -> 
 
 
 @pytest.mark.parametrize("panel", [PanelSettings(keystone=0.1), PanelSettings(mirrored=True)])
-def test_what_no_pinhole_throws_has_no_true_calibration(room: SimulatedRoom, panel: Any) -> None:
+def test_a_picture_that_no_pinhole_explains_has_no_true_calibration(room: SimulatedRoom, panel: Any) -> None:
     assert room.under(panel=panel.model_dump()).calibration is None
     assert true_calibration(room.room) is not None
 
 
-def test_light_is_switched_on_in_its_frame(room: SimulatedRoom) -> None:
+def test_ambient_light_is_switched_on_at_the_configured_frame(room: SimulatedRoom) -> None:
     switched = frames(room.under(light={"frame": 2, "ambient": 0.15}, exposure_us=0.5 * room.sensor.exposure_us), 4)
     before, at, after = switched[1] - switched[0], switched[2] - switched[1], switched[3] - switched[2]
     gained = 0.1 * np.median(room.renderer.direct(np.ones(WHITE.shape, np.float32))[lit(room)])
@@ -111,7 +111,7 @@ def test_light_is_switched_on_in_its_frame(room: SimulatedRoom) -> None:
     assert max(abs(before.mean()), abs(after.mean())) < 0.1
 
 
-def test_responses_rise_from_nothing_to_everything() -> None:
+def test_responses_rise_from_zero_to_one() -> None:
     light = np.linspace(0, 1, 101, dtype=np.float32)
     srgb, photo = responded(light, "srgb"), responded(light, "photo")
     np.testing.assert_array_equal(responded(light, "linear"), light)
@@ -123,7 +123,7 @@ def test_responses_rise_from_nothing_to_everything() -> None:
     assert srgb[60] < photo[60]
 
 
-def test_somebody_goes_past_and_is_gone(room: SimulatedRoom) -> None:
+def test_a_person_passes_and_leaves(room: SimulatedRoom) -> None:
     taken = frames(room.under(passer={"width_m": 0.3, "first_frame": 1, "last_frame": 3}), 6)
     changed = [np.mean(np.abs(frame - taken[0])[lit(room)] > 25) for frame in taken]
     assert changed[0] == 0
@@ -131,7 +131,7 @@ def test_somebody_goes_past_and_is_gone(room: SimulatedRoom) -> None:
     assert 0.1 < max(changed[1:4]) < 0.9
 
 
-def test_a_cupboard_askew_touches_its_wall_and_stands_at_an_angle() -> None:
+def test_a_rotated_cupboard_touches_its_wall() -> None:
     straight, askew = (draw_room(SimulatedRigSettings(seed=1, furniture_askew_deg=angle)) for angle in (0.0, 2.0))
     np.testing.assert_array_equal(straight.scene.blocks[0].edges, askew.scene.blocks[0].edges)
 

@@ -37,7 +37,7 @@ def test_rays_enter_a_block(origin: tuple[float, ...], direction: tuple[float, .
 
 
 @given(st.integers(0, 10_000))
-def test_rays_that_enter_a_block_stand_on_the_named_face(seed: int) -> None:
+def test_rays_enter_a_block_through_the_returned_face(seed: int) -> None:
     rng = np.random.default_rng(seed)
     origins = rng.normal(0, 5, (3, 50)) + column(40, 0, 0)
     inside = TILTED_BLOCK.origin[:, None] + TILTED_BLOCK.edges.T @ rng.uniform(0.01, 0.99, (3, 50))
@@ -60,7 +60,7 @@ def test_rays_enter_a_sphere_at_its_near_side() -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_the_nearest_surface_is_seen_and_its_coordinates_lead_back_to_it(seed: int) -> None:
+def test_the_nearest_surface_is_hit_and_its_coordinates_give_the_point(seed: int) -> None:
     rng = np.random.default_rng(seed)
     origin = column(3.0, 3.5, 1.5)
     targets = rng.uniform(0, 1.5, (3, 200))

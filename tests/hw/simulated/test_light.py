@@ -1,4 +1,4 @@
-"""Light against cases with known answers: an empty room of even albedo, formulas for plates, conservation of energy."""
+"""Light in cases with known solutions: a room of constant albedo, formulas for plates, conservation of energy."""
 
 from dataclasses import dataclass, replace
 
@@ -37,7 +37,7 @@ class EmptyRoom:
         return self.gatherer.mesh
 
     def areas(self) -> Floats:
-        """What each solving node stands for, in m²."""
+        """The area of each solving node in m²."""
         support = np.concatenate([chart.support() for chart in self.mesh.solving])
         return np.prod(support[:, 1] - support[:, 0], axis=1)
 
@@ -61,15 +61,15 @@ def empty() -> EmptyRoom:
     return EmptyRoom(light, gatherer, gathered, solve(scene, gatherer.mesh, gathered))
 
 
-def test_every_node_of_an_empty_room_is_exposed_and_gets_all_its_light_from_the_room(empty: EmptyRoom) -> None:
+def test_every_node_of_an_empty_room_receives_light_only_from_the_room(empty: EmptyRoom) -> None:
     assert empty.gathered.exposed.all()
     np.testing.assert_allclose(empty.gathered.from_nodes.sum(axis=1), ALBEDO, rtol=1e-4)
 
 
 def rectangle_overhead(a: float, b: float, c: float) -> float:
-    """Form factor from a small area to a parallel rectangle a × b at the distance c, one corner straight above.
+    """Form factor from a small area to a parallel rectangle a × b at distance c, with one corner straight above.
 
-    Siegel and Howell, Thermal Radiation Heat Transfer, appendix of configuration factors; so is the next one.
+    Siegel and Howell, Thermal Radiation Heat Transfer, appendix of configuration factors, as for the next one.
     """
     x, y = a / c, b / c
     p, q = np.hypot(1, x), np.hypot(1, y)
@@ -77,8 +77,8 @@ def rectangle_overhead(a: float, b: float, c: float) -> float:
 
 
 def rectangle_aside(a: float, b: float, c: float) -> float:
-    """Form factor from a small area to a perpendicular rectangle that begins straight aside of it in the distance c and
-    reaches a forward and b along.
+    """Form factor from a small area to a perpendicular rectangle that starts at distance c beside it and extends a
+    forward and b along.
     """
     x, y = a / b, c / b
     s = np.hypot(x, y)
@@ -103,8 +103,8 @@ def test_form_factors_from_a_wall_to_the_ceiling(empty: EmptyRoom, place: tuple[
     assert 1e-5 < error < 0.015
 
 
-def test_energy_is_conserved_over_all_reflections(empty: EmptyRoom) -> None:
-    """What a ceiling of radiosity 1 sends out falls on the walls 1 / (1 − albedo) times."""
+def test_reflections_conserve_energy(empty: EmptyRoom) -> None:
+    """The light of a ceiling of radiosity 1 falls on the walls 1 / (1 − albedo) times."""
     count = empty.mesh.solving_count
     incident = float(empty.areas() @ empty.interreflection.ceiling[:count])
     emitted = SIZES[0] * SIZES[1]
@@ -112,7 +112,7 @@ def test_energy_is_conserved_over_all_reflections(empty: EmptyRoom) -> None:
 
 
 def test_indirect_light_of_a_picture_is_the_reflected_direct_light(empty: EmptyRoom) -> None:
-    """All indirect light is the direct flux times albedo / (1 − albedo); the direct flux is the picture's own."""
+    """The total indirect light is the direct flux times albedo / (1 − albedo)."""
     optics = empty.light.projector.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     rays = optics.to_rays(np.stack([x.ravel(), y.ravel()]).astype(float))
@@ -129,7 +129,7 @@ def test_indirect_light_of_a_picture_is_the_reflected_direct_light(empty: EmptyR
 
 
 def irradiance_on_axis(distance: float, turn: float) -> float:
-    """Of a wall in some distance, by a projector that is turned from its normal by some radians."""
+    """Irradiance on a wall at a distance, by a projector rotated from its normal by an angle in radians."""
     wall = Scene(Block(np.array([0.0, -50.0, -50.0]), np.diag([distance, 100.0, 100.0])))
     forward, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([np.sin(turn), -np.cos(turn), 0.0])
     rotation = np.stack([right, [0.0, 0.0, -1.0], forward])
@@ -147,8 +147,8 @@ def test_direct_light_falls_with_the_square_of_distance_and_the_cosine(distance:
     assert irradiance_on_axis(distance, turn) == pytest.approx(np.cos(turn) / along_axis**2)
 
 
-def test_near_a_crease_fringes_reach_across_and_further_away_they_cancel(empty: EmptyRoom) -> None:
-    """The light of the other face keeps fringes of 16 pixels within a centimetre and loses them beyond ten."""
+def test_indirect_fringes_survive_near_a_crease_and_cancel_farther_away(empty: EmptyRoom) -> None:
+    """Light of the other face keeps fringes of 16 pixels within a centimetre, and loses them beyond ten."""
     optics = empty.light.projector.optics
     picture = empty.gatherer.picture
     fringe = 0.5 + 0.5 * np.cos(2 * np.pi * np.arange(optics.width) / 16)

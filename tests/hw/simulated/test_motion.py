@@ -1,4 +1,4 @@
-"""Devices that move during a capture: the frames show what devices in those places see."""
+"""Devices that move during a capture: frames show the views from the moved poses."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ WHITE = np.full((120, 214), 255, np.uint8)
 
 
 def ramps(renderer: Renderer) -> Floats:
-    """The projector's coordinates that light each camera pixel directly, (H, W, 2), NaN in shadow."""
+    """The projector's coordinates that directly light each camera pixel, (H, W, 2), NaN in shadow."""
     x, y = np.meshgrid(np.arange(214, dtype=np.float32), np.arange(120, dtype=np.float32))
     white = renderer.direct(np.ones_like(x))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -24,7 +24,9 @@ def ramps(renderer: Renderer) -> Floats:
 
 @pytest.mark.parametrize("name", ["camera", "projector"])
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 210.0])
-def test_a_bump_moves_the_picture_by_its_pixels(room: SimulatedRoom, name: str, direction_deg: float) -> None:
+def test_a_bump_moves_the_picture_by_the_configured_pixels(
+    room: SimulatedRoom, name: str, direction_deg: float
+) -> None:
     step = 0.5 * np.array([np.cos(np.radians(direction_deg)), np.sin(np.radians(direction_deg))])
     before = getattr(room.room, name)
     after = turned(before, step)
@@ -36,7 +38,7 @@ def test_a_bump_moves_the_picture_by_its_pixels(room: SimulatedRoom, name: str, 
     assert 0 < np.linalg.norm(after.centre - before.centre) < 0.003
 
 
-def test_before_the_bump_nothing_has_moved_and_after_it_the_fringes_have(room: SimulatedRoom) -> None:
+def test_the_fringes_move_after_the_bump_and_not_before(room: SimulatedRoom) -> None:
     bumped = room.under(bump={"device": "projector", "frame": 2, "px": 1.0})
     assert bumped.at(1) is bumped.renderer
     shift = ramps(bumped.at(2)) - ramps(room.renderer)
@@ -47,7 +49,7 @@ def test_before_the_bump_nothing_has_moved_and_after_it_the_fringes_have(room: S
     assert bumped.at(2) is bumped.at(7)
 
 
-def test_a_camera_that_is_bumped_sees_the_room_elsewhere(room: SimulatedRoom) -> None:
+def test_a_bumped_camera_sees_the_room_shifted(room: SimulatedRoom) -> None:
     bumped = room.under(bump={"device": "camera", "frame": 1, "px": 4.0})
     before, after = (bumped.at(frame).render(WHITE) for frame in (0, 1))
     unmoved, moved = (
@@ -65,8 +67,8 @@ def test_a_drift_grows_from_frame_to_frame(room: SimulatedRoom) -> None:
     np.testing.assert_allclose(shifts, [0.5, 1.0], atol=0.12)
 
 
-def test_indirect_light_goes_along_with_the_projector(room: SimulatedRoom) -> None:
-    """A turned projector lights the room like a resting one that shows its picture turned."""
+def test_indirect_light_moves_with_the_projector(room: SimulatedRoom) -> None:
+    """A rotated projector lights the room like one at rest that shows its picture rotated."""
     stripes = np.zeros((120, 214), np.float32)
     stripes[:, 80:110] = 1.0
     moved = room.under(bump={"px": 30.0}).at(0)
@@ -88,7 +90,7 @@ def frames(room: SimulatedRoom, *pictures: Image) -> list[Floats]:
     return taken
 
 
-def test_a_slow_panel_still_shows_its_share_of_the_last_picture(room: SimulatedRoom) -> None:
+def test_a_slow_panel_still_shows_a_share_of_the_last_picture(room: SimulatedRoom) -> None:
     black = np.zeros_like(WHITE)
     lit = room.renderer.direct(np.ones(WHITE.shape, np.float32)) > 0
     white, steady, dark = (image[lit].mean() for image in frames(room.under(ghost=0.3), WHITE, WHITE, black))
@@ -97,6 +99,6 @@ def test_a_slow_panel_still_shows_its_share_of_the_last_picture(room: SimulatedR
     assert (dark - without) / (steady - without) == pytest.approx(0.3, abs=0.02)
 
 
-def test_settings_of_the_room_itself_need_another_room(room: SimulatedRoom) -> None:
+def test_settings_of_the_room_require_a_new_room(room: SimulatedRoom) -> None:
     with pytest.raises(ValueError, match="seed, albedo"):
         room.under(seed=1, albedo=0.5)

@@ -29,7 +29,7 @@ def test_a_negative_k1_pulls_the_corners_in() -> None:
     assert np.all((pulled > 5) & (pulled < 20))
 
 
-def test_directions_far_outside_of_the_image_are_not_seen() -> None:
+def test_directions_far_outside_the_image_are_not_seen() -> None:
     # Beyond its turning point the lens polynomial leads back into the image.
     assert not BARREL.sees(BARREL.to_pixels(np.array([5.0]), np.array([0.0]))).any()
 
@@ -48,7 +48,7 @@ def test_the_response_is_a_power_above_the_black_level() -> None:
     np.testing.assert_allclose((light[1:3] - 1e-3) / 0.999, (levels[0, 1:3] / 255) ** 2.2, rtol=1e-5)
 
 
-def test_blur_spreads_a_pixel_symmetrically_and_loses_nothing() -> None:
+def test_blur_is_symmetric_and_conserves_light() -> None:
     light = np.zeros((24, 40), np.float32)
     light[11, 20] = 1.0
     fine = PICTURE.blurred(light)
@@ -60,7 +60,7 @@ def test_blur_spreads_a_pixel_symmetrically_and_loses_nothing() -> None:
     assert 0.05 < sides[0] < middle / 2
 
 
-def test_interpolation_is_at_the_pixel_it_names() -> None:
+def test_interpolation_at_a_pixel_centre_returns_that_pixel() -> None:
     x, y = np.meshgrid(np.arange(40.0), np.arange(24.0))
     pixels = np.array([[3.0, 20.25, 36.5], [4.0, 12.5, 19.75]])
     texels, weights = PICTURE.interpolate(pixels)

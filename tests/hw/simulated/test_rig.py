@@ -1,4 +1,4 @@
-"""The rig as a whole, on one small room: what the camera sees against what is true."""
+"""The whole rig in one small room: frames compared with ground truth."""
 
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def uniform(room: SimulatedRoom, level: int) -> np.ndarray:
 
 
 def ramp(room: SimulatedRoom, axis: int) -> np.ndarray:
-    """Light that equals the projector's coordinate."""
+    """Light equal to the projector's coordinate."""
     optics = room.room.projector.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     return (x, y)[axis].astype(np.float32)
 
 
 def shrunk(mask: Bools) -> Bools:
-    """Pixels whose eight neighbours are in the mask as well."""
+    """The mask eroded by one pixel."""
     inner = mask.copy()
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
@@ -47,7 +47,7 @@ def plane_normal(points: Floats) -> Floats:
     return normal
 
 
-def test_points_of_the_truth_project_to_its_pixels(room: SimulatedRoom, truth: GroundTruth) -> None:
+def test_true_points_project_to_true_pixels(room: SimulatedRoom, truth: GroundTruth) -> None:
     calibration = room.calibration
     x, y = np.meshgrid(np.arange(306.0), np.arange(256.0))
     np.testing.assert_allclose(calibration.camera.project(truth.points_m), np.stack([x, y], axis=-1), atol=1e-5)
@@ -57,12 +57,12 @@ def test_points_of_the_truth_project_to_its_pixels(room: SimulatedRoom, truth: G
     np.testing.assert_allclose(calibration.projector.project(in_projector), truth.projector_px[lit], atol=1e-6)
 
 
-def test_faces_of_the_truth_are_planes_at_right_angles(truth: GroundTruth) -> None:
+def test_true_faces_are_planes_at_right_angles(truth: GroundTruth) -> None:
     normals = [plane_normal(truth.points_m[truth.label == label][::7]) for label in range(3)]
     np.testing.assert_allclose(np.abs(np.array(normals) @ np.array(normals).T), np.eye(3), atol=1e-7)
 
 
-def test_the_sphere_of_the_truth_has_its_radius(truth: GroundTruth) -> None:
+def test_the_true_sphere_has_its_radius(truth: GroundTruth) -> None:
     points = truth.points_m[truth.label == Label.SPHERE]
     design = np.column_stack([2 * points, np.ones(len(points))])
     *centre, constant = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0]
@@ -70,9 +70,7 @@ def test_the_sphere_of_the_truth_has_its_radius(truth: GroundTruth) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_direct_light_comes_from_the_pixel_that_the_truth_names(
-    room: SimulatedRoom, truth: GroundTruth, axis: int
-) -> None:
+def test_direct_light_comes_from_the_true_projector_pixel(room: SimulatedRoom, truth: GroundTruth, axis: int) -> None:
     light = ramp(room, axis)
     white = room.renderer.direct(np.ones_like(light))
     inner = shrunk(np.isfinite(truth.projector_px[..., 0]) & (white > 0)) & shrunk(
@@ -83,7 +81,7 @@ def test_direct_light_comes_from_the_pixel_that_the_truth_names(
     assert 1e-4 < np.percentile(error, 95) < 0.1
 
 
-def test_pixels_in_shadow_or_beside_the_picture_get_no_direct_light(room: SimulatedRoom, truth: GroundTruth) -> None:
+def test_pixels_in_shadow_or_outside_the_picture_get_no_direct_light(room: SimulatedRoom, truth: GroundTruth) -> None:
     white = room.renderer.direct(np.ones((120, 214), np.float32))
     dark = np.isnan(truth.projector_px[..., 0])
     # Light spills over the picture's edge by blur: two pixels further in all is black.
@@ -102,7 +100,7 @@ def test_light_is_linear_in_the_projectors_light(room: SimulatedRoom) -> None:
         np.testing.assert_allclose(both, apart, rtol=1e-4, atol=1e-5 * both.max())
 
 
-def test_the_picture_acts_with_gamma_above_the_black_level(room: SimulatedRoom) -> None:
+def test_the_projector_adds_gamma_and_a_black_level(room: SimulatedRoom) -> None:
     renderer = room.renderer
     white, grey, black = (renderer.render(uniform(room, level)) - renderer.ambient for level in (255, 128, 0))
     lit = white > 0.5 * np.median(white[white > 0])
@@ -110,7 +108,7 @@ def test_the_picture_acts_with_gamma_above_the_black_level(room: SimulatedRoom) 
     np.testing.assert_allclose(grey[lit] / white[lit], 1e-3 + 0.999 * (128 / 255) ** 2.2, rtol=1e-3)
 
 
-def test_walls_light_each_other_most_near_the_creases(room: SimulatedRoom, truth: GroundTruth) -> None:
+def test_interreflection_is_strongest_near_the_creases(room: SimulatedRoom, truth: GroundTruth) -> None:
     lit = shrunk(np.isfinite(truth.projector_px[..., 0])) & (truth.label < 3)
     in_world = truth.points_m @ room.room.camera.rotation + room.room.camera.centre
     from_crease = np.sort(np.abs(in_world), axis=-1)[..., 1]
@@ -119,7 +117,7 @@ def test_walls_light_each_other_most_near_the_creases(room: SimulatedRoom, truth
     assert far < 0.95
 
 
-def test_noise_grows_with_the_signal_as_electrons_do(room: SimulatedRoom) -> None:
+def test_noise_is_shot_noise(room: SimulatedRoom) -> None:
     projector = SimulatedProjector(room)
     projector.show(uniform(room, 200))
     camera = SimulatedCamera(room, projector)
@@ -133,7 +131,7 @@ def test_noise_grows_with_the_signal_as_electrons_do(room: SimulatedRoom) -> Non
     assert offset == pytest.approx((2.5 * digits_per_electron) ** 2 + 1 / 12, abs=0.03)
 
 
-def test_frames_differ_and_repeat_for_a_seed(room: SimulatedRoom) -> None:
+def test_noise_differs_between_frames_and_repeats_for_a_seed(room: SimulatedRoom) -> None:
     def two_frames() -> list[np.ndarray]:
         projector = SimulatedProjector(room)
         camera = SimulatedCamera(room, projector)
@@ -162,7 +160,7 @@ def test_white_is_exposed_to_85_percent(room: SimulatedRoom) -> None:
     assert frame.exposure_us == room.sensor.exposure_us
 
 
-def test_longer_exposure_saturates_and_more_bits_resolve_more(room: SimulatedRoom) -> None:
+def test_longer_exposures_saturate_and_more_bits_resolve_more(room: SimulatedRoom) -> None:
     white = room.renderer.render(uniform(room, 255))
     rng = np.random.default_rng(0)
     long = build_sensor(SimulatedRigSettings(exposure_us=5 * room.sensor.exposure_us), white)
@@ -192,7 +190,7 @@ def test_pictures_of_another_kind_are_refused(room: SimulatedRoom, picture: np.n
         SimulatedProjector(room).show(picture)
 
 
-def test_open_rig_gives_devices_and_keeps_the_truth_apart() -> None:
+def test_open_rig_returns_devices_and_the_truth_separately() -> None:
     settings = SimulatedRigSettings(seed=3, interreflection=False)
     with open_rig(settings, (153, 128), (107, 60)) as opened:
         assert (opened.rig.camera.size, opened.rig.projector.size) == ((153, 128), (107, 60))

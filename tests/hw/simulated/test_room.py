@@ -1,4 +1,4 @@
-"""What is drawn from the seed: walls, furniture, rig and places. No light."""
+"""Walls, furniture, rig and poses drawn from the seed, without light."""
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ def drawn(seed: int, **settings: object) -> Room:
 
 
 def angles_deg(walls: Block) -> list[float]:
-    """The three angles inside the corner, between each pair of its faces."""
+    """The three angles between the faces of the corner."""
     x, y, floor = -walls.outward_normals[:3]
     return [180 - np.degrees(np.arccos(a @ b)) for a, b in ((floor, x), (floor, y), (x, y))]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_views_are_those_of_a_sensible_operator(seed: int) -> None:
+def test_views_show_all_faces_and_the_sphere(seed: int) -> None:
     room = drawn(seed)
     view = look(room.scene, room.camera, room.projector)
     assert 0.15 <= view.label_shares[:3].min() <= view.label_shares[:3].max() < 0.6
@@ -40,7 +40,7 @@ def test_views_are_those_of_a_sensible_operator(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_hide_vertex_puts_a_box_before_it_and_leaves_the_faces(seed: int) -> None:
+def test_hide_vertex_hides_the_vertex_but_not_the_faces(seed: int) -> None:
     room = drawn(seed, hide_vertex=True)
     view = look(room.scene, room.camera, room.projector)
     assert view.vertex_hidden
@@ -52,7 +52,7 @@ def test_walls_are_square_unless_asked_otherwise(seed: int) -> None:
     np.testing.assert_allclose(angles_deg(drawn(seed).scene.room), 90.0, atol=1e-9)
 
 
-def test_walls_are_off_by_the_asked_standard_deviation() -> None:
+def test_walls_deviate_by_the_configured_standard_deviation() -> None:
     rng = np.random.default_rng(5)
     off = np.array([angles_deg(draw_walls(rng, 0.3)) for _ in range(400)]) - 90
     assert np.all((off.std(axis=0) > 0.27) & (off.std(axis=0) < 0.33))
@@ -80,11 +80,11 @@ def test_the_rig_moves_and_the_room_does_not() -> None:
         for block, first in zip(place.scene.blocks, places[0].scene.blocks, strict=True):
             np.testing.assert_array_equal(block.edges, first.edges)
         view = look(place.scene, place.camera, place.projector)
-        assert view.is_sensible(0.15)
+        assert view.is_suitable(0.15)
         assert all(np.linalg.norm(place.camera.centre - other.camera.centre) > 0.35 for other in places[:i])
 
 
-def test_seeds_differ_and_repeat() -> None:
+def test_the_seed_determines_the_room() -> None:
     first, again, other = drawn(7), drawn(7), drawn(8)
     np.testing.assert_array_equal(first.camera.centre, again.camera.centre)
     assert first.camera.optics == again.camera.optics
@@ -101,7 +101,7 @@ def test_lenses_are_ordinary_or_ideal() -> None:
     assert (ideal.camera.optics.k1, ideal.projector.optics.k1) == (0.0, 0.0)
 
 
-def test_solids_stand_in_the_room_and_not_in_each_other() -> None:
+def test_solids_stand_in_the_room_without_intersecting() -> None:
     for seed in SEEDS:
         scene = drawn(seed, sphere_radius_m=0.1).scene
         assert scene.sphere is not None

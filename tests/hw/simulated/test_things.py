@@ -1,4 +1,4 @@
-"""A simulated thing: its shape, its poses, and what the rig sees of it."""
+"""A simulated thing: its shape, its poses, and its ground truth."""
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ def thing(pose: int = 0, **settings: object) -> SimulatedThing:
     return SimulatedThing(SimulatedRigSettings.model_validate(whole), CAMERA, PROJECTOR)
 
 
-def test_a_ball_has_the_volume_and_area_of_one() -> None:
+def test_a_ball_has_the_volume_and_area_of_a_sphere() -> None:
     ball = draw_solid(ThingSettings(kind="ball", size_m=0.2), np.random.default_rng(0))
     assert 0.998 < ball.volume / (4 / 3 * np.pi * 0.1**3) < 1
     assert 0.998 < ball.area / (4 * np.pi * 0.1**2) < 1
 
 
-def test_a_turn_of_the_table_is_a_turn_about_the_vertical() -> None:
+def test_the_turntable_rotates_about_the_vertical() -> None:
     first, second = (thing(pose).pose for pose in (0, 1))
     turn = second.rotation @ first.rotation.T
     np.testing.assert_allclose(turn, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
@@ -38,7 +38,7 @@ def test_free_poses_stand_on_the_table() -> None:
         assert 0 < heights.min() < 0.01
 
 
-def test_what_is_seen_triangulates_to_the_surface() -> None:
+def test_matches_triangulate_to_the_surface() -> None:
     seen = thing()
     projector_px, bright, on_thing = seen.seen()
     there = np.isfinite(projector_px[..., 0]) & on_thing
@@ -53,6 +53,6 @@ def test_what_is_seen_triangulates_to_the_surface() -> None:
     assert np.all(bright[there] > 0)
 
 
-def test_a_file_that_is_no_mesh_is_refused() -> None:
+def test_a_file_without_a_mesh_is_refused() -> None:
     with pytest.raises(DeviceError, match="expected a mesh"):
         draw_solid(ThingSettings(kind="file", file="nowhere.ply"), np.random.default_rng(0))

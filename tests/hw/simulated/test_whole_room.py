@@ -1,4 +1,4 @@
-"""A whole room: walls that are not parallel, and a rig that goes round it unchanged."""
+"""A whole room with non-parallel walls, and one unchanged rig at all its stations."""
 
 from itertools import pairwise
 
@@ -9,7 +9,7 @@ from hw.errors import DeviceError
 from hw.moving import at_place
 from hw.settings import SimulatedRigSettings
 from hw.simulated.room import draw_room
-from hw.simulated.view import lights_and_sees, seen
+from hw.simulated.view import lit_and_visible, seen
 from tests.support.whole_room import stations
 
 ROOM = {"room": "whole", "walls_off_deg": 0.3, "furniture_askew_deg": 4.0}
@@ -22,7 +22,7 @@ def test_each_station_sees_a_third_of_the_next_one_and_the_rig_is_unchanged(seed
         assert room.camera.optics == rooms[0].camera.optics
         points, surface, lit = seen(following.scene, following.camera, following.projector)
         assert 0.3 < lit.mean() < 0.95
-        shared = lights_and_sees(room.scene, room.camera, room.projector, surface[lit], points[:, lit])
+        shared = lit_and_visible(room.scene, room.camera, room.projector, surface[lit], points[:, lit])
         assert 0.25 <= shared.mean() < 0.6
         assert np.linalg.norm(room.camera.centre - following.camera.centre) > 0.3
 
@@ -45,7 +45,7 @@ def test_opposite_walls_are_not_parallel_and_every_match_is_where_a_ray_met_a_su
         assert np.all(thrown[:, 2] > 0)
 
 
-def test_there_are_as_many_places_as_stations() -> None:
+def test_every_station_has_a_pose() -> None:
     settings = SimulatedRigSettings.model_validate({"room": "whole", "stations": 10, "pose": 8})
     assert at_place(settings, 1) == settings.model_copy(update={"pose": 9})
     with pytest.raises(DeviceError, match="places 0 to 9"):

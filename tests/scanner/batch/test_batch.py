@@ -1,4 +1,4 @@
-"""Batches of small captures, on workers of this machine and of a scheduler: what becomes of each, and of all."""
+"""Batches of small captures, on local workers and on a scheduler: outcomes and tables."""
 
 import csv
 import shutil
@@ -108,7 +108,9 @@ def test_a_batch_from_the_command_line(museum: Path, tmp_path: Path, capsys: pyt
     assert before == {path: path.stat().st_mtime_ns for path in (out / "results").rglob("*")}
 
 
-def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_capture_that_kills_its_worker_fails_alone(
+    museum: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     captures, out = tmp_path / "captures", tmp_path / "out"
     for name in ("a", "b-poison", "c-once", "d"):
         shutil.copytree(museum / "captures" / "hall" / "one", captures / name)
@@ -134,7 +136,7 @@ def test_what_ends_its_worker_fails_alone(museum: Path, tmp_path: Path, monkeypa
     assert (again.kept, [row.exit_code for row in again.rows]) == (3, [0, 0, 0, 0])
 
 
-def test_a_disk_that_takes_no_more_ends_the_batch_and_is_no_row(museum: Path, tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_batch_without_a_row(museum: Path, tmp_path: Path) -> None:
     jobs = list_jobs([str(museum / "captures" / "dark")], Asked(museum / "room.yaml"))
     with Processes(1) as processes:
         with no_file_larger_than(500), pytest.raises(StorageError) as caught:
@@ -159,7 +161,7 @@ def started(*command: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path) -> None:
+def test_another_scheduler_gives_the_same_table(museum: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="a scheduler needs the extra 'batch'")
     jobs = list_jobs([str(museum / "captures")], Asked(museum / "room.yaml"))
     with Processes(1) as processes:
@@ -196,7 +198,7 @@ def test_another_scheduler_comes_to_the_same_table(museum: Path, tmp_path: Path)
         (("--out", "out\udcff"), "--out: expected a name"),
     ],
 )
-def test_mistakes_are_messages(
+def test_mistakes_give_messages(
     museum: Path,
     tmp_path: Path,
     arguments: tuple[str, ...],
@@ -210,7 +212,7 @@ def test_mistakes_are_messages(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_process_that_takes_more_than_its_share_is_ended(museum: Path, tmp_path: Path) -> None:
+def test_a_process_beyond_its_memory_limit_is_ended(museum: Path, tmp_path: Path) -> None:
     jobs = list_jobs([str(museum / "captures" / "dark")], Asked(museum / "room.yaml"))
     with Processes(1, memory_bytes=50e6) as processes:  # less than the libraries alone
         found = run_batch(jobs, str(tmp_path), lambda: processes, QUIET)
@@ -219,7 +221,7 @@ def test_a_process_that_takes_more_than_its_share_is_ended(museum: Path, tmp_pat
     ]
 
 
-def test_without_the_extra_one_machine_works_and_the_rest_says_what_to_install(
+def test_without_the_extra_only_one_machine_works(
     museum: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for package in ("distributed", "fsspec", "pyarrow"):

@@ -1,4 +1,4 @@
-"""Batches whose captures and results are elsewhere: in memory, and in a bucket of an S3 server on loopback."""
+"""Batches with remote captures and results: in memory, and in a bucket of a local S3 server."""
 
 import os
 from collections.abc import Iterator
@@ -55,7 +55,7 @@ def memory() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("where", ["memory", "bucket"])
-def test_captures_and_results_elsewhere(where: str, result: Path, request: pytest.FixtureRequest) -> None:
+def test_captures_and_results_in_remote_storage(where: str, result: Path, request: pytest.FixtureRequest) -> None:
     from distributed import Client
 
     root = request.getfixturevalue(where)

@@ -29,7 +29,7 @@ def museum(tmp_path: Path) -> Path:
     return tmp_path / "museum"
 
 
-def test_every_capture_below_a_folder_by_its_path_in_it(museum: Path) -> None:
+def test_captures_below_a_folder_are_named_by_their_relative_paths(museum: Path) -> None:
     jobs = list_jobs([str(museum)], Asked())
     assert [job.name for job in jobs] == ["hall/a", "hall/b", "vase", "yard"]
     assert [Path(job.capture) for job in jobs] == [
@@ -37,12 +37,12 @@ def test_every_capture_below_a_folder_by_its_path_in_it(museum: Path) -> None:
     ]
 
 
-def test_a_capture_itself_and_names_with_stars(museum: Path) -> None:
+def test_single_captures_and_glob_patterns(museum: Path) -> None:
     assert [job.name for job in list_jobs([str(museum / "yard")], Asked())] == ["yard"]
     assert [job.name for job in list_jobs([str(museum / "h*" / "*")], Asked())] == ["a", "b"]
 
 
-def test_captures_of_the_same_name_are_told_apart_and_none_is_there_twice(museum: Path) -> None:
+def test_captures_of_the_same_name_are_distinguished_and_listed_once(museum: Path) -> None:
     capture(museum / "other" / "a")
     jobs = list_jobs([str(museum / "hall"), str(museum / "other"), str(museum / "hall" / "a")], Asked())
     assert [(job.name, Path(job.capture).parent.name) for job in jobs] == [
@@ -52,7 +52,7 @@ def test_captures_of_the_same_name_are_told_apart_and_none_is_there_twice(museum
     ]
 
 
-def test_a_list_says_what_is_asked_of_each(museum: Path) -> None:
+def test_a_list_gives_each_capture_its_options(museum: Path) -> None:
     (museum / "rig.yaml").write_text("corner: {squareness_deg: 0.1}\n")
     (museum / "known.yaml").write_text("text of a calibration")
     (museum / "list.csv").write_text(
@@ -67,7 +67,7 @@ def test_a_list_says_what_is_asked_of_each(museum: Path) -> None:
     assert (yard.name, yard.config.corner.squareness_deg, yard.config.method) == ("yard", 0.2, "paper")
 
 
-def test_a_list_reads_what_many_ask_for_once(museum: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_list_reads_shared_files_once(museum: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counted = Mock(wraps=load_config)
     monkeypatch.setattr(listing, "load_config", counted)
     (museum / "list.csv").write_text("capture,set\nhall/a,\nhall/b,\nyard,method=paper\n")
@@ -76,7 +76,7 @@ def test_a_list_reads_what_many_ask_for_once(museum: Path, monkeypatch: pytest.M
     assert [read.args for read in counted.call_args_list] == [(None, ()), (None, ("method=paper",))]
 
 
-def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(museum: Path) -> None:
+def test_the_digest_of_a_task_changes_with_every_relevant_input(museum: Path) -> None:
     plain = list_jobs([str(museum)], Asked())
     assert [job.asked for job in list_jobs([str(museum)], Asked())] == [job.asked for job in plain]
     (museum / "known.yaml").write_text("text")
@@ -86,7 +86,7 @@ def test_what_is_asked_is_recognised_and_changes_with_everything_that_matters(mu
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_lines_end_as_on_any_machine(museum: Path, end: str) -> None:
+def test_line_endings_of_any_system_are_read(museum: Path, end: str) -> None:
     (museum / "list.csv").write_bytes(end.join(["capture,name", "hall/a,first", "yard,last", ""]).encode())
     assert [job.name for job in list_jobs([str(museum / "list.csv")], Asked())] == ["first", "last"]
 
@@ -131,7 +131,7 @@ _numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(st.text(), st.integers(0, 255), st.none() | st.text(), _numbers, st.none() | st.integers(0, 2**63 - 1))
-def test_a_row_is_read_back_as_it_was(
+def test_a_row_reads_back_the_same(
     name: str, code: int, reason: str | None, residual: float | None, matches: int | None
 ) -> None:
     row = Row(name, "capture", "result", code, reason=reason, residual_px=residual, matches=matches)
@@ -139,7 +139,7 @@ def test_a_row_is_read_back_as_it_was(
 
 
 @pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"name": "x"}', b"\xff", b"3", b"[" * 100_000])
-def test_what_is_no_row_is_said_to_be_none(data: bytes) -> None:
+def test_a_malformed_row_is_ignored(data: bytes) -> None:
     with pytest.raises(InputError, match="here: expected a row"):
         Row.from_json(data, "here")
 
@@ -147,7 +147,7 @@ def test_what_is_no_row_is_said_to_be_none(data: bytes) -> None:
 @pytest.mark.parametrize(
     ("name", "value"), [("seconds", "x"), ("exit_code", "0"), ("matches", 10**30), ("grade", "<b>"), ("name", ["x"])]
 )
-def test_a_row_with_values_that_no_table_has_is_said_to_be_none(name: str, value: object) -> None:
+def test_a_row_with_impossible_values_is_ignored(name: str, value: object) -> None:
     changed = json.loads(Row("x", "capture", "result", 0).to_json()) | {name: value}
     with pytest.raises(InputError, match=r"here: expected a row of a batch"):
         Row.from_json(json.dumps(changed).encode(), "here")

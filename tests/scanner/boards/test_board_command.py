@@ -1,4 +1,4 @@
-"""`scan board`: from captures, live, printed, and what it says of wrong input."""
+"""`scan board`: from captures, live, printing, and messages on wrong input."""
 
 import re
 from base64 import b64decode
@@ -37,7 +37,7 @@ def from_boards() -> FromBoards:
     return FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size)
 
 
-def test_a_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path: Path) -> None:
+def test_the_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path: Path) -> None:
     save_result(from_boards, tmp_path)
     found = from_boards.found
     read = read_calibration(tmp_path / "calibration.yaml")
@@ -58,8 +58,8 @@ def test_a_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path:
 
 
 @pytest.mark.parametrize("largest_file", [500, 20_000])
-def test_a_disk_that_does_not_take_the_result(from_boards: FromBoards, tmp_path: Path, largest_file: int) -> None:
-    """The calibration is the first that does not fit, or the page."""
+def test_a_full_disk_leaves_no_incomplete_result(from_boards: FromBoards, tmp_path: Path, largest_file: int) -> None:
+    """The calibration, or the page, is the first file that does not fit."""
     out = tmp_path / "board"
     with (
         pytest.raises(StorageError) as caught,
@@ -72,7 +72,7 @@ def test_a_disk_that_does_not_take_the_result(from_boards: FromBoards, tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_corners_of_a_wide_camera_are_drawn_where_they_are(from_boards: FromBoards, tmp_path: Path) -> None:
+def test_corners_of_a_large_camera_are_drawn_at_their_places(from_boards: FromBoards, tmp_path: Path) -> None:
     camera = from_boards.camera_size
     assert camera.width > 1000
     save_result(from_boards, tmp_path)
@@ -89,7 +89,7 @@ def test_corners_of_a_wide_camera_are_drawn_where_they_are(from_boards: FromBoar
 
 
 @pytest.mark.parametrize("text", ["charuco:A4", "chessboard:9x7@A3 --square 25mm", "acircles:4x9@A4 --square 30mm"])
-def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
+def test_the_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
     out = tmp_path / "board.pdf"
     assert main(["board", "--print", *text.split(), "--out", str(out), "--quiet"]) == 0
     box = re.search(rb"/MediaBox \[ *([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)", out.read_bytes())
@@ -103,8 +103,8 @@ def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
     ("arguments", "told"),
     [
         ("", "expected captures of a board"),
-        ("nowhere --square 10mm", "which board"),
-        ("nowhere --board chessboard:9x7", "which board"),
+        ("nowhere --square 10mm", "expected --board and --square"),
+        ("nowhere --board chessboard:9x7", "expected --board and --square"),
         ("nowhere --board chessboard:9x7 --square 10mm", "no such capture"),
         ("nowhere --board chessboard:9x7 --square 10ells", "ells"),
         ("nowhere --board chessboard:9x7 --square 1e300m", "--square: expected 0.001 to 1e+06 mm"),
@@ -113,7 +113,7 @@ def test_a_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
         ("--print chessboard:9x7", "--square"),
     ],
 )
-def test_wrong_arguments_are_told(
+def test_wrong_arguments_are_reported(
     arguments: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

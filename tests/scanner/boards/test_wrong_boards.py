@@ -1,4 +1,4 @@
-"""`scan board` on captures that are not as they should be: what it says, and its exit codes."""
+"""`scan board` on unsuitable captures: messages and exit codes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -48,13 +48,13 @@ def captures(made: SyntheticBoards, tmp_path_factory: pytest.TempPathFactory) ->
         ("two", "chessboard:7x5", 2, "there are two boards like chessboard:7x5"),
         ("good", "chessboard:6x4", 2, "but a chessboard of 7 × 5 inner corners"),
         ("good", "chessboard:8x6", 2, "no chessboard:8x6 was found"),
-        ("good", "charuco:7x5", 2, "no markers either"),
-        ("good/0 good/1 blank", "chessboard:7x5", 2, "expected the board in three views or more"),
-        ("good/0 good/1", "chessboard:7x5", 4, "three are the least"),
+        ("good", "charuco:7x5", 2, "nor any markers"),
+        ("good/0 good/1 blank", "chessboard:7x5", 2, "expected the board in at least three captures"),
+        ("good/0 good/1", "chessboard:7x5", 4, "at least three are needed"),
         ("parallel", "chessboard:7x5", 4, "Parallel boards do not determine focal lengths"),
     ],
 )
-def test_what_is_wrong_is_told(
+def test_mistakes_are_reported(
     given: str,
     board: str,
     code: int,
@@ -74,7 +74,7 @@ def test_what_is_wrong_is_told(
 def test_a_view_without_a_board_is_named_and_left_out(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a square that is wrong by ten shows in what follows from it."""
+    """A wrong size of the square shows in implausible lengths."""
     monkeypatch.chdir(captures)
     arguments = ["board", "good", "blank", "two", "--board", "chessboard:7x5", "--out", str(tmp_path / "out")]
     code = main([*arguments, "--square", "5mm"])

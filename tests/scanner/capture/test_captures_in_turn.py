@@ -1,4 +1,4 @@
-"""`scan --captures N`: who moves the rig, who is asked, and what is kept when a device fails."""
+"""`scan --captures N`: how the rig is moved, who is asked, and what remains after a device failure."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,7 +34,7 @@ sequence: {preset: quick}
 
 
 class Operator(Terminal):
-    """A quiet terminal with a person who answers what the test says."""
+    """A quiet terminal with predefined answers."""
 
     def __init__(self, *answers: str) -> None:
         super().__init__(quiet=True)
@@ -51,7 +51,7 @@ class Operator(Terminal):
 
 
 class Mirror:
-    """A projector and a camera in one that fails once its frames are used up."""
+    """A projector and camera in one, which fails after its frames are used up."""
 
     size = SIZE
     highest_level = 255
@@ -73,7 +73,7 @@ class Mirror:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedRigSettings]:
-    """The settings that rigs are opened with; the second of them breaks after three frames of its patterns."""
+    """The settings of opened rigs; the second rig fails after three frames of its patterns."""
     settings_seen: list[SimulatedRigSettings] = []
 
     @contextmanager
@@ -93,7 +93,7 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_device_that_fails_midway_costs_nothing_that_was_captured(
+def test_a_device_failure_keeps_the_captured_frames(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "room"
@@ -101,7 +101,7 @@ def test_a_device_that_fails_midway_costs_nothing_that_was_captured(
     assert [settings.pose for settings in opened] == [1, 2]
     kept = tmp_path / "room-incomplete"
     message = capsys.readouterr().err
-    for words in ("unplugged", f"1 whole capture in {kept / 'captures'}", f"3 frames in {kept / 'capture'}"):
+    for words in ("unplugged", f"1 complete capture in {kept / 'captures'}", f"3 frames in {kept / 'capture'}"):
         assert words in message
     assert not out.exists()
     whole, part = open_capture(kept / "captures/1/capture"), open_capture(kept / "capture")
@@ -139,7 +139,7 @@ def test_the_operator_is_asked_between_captures_and_may_stop(
 
 
 @pytest.mark.usefixtures("unmoved")
-def test_without_a_terminal_nobody_can_be_asked(
+def test_without_a_terminal_several_captures_are_refused(
     tmp_path: Path, config: Path, opened: list[SimulatedRigSettings], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--config", str(config), "--captures", "2", "--out", str(tmp_path / "room")]) == 2
@@ -152,7 +152,9 @@ def test_without_a_terminal_nobody_can_be_asked(
         places.check_places(SimulatedRigSettings(), 2, Operator())
 
 
-def test_the_end_of_the_input_is_an_answer(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_end_of_the_input_stops_the_captures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def end() -> str:
         raise EOFError
 
@@ -161,12 +163,12 @@ def test_the_end_of_the_input_is_an_answer(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr() == ("", "Go on [y/n]? ")
 
 
-def test_a_simulated_rig_steps_aside_by_itself() -> None:
+def test_a_simulated_rig_moves_by_itself() -> None:
     settings = SimulatedRigSettings(seed=4, pose=2)
     assert at_place(settings, 0) == settings
     assert at_place(settings, 3) == settings.model_copy(update={"pose": 5})
     assert at_place(settings, 5) == settings.model_copy(update={"pose": 7})
-    with pytest.raises(DeviceError, match=r"places 0 to 7; from pose 2 it cannot step aside 6 times"):
+    with pytest.raises(DeviceError, match=r"poses 0 to 7; from pose 2 it cannot move 6 times"):
         at_place(settings, 6)
 
 
@@ -177,7 +179,7 @@ def test_a_simulated_rig_steps_aside_by_itself() -> None:
         (("--captures", "two"), "--captures"),
         (("--captures", "2", "--masks", "masks"), "--masks are of one view"),
         (("--captures", "2", "--set", "method=paper"), "'method: paper'"),
-        (("--captures", "9"), "cannot step aside 8 times"),
+        (("--captures", "9"), "cannot move 8 times"),
         (("--set", "earlier=[nowhere]"), "nowhere: no such matches file"),
         (("--set", "earlier=nowhere"), "'earlier'"),
     ],

@@ -29,7 +29,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cut(recorded: Path, folder: Path, text: bytes) -> Path:
-    """The recording as it was when its listing had come as far as `text`."""
+    """The recording with its listing cut to `text`."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(recorded, folder)
     (folder / "capture.yaml").write_bytes(text)
@@ -40,7 +40,7 @@ def cut(recorded: Path, folder: Path, text: bytes) -> Path:
 
 @settings(max_examples=30)
 @given(share=st.floats(0, 1))
-def test_a_listing_is_read_as_far_as_it_goes(
+def test_a_truncated_listing_is_read_to_its_last_complete_line(
     recorded: Path, tmp_path_factory: pytest.TempPathFactory, share: float
 ) -> None:
     whole = (recorded / "capture.yaml").read_bytes()
@@ -59,8 +59,8 @@ def test_a_listing_is_read_as_far_as_it_goes(
     assert sum(1 for _ in found.stream().frames) == count
 
 
-def test_every_byte_of_the_last_lines(recorded: Path, tmp_path: Path) -> None:
-    """The brackets of a line are what tells that it is whole."""
+def test_the_listing_may_be_cut_at_any_byte(recorded: Path, tmp_path: Path) -> None:
+    """The brackets of a line show whether it is complete."""
     whole = (recorded / "capture.yaml").read_bytes()
     begin = whole.rindex(b"  - {file")
     folder = cut(recorded, tmp_path / "cut", whole)
@@ -72,7 +72,7 @@ def test_every_byte_of_the_last_lines(recorded: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_torn_last_image_is_left_out_with_a_word(recorded: Path, tmp_path: Path, share: float) -> None:
+def test_a_damaged_last_image_is_left_out_with_a_note(recorded: Path, tmp_path: Path, share: float) -> None:
     folder = cut(recorded, tmp_path / "cut", (recorded / "capture.yaml").read_bytes())
     last = sorted((folder / "frames").iterdir())[-1]
     last.write_bytes(last.read_bytes()[: int(share * last.stat().st_size)])
@@ -85,7 +85,7 @@ def test_a_torn_last_image_is_left_out_with_a_word(recorded: Path, tmp_path: Pat
     assert len(open_capture(tmp_path / "copy").patterns) == len(PATTERNS) - 1
 
 
-def test_an_image_that_was_not_listed_any_more_is_left_out(recorded: Path, tmp_path: Path) -> None:
+def test_an_unlisted_image_is_left_out(recorded: Path, tmp_path: Path) -> None:
     lines = (recorded / "capture.yaml").read_bytes().split(b"  - {file: frames/007.png")[0]
     folder = cut(recorded, tmp_path / "cut", lines)
     for name in ("007.png", "008.png"):
@@ -98,7 +98,7 @@ def test_an_image_that_was_not_listed_any_more_is_left_out(recorded: Path, tmp_p
         open_capture(folder)
 
 
-def test_another_programs_key_of_that_name_means_nothing(tmp_path: Path) -> None:
+def test_a_sequence_key_of_another_program_is_ignored(tmp_path: Path) -> None:
     folder = write_capture(tmp_path / "room")
     with (folder / "capture.yaml").open("a") as file:
         file.write("sequence: [gray, phase]\n")

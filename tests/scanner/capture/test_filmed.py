@@ -1,4 +1,4 @@
-"""Smooth errors of a film are those that its import measured, beside those of any frames."""
+"""Smooth errors of a film are those measured at import, plus those of any frames."""
 
 import pytest
 
@@ -17,5 +17,5 @@ from scanner.capture import with_smooth_errors_of_film
         ({"recording": {"smooth_px": -1}}, 0.0012),
     ],
 )
-def test_what_a_film_says_of_its_smooth_errors_is_added(metadata: dict[str, object], expected_px: float) -> None:
+def test_smooth_errors_of_a_film_are_added(metadata: dict[str, object], expected_px: float) -> None:
     assert with_smooth_errors_of_film(0.0003, metadata) == pytest.approx(expected_px)

@@ -38,7 +38,7 @@ def photographs() -> Iterator[Frame]:
         yield Frame(draw(pattern, SIZE), exposure_us=16666.7, timestamp_ns=10**18 + index)
 
 
-def test_what_is_recorded_is_replayed(tmp_path: Path) -> None:
+def test_a_recording_is_replayed(tmp_path: Path) -> None:
     folder = tmp_path / "capture"
     live = list(record(stream_of(photographs(), devices={"camera": "simulated: 1"}), folder).frames)
     recording = open_capture(folder)
@@ -55,7 +55,7 @@ def test_what_is_recorded_is_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [(), (3,)])
-def test_every_kind_of_frame_survives(tmp_path: Path, dtype: Any, channels: tuple[int, ...]) -> None:
+def test_every_frame_format_is_preserved(tmp_path: Path, dtype: Any, channels: tuple[int, ...]) -> None:
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (*SIZE[::-1], *channels)).astype(dtype)
     list(record(stream_of(iter([Frame(image)]), 1), tmp_path / "capture").frames)
     (replayed,) = read_all(tmp_path / "capture")
@@ -80,11 +80,11 @@ def test_a_device_that_fails_leaves_a_capture_of_the_frames_so_far(tmp_path: Pat
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, and how many frames were listed by then."""
+    """Ctrl-C, and the number of frames listed by then."""
 
 
 def interrupt_at_line(number: int, folder: Path) -> Callable[[FrameType, str, Any], Any]:
-    """A trace function that presses Ctrl-C at the so-many-th line run of the modules that write a capture."""
+    """A trace function that raises Ctrl-C at the n-th executed line of the modules that write a capture."""
     lines = count()
 
     def trace(frame: FrameType, event: str, _: object) -> Any:
@@ -97,7 +97,7 @@ def interrupt_at_line(number: int, folder: Path) -> Callable[[FrameType, str, An
     return trace
 
 
-def test_whenever_ctrl_c_comes_listing_and_frames_agree(tmp_path: Path) -> None:
+def test_after_ctrl_c_at_any_moment_listing_and_frames_agree(tmp_path: Path) -> None:
     for number in count():
         folder = tmp_path / str(number)
         frames = record(stream_of(islice(photographs(), 4)), folder).frames
@@ -116,7 +116,7 @@ def test_whenever_ctrl_c_comes_listing_and_frames_agree(tmp_path: Path) -> None:
     assert number > 50, "the interruptions did not reach into the writing"
 
 
-def test_a_full_disk_leaves_the_frames_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_keeps_the_earlier_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def half_written(path: Path, image: np.ndarray) -> None:
         write_png(path, image)
         if path.name == ".002.png":
@@ -129,7 +129,7 @@ def test_a_full_disk_leaves_the_frames_before_it(tmp_path: Path, monkeypatch: py
     assert len(read_all(tmp_path / "capture")) == 2
 
 
-def test_a_capture_opens_by_its_listing_too(capture_folder: Path) -> None:
+def test_a_capture_can_be_opened_by_its_listing(capture_folder: Path) -> None:
     assert open_capture(capture_folder / "capture.yaml") == open_capture(capture_folder)
 
 
@@ -158,7 +158,7 @@ def test_an_image_beside_the_listing_is_not_an_extra_frame(capture_folder: Path)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp", ".pgm", ".webp"])
-def test_any_format_of_opencv(tmp_path: Path, suffix: str) -> None:
+def test_every_format_of_opencv_is_read(tmp_path: Path, suffix: str) -> None:
     folder = write_capture(tmp_path / "room", (White(),))
     (folder / "frames/000.png").unlink()
     cv2.imwrite(str(folder / f"frames/000{suffix}"), draw(White(), SIZE))
@@ -179,7 +179,7 @@ def test_transparency_is_dropped(tmp_path: Path) -> None:
 
 @dataclass(frozen=True)
 class Broken:
-    """A way to break a capture, and words that the message must have."""
+    """A way to damage a capture, and words of the expected message."""
 
     name: str
     break_it: Callable[[Path], object]
@@ -306,7 +306,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize("case", BROKEN, ids=lambda case: case.name)
-def test_a_broken_capture_is_refused(capture_folder: Path, case: Broken) -> None:
+def test_a_malformed_capture_is_refused(capture_folder: Path, case: Broken) -> None:
     case.break_it(capture_folder)
     with pytest.raises(InputError) as caught:
         read_all(capture_folder)

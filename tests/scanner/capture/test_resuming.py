@@ -1,4 +1,4 @@
-"""A capture that was broken off, and a rig that takes it up, or must not."""
+"""An interrupted capture, and rigs that may or may not resume it."""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -28,7 +28,7 @@ TAKEN = next(n for n, pattern in enumerate(PATTERNS) if isinstance(pattern, Phas
 
 @dataclass
 class Wall:
-    """A projector, and a camera that sees what it shows, so bright, and so many pixels to the left."""
+    """A projector and a camera that sees its picture, with a given brightness and shift."""
 
     size: tuple[int, int] = SIZE
     highest_level: int = 255
@@ -84,7 +84,7 @@ def matches_in(recording: Recording) -> int:
     return len(decoder.finish().matches)
 
 
-def test_what_is_missing_is_taken_and_nothing_else(begun: Recording, tmp_path: Path) -> None:
+def test_only_missing_frames_are_taken(begun: Recording, tmp_path: Path) -> None:
     found = taken_up(begun, tmp_path / "whole", Wall())
     witnesses = found.patterns[TAKEN : len(found.patterns) - len(PATTERNS) + TAKEN]
     assert found.patterns[:TAKEN] == PATTERNS[:TAKEN]
@@ -99,7 +99,7 @@ def test_what_is_missing_is_taken_and_nothing_else(begun: Recording, tmp_path: P
         taken_up(found, tmp_path / "again", Wall())
 
 
-def test_it_may_be_broken_off_again(begun: Recording, tmp_path: Path) -> None:
+def test_a_resumed_capture_may_be_interrupted_again(begun: Recording, tmp_path: Path) -> None:
     live = record(take_up(begun, Wall().rig(), PATTERNS), tmp_path / "second")
     list(islice(live.frames, TAKEN + 6))  # with a frame behind the five witnesses
     found = taken_up(open_capture(tmp_path / "second"), tmp_path / "third", Wall())
@@ -116,13 +116,13 @@ def test_it_may_be_broken_off_again(begun: Recording, tmp_path: Path) -> None:
         (Wall(name="a new one"), r"with other settings: camera: a camera then, a new one now"),
     ],
 )
-def test_another_rig_or_scene_is_refused_by_name(begun: Recording, tmp_path: Path, wall: Wall, words: str) -> None:
+def test_a_different_rig_or_scene_is_refused(begun: Recording, tmp_path: Path, wall: Wall, words: str) -> None:
     with pytest.raises(InputError, match=words):
         taken_up(begun, tmp_path / "whole", wall)
     assert not (tmp_path / "whole").exists()
 
 
-def test_half_of_a_patterns_exposures_is_taken_again(tmp_path: Path) -> None:
+def test_incomplete_exposures_of_a_pattern_are_retaken(tmp_path: Path) -> None:
     exposures_us = (5000.0, 20000.0)
     begun = broken_off(tmp_path / "begun", 7, exposures_us)
     found = taken_up(begun, tmp_path / "whole", Wall(), exposures_us)
@@ -132,7 +132,7 @@ def test_half_of_a_patterns_exposures_is_taken_again(tmp_path: Path) -> None:
     assert matches_in(found) > 1000
 
 
-def test_the_sequence_must_be_that_of_the_recording(begun: Recording) -> None:
+def test_the_sequence_must_match_the_recording(begun: Recording) -> None:
     silent = replace(begun, planned=())  # of another version
     first: Pattern = Black()
     with pytest.raises(InputError, match="are not the first of the configured sequence"):
@@ -140,7 +140,7 @@ def test_the_sequence_must_be_that_of_the_recording(begun: Recording) -> None:
     assert tuple(dict.fromkeys(take_up(silent, Wall().rig(), PATTERNS).patterns)) == PATTERNS
 
 
-def test_on_a_simulated_rig(tmp_path: Path) -> None:
+def test_a_simulated_rig_resumes(tmp_path: Path) -> None:
     camera, projector = (306, 256), (214, 120)
     room = SimulatedRigSettings.model_validate({"seed": 0, "furniture": False, "interreflection": False})
     patterns = PRESETS["quick"].patterns(projector)

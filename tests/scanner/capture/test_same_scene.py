@@ -1,4 +1,4 @@
-"""Two frames of one pattern: what differs is measured, and what does not is let through."""
+"""Two frames of one pattern: changes are measured, and irrelevant ones tolerated."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ PATTERNS = (White(), Gray("x", 4, 5, 8), Gray("y", 3, 4, 8))
 
 
 def frames(skip: int = 2, **settings: object) -> list[np.ndarray]:
-    """White, and the finest stripes along x and y; with other noise after other frames."""
+    """White, and the finest stripes along x and y; the noise depends on the number of frames before."""
     room = {"seed": 0, "furniture": False, "interreflection": False}
     with open_rig(SimulatedRigSettings.model_validate(room | settings), CAMERA, PROJECTOR) as opened:
         for _ in range(skip):
@@ -35,7 +35,7 @@ def after() -> list[np.ndarray]:
 
 
 def shifted(image: np.ndarray, px: float) -> np.ndarray:
-    """The picture of a camera that was turned to the side."""
+    """The picture of a camera that was rotated sideways."""
     matrix = np.array([[1.0, 0.0, px], [0.0, 1.0, 0.0]])
     return cv2.warpAffine(image, matrix, image.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
@@ -73,7 +73,7 @@ def test_the_projectors_motion_shows_in_the_stripes(before: list[np.ndarray]) ->
         refuse_another_scene("frame 1", before[1], moved[1], scale)
 
 
-def test_flicker_is_usual_and_another_exposure_is_not(before: list[np.ndarray], after: list[np.ndarray]) -> None:
+def test_flicker_is_tolerated_and_another_exposure_is_not(before: list[np.ndarray], after: list[np.ndarray]) -> None:
     for one, other in zip(before, after, strict=True):
         refuse_another_scene("frame 3", one, (0.9 * other).astype(np.uint8))
         with pytest.raises(InputError, match=r"frame 3 was shown again, and it is 0\.[56]. times as bright"):
@@ -82,7 +82,7 @@ def test_flicker_is_usual_and_another_exposure_is_not(before: list[np.ndarray], 
             refuse_another_scene("frame 3", one // 2, other // 2 + 60)
 
 
-def test_something_that_stands_there_now_is_seen(before: list[np.ndarray], after: list[np.ndarray]) -> None:
+def test_a_new_object_is_detected(before: list[np.ndarray], after: list[np.ndarray]) -> None:
     other = after[0].copy()
     bright = np.argwhere(other > np.percentile(other, 97))
     (top, left), (bottom, right) = bright.min(axis=0), bright.max(axis=0)

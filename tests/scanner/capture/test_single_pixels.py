@@ -1,4 +1,4 @@
-"""Whether the projector shows pixels as they are, before a capture; and what is said of it, then and in replays."""
+"""Whether the projector shows single pixels unchanged: measured before a capture, and reported then and in replays."""
 
 import pytest
 
@@ -26,7 +26,7 @@ def measured(**settings: object) -> dict[str, object]:
         ({"panel": {"scale": 0.8}}, 0.2, 0.5),
     ],
 )
-def test_lines_of_one_pixel_arrive_unless_the_picture_is_changed(
+def test_single_pixel_lines_survive_unless_the_picture_is_resampled(
     settings: dict[str, object], least: float, most: float
 ) -> None:
     found = measured(**settings)
@@ -40,10 +40,8 @@ def test_lines_of_one_pixel_arrive_unless_the_picture_is_changed(
 
 
 @pytest.mark.parametrize(("camera", "projector"), [(CAMERA, PROJECTOR), ((612, 512), (854, 480))])
-def test_no_keystone_that_matters_leaves_single_pixels_unchanged(
-    camera: tuple[int, int], projector: tuple[int, int]
-) -> None:
-    """Where it moves the picture's corners by half a pixel."""
+def test_relevant_keystone_correction_blurs_single_pixels(camera: tuple[int, int], projector: tuple[int, int]) -> None:
+    """Keystone that moves the picture's corners by half a pixel."""
     rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
     with open_rig(rig, camera, projector) as opened:
         (kept,) = measure_lines(opened.rig).values()
@@ -52,11 +50,11 @@ def test_no_keystone_that_matters_leaves_single_pixels_unchanged(
     assert not shows_single_pixels({"lines_of_one_pixel_keep": kept})
 
 
-def test_a_projector_without_a_bent_response_does_not_tell() -> None:
+def test_a_projector_with_a_linear_response_gives_no_result() -> None:
     assert measured(gamma=1.0) == {}
     assert not list(remarks_on_lines({}))
 
 
-def test_what_a_stranger_has_written_there_is_no_number() -> None:
+def test_foreign_metadata_values_are_ignored() -> None:
     assert not list(remarks_on_lines({"lines_of_one_pixel_keep": "nothing"}))
     assert not shows_single_pixels({"lines_of_one_pixel_keep": "nothing"})

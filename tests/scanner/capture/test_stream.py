@@ -9,7 +9,7 @@ from tests.support.small_capture import PATTERNS, SIZE
 
 
 class Mirror:
-    """A projector and a camera in one: it sees what it shows, and notes what was asked of it."""
+    """A projector and a camera in one that sees what it shows, and records its calls."""
 
     def __init__(self, delivered: tuple[int, int] = SIZE) -> None:
         self.size = SIZE
@@ -28,7 +28,7 @@ class Mirror:
         return Frame(np.resize(self._shown, self._delivered[::-1]))
 
 
-def test_each_frame_shows_its_pattern_and_is_taken_when_it_is_asked_for() -> None:
+def test_each_frame_shows_its_pattern_and_is_taken_on_request() -> None:
     mirror = Mirror()
     stream = capture(Rig(mirror, mirror, {"camera": "a mirror"}), PATTERNS)
     assert mirror.asked == []

@@ -1,4 +1,4 @@
-"""One small simulated room for all tests here; making it takes seconds."""
+"""One small simulated room for all tests here, because construction takes seconds."""
 
 import pytest
 
@@ -17,12 +17,12 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture(scope="session")
 def rows_of_usual() -> list[CheckRow]:
-    """The rows of the usual check in the order in which they came."""
+    """The rows of a check under normal conditions, in order."""
     return []
 
 
 @pytest.fixture(scope="session")
 def usual(room: SimulatedRoom, rows_of_usual: list[CheckRow]) -> CheckReport:
-    """A check of the rig as it should be: whole refresh periods."""
+    """A check under normal conditions, with exposures of whole refresh periods."""
     rig = rig_in(changed(room, exposure_us=PERIOD_US))
     return check_rig(rig, config(), Terminal(quiet=True), rows_of_usual.append)

@@ -1,4 +1,4 @@
-"""`scan check` as an operator runs it: exit codes, output, the files that it leaves."""
+"""`scan check` for an operator: exit codes, output, and files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,7 +44,7 @@ def run(*arguments: object) -> int:
 
 @pytest.fixture
 def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
-    """The command finds this report, without a check."""
+    """The report that the command gets instead of running a check."""
     monkeypatch.setattr(command, "check", lambda *_: usual)
     return usual
 
@@ -55,7 +55,7 @@ def finding(
     monkeypatch.setattr(command, "check", lambda *_: CheckReport(rows, failure=failure))
 
 
-def test_the_table_says_what_was_found(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_shows_the_findings(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--config", path) == 0
     text = " ".join(capsys.readouterr().out.split())
     for word in ("✓ ok", "gamma 2.20", "refresh period", "focal lengths will be known to about"):
@@ -85,7 +85,7 @@ def test_write_puts_exposure_and_response_into_the_file(
     assert path.with_name("room.yaml.bak").read_text() == before
 
 
-def test_what_was_written_is_taken(path: Path, report: CheckReport) -> None:
+def test_writing_twice_changes_nothing(path: Path, report: CheckReport) -> None:
     assert run("--config", path, "--write") == 0
     once = path.read_text()
     assert run("--config", path, "--write") == 0
@@ -134,11 +134,11 @@ def test_without_a_finding_nothing_is_written(
     finding(monkeypatch, (), DeviceError("gone"))
     assert run("--config", path, "--write") == 3
     assert path.read_text() == before
-    assert "as it was" in capsys.readouterr().out
+    assert "is unchanged" in capsys.readouterr().out
     assert not path.with_name("room.yaml.bak").exists()
 
 
-def test_a_camera_that_is_absent(
+def test_an_absent_camera_is_reported(
     path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*_: object) -> None:
@@ -162,7 +162,7 @@ def test_a_camera_that_is_absent(
         ("projector: {width: 64, height: 48, response: [0, 2, 1]}\n", "rise from 0 to 1"),
     ],
 )
-def test_a_configuration_that_is_wrong(
+def test_a_wrong_configuration_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
 ) -> None:
     path = tmp_path / "wrong.yaml"
@@ -171,7 +171,7 @@ def test_a_configuration_that_is_wrong(
     assert words in capsys.readouterr().err
 
 
-def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(
+def test_an_overexposed_rig_is_reopened_with_a_shorter_exposure(
     monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom
 ) -> None:
     asked = []
@@ -190,7 +190,7 @@ def test_a_rig_that_is_too_bright_to_begin_with_is_opened_with_less(
     assert asked == [160_000, 40_000, 10_000]
 
 
-def test_one_that_stays_too_bright_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_that_stays_overexposed_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OverexposedError("everything that white lights is overexposed")
 
@@ -200,7 +200,7 @@ def test_one_that_stays_too_bright_is_given_up(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "✓"), ("ascii", "+"), (None, "+"), ("cp1252", "+")])
-def test_terminals_that_have_no_such_signs_get_plain_ones(encoding: str | None, sign: str) -> None:
+def test_terminals_without_unicode_get_plain_symbols(encoding: str | None, sign: str) -> None:
     report = CheckReport((CheckRow("focus", State.OK, "sharp [all]", "Nothing."),))
     out = StringIO()
     Console(file=out, width=80).print(table_of(report, encoding))
@@ -209,7 +209,7 @@ def test_terminals_that_have_no_such_signs_get_plain_ones(encoding: str | None, 
     assert ("→" in out.getvalue()) == (sign == "✓")
 
 
-def test_help_says_what_the_exit_codes_mean(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_explains_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run("--help")
     text = capsys.readouterr().out

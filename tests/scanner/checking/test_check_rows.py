@@ -1,4 +1,4 @@
-"""The rows of a check of a simulated rig, against the truth."""
+"""The rows of a check of a simulated rig, compared with the truth."""
 
 import re
 import time
@@ -53,7 +53,7 @@ def test_rows_come_one_by_one(usual: CheckReport, rows_of_usual: list[CheckRow])
     assert tuple(rows_of_usual) == usual.rows
 
 
-def test_coverage_is_that_of_the_true_view(room: SimulatedRoom) -> None:
+def test_coverage_matches_the_true_view(room: SimulatedRoom) -> None:
     truth = room.ground_truth().projector_px
     lit = float(np.isfinite(truth).all(axis=2).mean())
     quick = view.take_quick(rig_in(room), config(), FringeMeter(), QUIET)
@@ -85,7 +85,7 @@ def test_the_proposed_exposure_uses_the_range_and_saturates_nothing(room: Simula
         assert "--write" in found.advice
 
 
-def test_an_exposure_that_cannot_be_short_enough_is_said(room: SimulatedRoom) -> None:
+def test_an_exposure_that_cannot_be_short_enough_is_reported(room: SimulatedRoom) -> None:
     rig = rig_in(changed(room, exposure_us=100_000, refresh_hz=10.0))
     proposal = propose_exposure(rig)
     assert proposal.exposure_us is None
@@ -95,7 +95,7 @@ def test_an_exposure_that_cannot_be_short_enough_is_said(room: SimulatedRoom) ->
 
 
 @pytest.mark.parametrize(("part", "state"), [(0.2, State.POOR), (1.0, State.OK), (3.0, State.POOR)])
-def test_of_a_camera_that_cannot_be_told_the_exposure_is_judged(
+def test_a_fixed_exposure_is_judged(
     monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom, part: float, state: State
 ) -> None:
     monkeypatch.setattr(SimulatedCamera, "capabilities", Capabilities())
@@ -118,7 +118,7 @@ def test_ambient_light(room: SimulatedRoom, ambient: float, state: State) -> Non
     assert ambient_share(light) == pytest.approx(true, rel=0.15)
 
 
-def test_light_that_pulsates_flickers_unless_the_exposure_is_of_whole_periods(room: SimulatedRoom) -> None:
+def test_pulsating_light_flickers_unless_exposures_are_whole_periods(room: SimulatedRoom) -> None:
     pulsating = changed(room, pulsation=0.3, exposure_us=1.5 * PERIOD_US)
     rig = rig_in(pulsating)
     light = photograph_light(rig, 24, 4)
@@ -135,7 +135,7 @@ def test_light_that_pulsates_flickers_unless_the_exposure_is_of_whole_periods(ro
 
 
 @pytest.mark.parametrize("ghost", [0.0, 0.1])
-def test_the_ghost_of_the_last_picture(room: SimulatedRoom, ghost: float) -> None:
+def test_ghosting_of_the_last_picture_is_measured(room: SimulatedRoom, ghost: float) -> None:
     light = photograph_light(rig_in(changed(room, ghost=ghost)), 6, 4)
     assert ghost_of(light) == pytest.approx(ghost, abs=0.002)
     found = {row.name: row for row in light_rows(light)}["ghost"]
@@ -143,7 +143,7 @@ def test_the_ghost_of_the_last_picture(room: SimulatedRoom, ghost: float) -> Non
 
 
 @pytest.mark.parametrize("ghost", [0.05, 0.3])
-def test_a_ghost_is_not_taken_for_anything_else(room: SimulatedRoom, ghost: float) -> None:
+def test_ghosting_does_not_change_other_rows(room: SimulatedRoom, ghost: float) -> None:
     report = check_rig(rig_in(changed(room, ghost=ghost, exposure_us=PERIOD_US)), config(), QUIET)
     assert {row.name for row in report.rows if row.state != State.OK} == {"ghost"}
     assert "nothing moved by more than noise" in row(report, "steadiness").finding
@@ -151,7 +151,7 @@ def test_a_ghost_is_not_taken_for_anything_else(room: SimulatedRoom, ghost: floa
     assert report.failure is None
 
 
-def test_a_mirrored_picture_is_told(room: SimulatedRoom) -> None:
+def test_a_mirrored_picture_is_reported(room: SimulatedRoom) -> None:
     rig = rig_in(changed(room, panel={"mirrored": True}))
     quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     found, failure = view.view_row(quick, config(), [])
@@ -171,7 +171,7 @@ def test_a_mirrored_picture_is_told(room: SimulatedRoom) -> None:
         ({"sharpening": 0.5}, "sharpness", 1.4, 1.6),
     ],
 )
-def test_what_becomes_of_single_pixels(
+def test_the_contrast_of_single_pixels_is_measured(
     room: SimulatedRoom, settings: dict[str, object], said: str, least: float, most: float
 ) -> None:
     rig = rig_in(changed(room, **settings))
@@ -187,7 +187,7 @@ def test_what_becomes_of_single_pixels(
 
 
 @pytest.mark.parametrize(("device", "px"), [("projector", 0.0), ("projector", 0.3), ("camera", 0.3)])
-def test_what_moves_meanwhile_is_told(room: SimulatedRoom, device: str, px: float) -> None:
+def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, px: float) -> None:
     rig = rig_in(room)
     quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     assert quick.decoding is not None
@@ -205,13 +205,13 @@ def test_what_moves_meanwhile_is_told(room: SimulatedRoom, device: str, px: floa
         assert 0.8 * px < float(moved[2]) < 1.2 * px
 
 
-def test_a_lamp_that_is_not_warm_yet() -> None:
+def test_a_lamp_still_warming_up_is_reported() -> None:
     still = Fit(np.zeros(8), np.eye(8), 0.0)
     assert row_of(still, -0.2, 60).state == State.OK
     assert "warm" in row_of(still, -0.8, 60).advice
 
 
-def test_lamps_that_flicker_are_told_from_the_projector() -> None:
+def test_flickering_lamps_are_distinguished_from_the_projector() -> None:
     rng = np.random.default_rng(0)
     shape = (40, 60)
 
@@ -235,7 +235,7 @@ def test_the_response_is_measured(room: SimulatedRoom, gamma: float) -> None:
     assert response_row(ramp).state == State.OK
 
 
-def test_a_response_that_clips_is_said() -> None:
+def test_a_clipping_response_is_reported() -> None:
     levels = np.linspace(0, 1, 16)
     clipping = ramp_of(np.minimum(1, 1.3 * levels))
     assert clipping.response is None
@@ -245,7 +245,7 @@ def test_a_response_that_clips_is_said() -> None:
     assert "off a power law" in response_row(ramp_of((levels + levels**3) / 2)).finding
 
 
-def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
+def test_the_predicted_sigma_matches_the_scan(room: SimulatedRoom, usual: CheckReport) -> None:
     whole = changed(room, exposure_us=PERIOD_US)
     found = decode(capture(rig_in(whole), config().sequence.patterns(PROJECTOR)), QUIET, "")
     (solution,) = solve(label([found], [found], config()), config())
@@ -265,11 +265,11 @@ def test_the_predicted_sigma_is_that_of_the_scan(room: SimulatedRoom, usual: Che
         ((0.0, 0.0), "Move it."),
     ],
 )
-def test_which_way_to_turn(middle: tuple[float, float], words: str) -> None:
+def test_directions_to_turn_the_camera(middle: tuple[float, float], words: str) -> None:
     assert view._turned("the camera", middle, "Move it").startswith(words)
 
 
-def test_a_camera_that_looks_aside_is_told_where_to_turn(usual: CheckReport) -> None:
+def test_a_camera_that_looks_past_the_picture_gets_directions(usual: CheckReport) -> None:
     seen = np.zeros((18, 32), bool)
     seen[:, :8] = True
     coverage = view.Coverage(0.01, (-0.4, 0.0), 0.25, (-0.375, 0.0), seen, 1.0)
@@ -279,7 +279,7 @@ def test_a_camera_that_looks_aside_is_told_where_to_turn(usual: CheckReport) -> 
     assert "Turn the projector to the left" in found.advice
 
 
-def test_lit_pixels_that_do_not_decode_are_no_reason_to_turn() -> None:
+def test_undecoded_lit_pixels_give_no_directions() -> None:
     coverage = view.Coverage(0.02, (-0.4, 0.0), 0.4, (0.0, 0.0), np.ones((18, 32), bool), 1.0)
     found = view.coverage_row(coverage, decoding_with(np.array([[0, 3, 3, 7]], np.uint8)))
     assert found.state == State.POOR
@@ -288,12 +288,12 @@ def test_lit_pixels_that_do_not_decode_are_no_reason_to_turn() -> None:
 
 
 def decoding_with(reasons: NDArray[np.uint8]) -> Decoding:
-    """As much of one as the row reads."""
+    """The parts of a decoding that the row reads."""
     return cast(Decoding, SimpleNamespace(reasons=reasons))
 
 
 class Blind:
-    """A camera that sees the same whatever is shown, until it fails."""
+    """A camera that always sees the same, until it fails."""
 
     size = (64, 48)
     highest_level = 255
@@ -339,6 +339,6 @@ def test_everything_white_is_overexposed_not_dark() -> None:
 
 
 @pytest.mark.parametrize("light", [(0.0,), (0.0, 0.5), (0.1, 1.0), (0.0, 0.6, 0.6, 1.0)])
-def test_a_response_that_is_none_is_refused(light: tuple[float, ...]) -> None:
+def test_a_response_that_does_not_rise_is_refused(light: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="rise from 0 to 1"):
         ProjectorResponse(light)

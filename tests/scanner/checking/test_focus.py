@@ -23,7 +23,7 @@ from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
         ({"camera_blur_px": 2.2}, "Focus the camera."),
     ],
 )
-def test_the_lens_that_is_out_of_focus_is_named(room: SimulatedRoom, blur: dict[str, float], advice: str) -> None:
+def test_the_defocused_lens_is_named(room: SimulatedRoom, blur: dict[str, float], advice: str) -> None:
     report = check_rig(rig_in(changed(room, exposure_us=PERIOD_US, **blur)), config(), Terminal(quiet=True))
     found = row(report, "focus")
     assert found.state == State.POOR
@@ -31,7 +31,7 @@ def test_the_lens_that_is_out_of_focus_is_named(room: SimulatedRoom, blur: dict[
 
 
 def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bool = False) -> BlurSamples:
-    """Blurs in the pixels of either device, seen on three slanted faces or (`even`) on one that faces both."""
+    """Blurs in the pixels of either device, on three oblique faces or (`even`) on one that faces both."""
     rng = np.random.default_rng(5)
     where = rng.uniform(0, 1, (200, 2))
     span = np.full(200, 1.3) if even else 1.0 + 0.3 * (where[:, 0] > 0.5) + 0.3 * (rng.random(200) > 0.5)
@@ -48,14 +48,14 @@ def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> No
     assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
 
 
-def test_the_lens_that_seems_to_be_the_one_is_named_with_care() -> None:
+def test_a_probably_defocused_lens_is_named_as_probable() -> None:
     samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.state == State.POOR
     assert found.advice.startswith("Focus the projector, which seems to be the one")
 
 
-def test_what_cannot_be_told_is_not_told() -> None:
+def test_undecidable_blur_is_not_attributed() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
     found = focus_row(samples, tell_apart(samples), 6.7)
     assert found.state == State.POOR
@@ -73,7 +73,7 @@ def test_advice(projector: float, camera: float, advice: str) -> None:
     assert (found.state == State.OK) == (advice == "")
 
 
-def test_a_camera_of_coarse_pixels_is_not_told_to_focus() -> None:
+def test_a_coarse_camera_gets_no_focus_advice() -> None:
     samples = samples_of(0.3, 0.5)
     coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
     found = focus_row(coarse, tell_apart(coarse), 6.7)
@@ -85,14 +85,14 @@ def vars_of(samples: BlurSamples) -> tuple[Floats, Floats, float]:
     return samples.where, samples.doubt2, samples.lost
 
 
-def test_the_part_of_the_image_that_is_worst_is_named() -> None:
+def test_the_most_blurred_part_of_the_image_is_named() -> None:
     samples = samples_of(0.5, 0.5)
     tilted = samples.blur2 + 3.0 * ((samples.where[:, 0] > 0.6) & (samples.where[:, 1] > 0.6))
     found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), tell_apart(samples), 6.7)
     assert "in the lower right part of the image" in found.finding
 
 
-def test_stripes_that_are_gone_everywhere() -> None:
+def test_stripes_blurred_away_everywhere_are_reported() -> None:
     none = np.zeros(0)
     found = focus_row(BlurSamples(none, none, np.zeros((0, 2)), none, 1.0), None, 6.7)
     assert found.state == State.FAILED

@@ -1,4 +1,4 @@
-"""A measured response makes fringes true sines: what gamma had bent is straight, and the recording means the same."""
+"""A measured response makes fringes true sines without changing the meaning of the recording."""
 
 from typing import cast
 
@@ -22,7 +22,7 @@ PERIOD_PX = PRESETS["quick"].periods[0]
 
 
 def ripple_px(room: SimulatedRoom, response: ProjectorResponse | None) -> float:
-    """Amplitude of the error of x at four times the fringe's frequency, where it does not depend on the scene."""
+    """Amplitude of the error of x at four times the frequency of the fringe, where it does not depend on the scene."""
     stream = capture(rig_in(room), QUICK, response=response)
     decoder = Decoder(stream.patterns, PROJECTOR)
     for _, frame in stream.frames:
@@ -61,7 +61,7 @@ def test_a_compensated_fringe_is_a_sine_of_light() -> None:
     assert np.abs(bent - wanted).max() > 0.15
 
 
-def test_recordings_mean_the_same_and_tell_what_was_done(room: SimulatedRoom) -> None:
+def test_recordings_state_the_compensation(room: SimulatedRoom) -> None:
     stream = capture(rig_in(room), QUICK, response=ProjectorResponse((0.0, 0.3, 1.0)))
     assert stream.patterns == QUICK
     devices = cast(dict[str, str], stream.metadata["devices"])

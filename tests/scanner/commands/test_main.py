@@ -1,4 +1,4 @@
-"""The command line: arguments in, exit code and messages out. What it calls is replaced where it would take long."""
+"""The command line: arguments in, exit code and messages out. Slow functions are replaced."""
 
 import subprocess
 import sys
@@ -256,7 +256,7 @@ def test_everything_is_checked_before_the_capture(
 
 
 @pytest.mark.parametrize("command", ["patterns", "import", "replay"])
-def test_what_exists_is_replaced_only_by_commands_that_can(
+def test_only_commands_with_overwrite_replace_results(
     tmp_path: Path, config: Path, capture_folder: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     more = ["--config", config] if command == "patterns" else [capture_folder]
@@ -267,7 +267,7 @@ def test_what_exists_is_replaced_only_by_commands_that_can(
 
 
 @pytest.mark.parametrize(("section", "words"), [("rig", "'rig'"), ("projector", "'projector")])
-def test_what_a_scan_needs_is_asked_for(
+def test_missing_settings_of_a_scan_are_named(
     tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str], section: str, words: str
 ) -> None:
     config.write_text("".join(line for line in CONFIG.splitlines(keepends=True) if not line.startswith(section)))
@@ -287,8 +287,8 @@ def test_the_module_is_the_command() -> None:
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["replay", "--help"], ["--confg", "room.yaml"], ["replay", "--bogus"]]
 )
-def test_help_and_slips_of_the_pen_load_nothing_heavy(arguments: list[str]) -> None:
-    """They answer at once (benchmarks/bench_startup.py measures it)."""
+def test_help_and_typing_errors_load_nothing_heavy(arguments: list[str]) -> None:
+    """They respond at once (benchmarks/bench_startup.py measures it)."""
     program = (
         "import sys; from scanner.commands.main import main\n"
         f"try: main({arguments!r})\nexcept SystemExit: pass\n"

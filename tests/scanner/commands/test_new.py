@@ -1,4 +1,4 @@
-"""`scan new`: configurations that explain themselves, for every rig, with what was found filled in."""
+"""`scan new`: commented configurations for every rig, with the found devices filled in."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,14 +32,14 @@ def no_devices(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_cameras(monkeypatch: pytest.MonkeyPatch, list_cameras: Callable[[], object]) -> None:
-    """Every backend finds these."""
+    """Every backend finds these cameras."""
     driver = SimpleNamespace(list_cameras=list_cameras)
     monkeypatch.setattr(new, "BACKENDS", [replace(each, load=lambda: driver) for each in BACKENDS])
 
 
 @pytest.mark.usefixtures("no_devices")
 @pytest.mark.parametrize("rig", RIGS)
-def test_it_can_be_used_as_it_is(
+def test_the_new_configuration_is_usable_unchanged(
     rig: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -56,7 +56,7 @@ def test_it_can_be_used_as_it_is(
     assert config.required_rig.backend == (RIGS[rig].backend or "simulated")
 
 
-def test_what_was_found_is_filled_in(
+def test_found_devices_are_filled_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = ("backend: aravis", 'camera: "Maker-22345678"', "pixel_format: Mono8")
@@ -93,6 +93,6 @@ def test_an_earlier_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "expected a name that ends with .yaml" in capsys.readouterr().err
 
 
-def test_what_is_shipped_is_what_is_in_the_checkout() -> None:
+def test_shipped_configurations_match_the_checkout() -> None:
     for rig in RIGS.values():
         assert (EXAMPLES / rig.example).samefile(ROOT / "configs" / rig.example)

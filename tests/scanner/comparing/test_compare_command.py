@@ -36,7 +36,7 @@ def folder(case: Before, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_covariance_comes_back_with_what_goes_with_the_length(case: Before, folder: Path) -> None:
+def test_a_covariance_reads_back_with_the_scale_correlations(case: Before, folder: Path) -> None:
     file = folder / "boards" / "calibration.yaml"
     read = read_uncertainty(file, read_calibration(file))
     told = case.known.uncertainty
@@ -71,7 +71,7 @@ def test_boards_and_a_capture_are_calibrated_together(case: Before, folder: Path
         ("matches.npz boards --set camera.width=640", "expected: what is calibrated together comes from one"),
     ],
 )
-def test_what_cannot_be_joined_is_told(
+def test_sources_that_cannot_be_joined_are_refused(
     given: str, told: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
@@ -97,7 +97,9 @@ def test_two_calibrations_are_compared(folder: Path, capsys: pytest.CaptureFixtu
     assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 2
 
 
-def test_a_difference_is_told_with_where_it_is(case: Before, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_difference_is_reported_with_its_location(
+    case: Before, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     focal = 1.01 * case.truth.projector.focal_px[0]
     zoomed = replace(case.truth, projector=replace(case.truth.projector, focal_px=(focal, focal)))
     write_calibration(folder / "zoomed.yaml", zoomed)
@@ -108,7 +110,7 @@ def test_a_difference_is_told_with_where_it_is(case: Before, folder: Path, capsy
     free = replace(zoomed, translation=zoomed.translation / zoomed.baseline, unit="baseline")
     write_calibration(folder / "free.yaml", free)
     assert main(["compare", str(folder / "free.yaml"), str(folder / "boards")]) == 0
-    assert "No length is known to both" in " ".join(capsys.readouterr().out.split())
+    assert "They share no known length" in " ".join(capsys.readouterr().out.split())
     assert main(["compare", str(folder / "free.yaml"), str(folder / "truth.yaml")]) == 0
     assert "Neither has a covariance" in " ".join(capsys.readouterr().out.split())
 
@@ -123,7 +125,7 @@ def test_a_difference_is_told_with_where_it_is(case: Before, folder: Path, capsy
         ("boards other.yaml", "these are two rigs"),
     ],
 )
-def test_what_cannot_be_compared_is_told(
+def test_calibrations_that_cannot_be_compared_are_refused(
     arguments: str,
     told: str,
     case: Before,

@@ -1,4 +1,4 @@
-"""Single keys of a configuration are changed; whatever else a person has written there stays."""
+"""Single keys of a configuration are changed; everything else in the file stays."""
 
 import os
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ def test_only_the_key_changes(case: Case) -> None:
         "base: &b {exposure_us: 3}\nrig:\n  exposure_us: *c\n",
     ],
 )
-def test_what_cannot_be_changed_safely_is_refused_with_the_line_to_write(text: str) -> None:
+def test_an_unsafe_edit_is_refused_with_the_line_to_write(text: str) -> None:
     with pytest.raises(InputError):
         with_key(text, "rig.exposure_us", 5.5, "room.yaml")
 
@@ -76,9 +76,7 @@ VALUES = st.recursive(
 
 @settings(max_examples=60)
 @given(st.dictionaries(KEYS, VALUES, min_size=1, max_size=4), st.booleans(), st.booleans())
-def test_whatever_the_file_is_like_it_means_the_same_but_for_the_key(
-    section: dict[str, object], flow: bool, there: bool
-) -> None:
+def test_an_edit_changes_only_its_key_in_any_file(section: dict[str, object], flow: bool, there: bool) -> None:
     data: dict[str, Any] = {"one": 1, "rig": section | ({"exposure_us": 1} if there else {}), "two": [2, {"three": 3}]}
     parts = [yaml.safe_dump({key: value}, default_flow_style=False, allow_unicode=True) for key, value in data.items()]
     if flow:
@@ -109,7 +107,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_file_is_changed_and_kept_as_it_was(path: Path) -> None:
+def test_the_file_is_edited_and_its_original_kept(path: Path) -> None:
     path.chmod(0o640)
     backup = set_keys(path, {"rig.exposure_us": 33333.3, "projector.response": [0.0, 0.4, 1.0]})
     assert backup.read_text() == CONFIG
@@ -125,7 +123,7 @@ def test_the_file_is_changed_and_kept_as_it_was(path: Path) -> None:
     assert backup.read_text() == CONFIG
 
 
-def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:
+def test_a_symbolic_link_is_kept(path: Path, tmp_path: Path) -> None:
     link = tmp_path / "link.yaml"
     link.symlink_to(path)
     set_keys(link, {"rig.exposure_us": 5.0})
@@ -133,7 +131,7 @@ def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:
     assert load_config(path).rig.exposure_us == 5.0
 
 
-def test_a_mark_at_the_start_and_carriage_returns_stay(path: Path) -> None:
+def test_byte_order_mark_and_carriage_returns_are_kept(path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbf" + CONFIG.replace("\n", "\r\n").encode())
     set_keys(path, {"rig.exposure_us": 5.0})
     data = path.read_bytes()
@@ -142,7 +140,7 @@ def test_a_mark_at_the_start_and_carriage_returns_stay(path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [-1.0, "soon"])
-def test_a_configuration_that_would_be_wrong_is_not_written(path: Path, value: object) -> None:
+def test_an_edit_that_makes_the_configuration_invalid_is_not_written(path: Path, value: object) -> None:
     with pytest.raises(InputError, match="exposure_us"):
         set_keys(path, {"rig.exposure_us": value})
     assert path.read_text() == CONFIG
@@ -150,10 +148,10 @@ def test_a_configuration_that_would_be_wrong_is_not_written(path: Path, value: o
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_may_not_be_written_to(path: Path) -> None:
+def test_a_read_only_folder_is_reported(path: Path) -> None:
     path.parent.chmod(0o500)
     try:
-        with pytest.raises(InputError, match="as it was"):
+        with pytest.raises(InputError, match="it is unchanged"):
             set_keys(path, {"rig.exposure_us": 5.0})
     finally:
         path.parent.chmod(0o700)

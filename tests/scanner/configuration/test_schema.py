@@ -41,7 +41,7 @@ def test_without_a_configuration_the_principal_point_is_near_the_centre() -> Non
     assert point.sigma_px == 30
 
 
-def test_a_prior_has_the_sigma_that_is_given(tmp_path: Path) -> None:
+def test_a_prior_has_the_given_sigma(tmp_path: Path) -> None:
     config = load(tmp_path, "camera: {principal_point: {prior: centre, sigma_px: 70}}")
     assert config.principal_point(Size(1000, 500)).sigma_px == 70
 
@@ -87,7 +87,7 @@ def test_earlier_results_are_beside_the_configuration(tmp_path: Path) -> None:
     assert load_config(None, ["earlier=[one]"]).earlier == (Path("one"),)
 
 
-def test_an_override_can_take_a_section_away(tmp_path: Path) -> None:
+def test_an_override_can_remove_a_section(tmp_path: Path) -> None:
     assert load(tmp_path, "scale: {baseline_m: 1}", "scale=null").scale is None
 
 
@@ -100,7 +100,7 @@ def test_every_key_is_described() -> None:
 
 @dataclass(frozen=True)
 class Wrong:
-    """A configuration, and words that the message about it must have."""
+    """A configuration, and words of the expected message."""
 
     text: str
     words: tuple[str, ...]
@@ -191,7 +191,7 @@ def test_all_wrong_keys_are_named_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", "."])
-def test_a_file_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"no such file|is a folder"):
         load_config(tmp_path / name)
 
@@ -201,7 +201,7 @@ def test_a_huge_file_is_refused(tmp_path: Path) -> None:
         load(tmp_path, "#" * 5_000_000)
 
 
-def test_what_a_command_needs_is_asked_for_by_name() -> None:
+def test_missing_keys_of_a_command_are_named() -> None:
     config = load_config(None)
     for ask, words in (
         (lambda: config.required_rig, "'rig'"),
@@ -239,7 +239,7 @@ def test_a_known_principal_point_must_fit_the_images(tmp_path: Path, size: Size,
         },
     )
 )
-def test_what_is_written_is_what_is_read(tmp_path_factory: pytest.TempPathFactory, settings: dict[str, Any]) -> None:
+def test_configurations_read_back_the_same(tmp_path_factory: pytest.TempPathFactory, settings: dict[str, Any]) -> None:
     path = tmp_path_factory.getbasetemp() / "written.yaml"
     path.write_text(yaml.safe_dump(settings))
     read = load_config(path)

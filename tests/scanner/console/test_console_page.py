@@ -1,4 +1,4 @@
-"""`scan console` in a real browser, with a simulated rig that is small enough for a test."""
+"""`scan console` in a real browser, with a small simulated rig."""
 
 import re
 import time
@@ -24,7 +24,7 @@ LONG = CONFIG.replace("quick", f"standard, shifts: 64, exposures_us: {list(range
 
 @dataclass
 class Console:
-    """A console, its page, and the folder where it runs."""
+    """A console, its page, and its working folder."""
 
     folder: Path
     served: Served
@@ -103,7 +103,7 @@ def test_a_cancelled_scan_keeps_what_was_captured(console: Console) -> None:
     assert not (console.folder / "scans" / "room-2").exists()
 
 
-def test_a_message_instead_of_a_traceback(console: Console) -> None:
+def test_errors_give_a_message_instead_of_a_traceback(console: Console) -> None:
     visit = console.visit
     console.config.write_text(CONFIG.replace("furniture", "furnitur"))
     visit.press("Live image")
@@ -112,7 +112,7 @@ def test_a_message_instead_of_a_traceback(console: Console) -> None:
     console.config.write_text(CONFIG)
 
 
-def test_the_check_tells_what_it_finds(console: Console) -> None:
+def test_the_check_shows_its_findings(console: Console) -> None:
     visit = console.visit
     visit.press("Check")
     visit.wait_for("Checking")
@@ -128,7 +128,7 @@ def test_the_check_tells_what_it_finds(console: Console) -> None:
     assert console.config.read_text() == CONFIG.replace("ambient: 0}", f"ambient: 0, exposure_us: {exposure_us}}}")
 
 
-def test_a_refused_capture_made_elsewhere_appears_and_says_why(console: Console) -> None:
+def test_a_refused_capture_of_another_program_appears_with_its_reason(console: Console) -> None:
     visit, folder = console.visit, console.folder / "scans" / "from-elsewhere"
     assert (
         main(["--config", str(console.config), "--out", str(folder), "--set", "rig.exposure_us=1000", "--quiet"]) == 4
@@ -160,7 +160,7 @@ def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
     visit.wait_for("Result: room")
 
 
-def test_two_results_are_set_beside_each_other(console: Console) -> None:
+def test_two_results_are_compared_side_by_side(console: Console) -> None:
     visit, folder = console.visit, console.folder / "scans" / "other"
     assert main(["--config", str(console.config), "--out", str(folder), "--quiet"]) == 0
     visit.press("History")
@@ -175,7 +175,7 @@ def test_two_results_are_set_beside_each_other(console: Console) -> None:
     visit.wait_for("in sigmas")
 
 
-def test_the_configuration_is_checked_as_it_is_typed(console: Console) -> None:
+def test_the_configuration_is_checked_while_typing(console: Console) -> None:
     visit, before = console.visit, console.config.read_text()
     visit.press("Capture")
     visit.page.get_by_text("Configuration", exact=True).click()
@@ -187,7 +187,7 @@ def test_the_configuration_is_checked_as_it_is_typed(console: Console) -> None:
     field.fill(before + "# a word on it\n")
     visit.wait_for("This can be saved.")
     visit.press("Save")
-    visit.wait_for("The file as it was at first is")
+    visit.wait_for("The original file is")
     assert console.config.read_text() == before + "# a word on it\n"
     console.config.write_text(before)
     expect(field).to_have_value(before, timeout=PATIENCE_MS)
@@ -206,13 +206,13 @@ def test_several_captures_with_a_sound_and_the_way_to_the_next(console: Console)
     visit.set_number("Captures", "1")
 
 
-def test_it_is_readable_and_keeps_to_itself(console: Console) -> None:
+def test_the_page_is_readable_and_loads_nothing_external(console: Console) -> None:
     assert console.visit.small_texts() == []
     assert console.visit.complaints == []
     assert console.visit.foreign == []
 
 
-def test_ctrl_c_ends_it_and_keeps_a_running_capture(console: Console) -> None:
+def test_ctrl_c_ends_the_program_and_keeps_a_running_capture(console: Console) -> None:
     console.config.write_text(LONG)
     console.visit.press("Scan")
     until(lambda: any(console.folder.glob("scans/.room*/capture/frames/003.png")))
@@ -222,7 +222,7 @@ def test_ctrl_c_ends_it_and_keeps_a_running_capture(console: Console) -> None:
     assert "Traceback" not in said
 
 
-def test_what_is_missing_is_said_before_there_is_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_settings_are_named_before_the_page_opens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "room.yaml").write_text("rig: {backend: simulated}\n")
     assert main(["console", "--config", str(tmp_path / "room.yaml"), "--no-browser"]) == 2
     assert "give the size of its image" in capsys.readouterr().err

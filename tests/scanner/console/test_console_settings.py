@@ -1,4 +1,4 @@
-"""What is set on the page, over what the file says."""
+"""Settings of the page override the configuration file."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ from scanner.patterns.pattern import sequence_for
 CONFIG = "rig: {backend: aravis, exposure_us: 1000}\ncamera: {width: 32, height: 24}\n"
 
 
-def test_the_page_comes_after_the_command_line_comes_after_the_file(tmp_path: Path) -> None:
+def test_the_page_overrides_the_command_line_and_the_file(tmp_path: Path) -> None:
     path = tmp_path / "room.yaml"
     path.write_text(CONFIG)
     assert Settings(path).load().required_rig.exposure_us == 1000
@@ -34,13 +34,13 @@ def test_an_impossible_exposure_is_refused_as_in_the_file(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("picture", "levels"), [(Picture.WHITE, {255}), (Picture.BLACK, {0})])
-def test_plain_pictures(picture: Picture, levels: set[int]) -> None:
+def test_plain_pictures_are_offered(picture: Picture, levels: set[int]) -> None:
     image = drawn(picture, sequence_for((64, 48), cell=8, shifts=3), (64, 48))
     assert image.shape == (48, 64)
     assert set(np.unique(image)) == levels
 
 
-def test_stripes_are_there_with_and_without_fringes() -> None:
+def test_stripes_are_offered_with_and_without_fringes() -> None:
     for shifts in (0, 3):
         image = drawn(Picture.STRIPES, sequence_for((64, 48), cell=8, shifts=shifts), (64, 48))
         assert image.max() > 200

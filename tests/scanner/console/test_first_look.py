@@ -1,4 +1,4 @@
-"""The cloud that the page shows before the result is saved."""
+"""The preview of the cloud before the result is saved."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_it_is_some_of_what_is_saved(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_preview_is_a_part_of_the_saved_cloud(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEFAULT_SHOWN", 5000)
     looks: list[tuple[ViewedCloud, int, bool]] = []
 
@@ -46,9 +46,9 @@ def test_it_is_some_of_what_is_saved(config: Path, monkeypatch: pytest.MonkeyPat
     assert some.unit == rig.calibration.unit
 
 
-def test_the_page_is_told_once_and_before_the_result(config: Path) -> None:
+def test_the_page_gets_the_preview_once_and_before_the_result(config: Path) -> None:
     class Broken(Notebook):
-        """A page that can show results, and no clouds before."""
+        """A page that shows results, but fails on previews."""
 
         def on_cloud(self, scan: Scan) -> None:
             assert not self.results

@@ -1,4 +1,4 @@
-"""Live clouds in a real browser: on a page of their own, and as a part of the console."""
+"""Live clouds in a real browser: on their own page, and in the console."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_the_newest_cloud_is_shown_and_kept(browser: Browser, folder: Path, live
     assert len(read_matches(folder / "scans/room-live/captures/1/matches.npz")) > 5000
 
 
-def test_the_console_shows_them_and_cancel_ends_them(browser: Browser, folder: Path) -> None:
+def test_the_console_shows_live_clouds_and_cancel_ends_them(browser: Browser, folder: Path) -> None:
     with (
         Served(folder, "console", "--config", "room.yaml", "--calibration", "true.yaml") as served,
         visiting(browser, served.address) as visit,
@@ -72,7 +72,7 @@ def test_the_console_shows_them_and_cancel_ends_them(browser: Browser, folder: P
         assert not list(folder.glob("scans/*live-2*"))
 
 
-def test_the_console_says_that_it_needs_a_calibration(browser: Browser, folder: Path) -> None:
+def test_the_console_asks_for_a_calibration(browser: Browser, folder: Path) -> None:
     with Served(folder, "console", "--config", "room.yaml") as served, visiting(browser, served.address) as visit:
         visit.wait_for("Exposed for")
         visit.press("Live clouds")

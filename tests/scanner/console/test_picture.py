@@ -1,4 +1,4 @@
-"""A frame for the eye: what is clipped, how bright it is, and that the picture shows it."""
+"""Frames for display: clipping, brightness, and the reduced picture."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_one_clipped_channel_is_enough() -> None:
     assert clipped_pixels(image, 255).sum() == 1
 
 
-def test_how_it_is_exposed() -> None:
+def test_the_exposure_is_judged() -> None:
     image = grey(10, 10, 51)
     image[:1], image[-2:] = 255, 0
     found = exposed(image, 255)
@@ -45,7 +45,7 @@ def test_a_histogram_counts_every_pixel_once(image: np.ndarray) -> None:
     assert np.sum(levels * counts) / image.size == pytest.approx(100 * (image.mean() + 0.5) / 256, abs=100 / 128)
 
 
-def test_the_picture_is_reduced_and_keeps_a_single_clipped_pixel() -> None:
+def test_the_reduced_picture_keeps_a_single_clipped_pixel() -> None:
     image = grey(1024, 1224)
     image[700, 801] = 255
     marked = shown(image, 255, mark_clipped=True)
@@ -61,7 +61,7 @@ def test_brightness_is_a_share_of_the_range(level: int) -> None:
     assert abs(int(picture[0, 0, 0]) - 255 * level / 4095) <= 0.5 + 1e-3
 
 
-def test_colours_come_out_red_first() -> None:
+def test_colours_are_returned_as_rgb() -> None:
     image = np.zeros((4, 4, 3), np.uint8)
     image[..., 0] = 200  # blue, in OpenCV's order
     assert tuple(shown(image, 255, mark_clipped=False)[0, 0]) == (0, 0, 200)

@@ -1,4 +1,4 @@
-"""`scan view` in a real browser, on a result in which everything is known."""
+"""`scan view` in a real browser, on a result with ground truth."""
 
 import re
 from collections.abc import Iterator
@@ -40,19 +40,19 @@ def visit(served: Served, browser: Browser) -> Iterator[Visit]:
         yield visit
 
 
-def test_everything_about_the_result_is_there(visit: Visit) -> None:
+def test_the_page_shows_everything_about_the_result(visit: Visit) -> None:
     for text in (
         "Angle A–B: ",
         "Face A: flat to",
         "focal length, px",
         "Between them",
         "showing all",
-        "does not say how far",
+        "does not state its verdict",
     ):
         visit.wait_for(text)
 
 
-def test_the_cloud_is_in_the_picture_and_can_be_hidden(visit: Visit) -> None:
+def test_the_cloud_is_shown_and_can_be_hidden(visit: Visit) -> None:
     visit.page.wait_for_function("document.querySelector('canvas') !== null")
     visit.page.wait_for_timeout(1000)
     with_everything = visit.colours_in_scene()
@@ -101,7 +101,7 @@ def test_two_clicks_measure_a_distance(visit: Visit) -> None:
     visit.wait_for("Click on a point of the cloud")
 
 
-def test_a_part_is_cut_out_and_downloaded(visit: Visit) -> None:
+def test_a_crop_is_downloaded(visit: Visit) -> None:
     visit.page.get_by_text("Cut out a part").click()
     visit.set_number("From face A, mm", "100")
     visit.wait_for(" in all.")
@@ -120,7 +120,7 @@ def test_the_report_is_one_click_away(visit: Visit, served: Served) -> None:
     opened.value.close()
 
 
-def test_it_is_dark_where_the_browser_is_and_fits_800_pixels(browser: Browser, served: Served) -> None:
+def test_the_page_follows_dark_mode_and_fits_800_pixels(browser: Browser, served: Served) -> None:
     page = browser.new_page(viewport={"width": 800, "height": 700}, color_scheme="dark")
     page.goto(served.address)
     page.get_by_text("Points, %").wait_for()
@@ -132,18 +132,18 @@ def test_it_is_dark_where_the_browser_is_and_fits_800_pixels(browser: Browser, s
     page.close()
 
 
-def test_it_is_readable_and_keeps_to_itself(visit: Visit) -> None:
+def test_the_page_is_readable_and_loads_nothing_external(visit: Visit) -> None:
     assert visit.small_texts() == []
     assert visit.complaints == []
     assert visit.foreign == []
 
 
-def test_ctrl_c_ends_it(served: Served, visit: Visit) -> None:
+def test_ctrl_c_ends_the_program(served: Served, visit: Visit) -> None:
     code, said = served.interrupt()
     assert code == 130
     assert "Traceback" not in said
 
 
-def test_a_folder_that_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_no_result_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(tmp_path), "--no-browser"]) == 2
     assert "expected a result folder" in capsys.readouterr().err

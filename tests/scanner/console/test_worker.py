@@ -29,7 +29,7 @@ CONFIG = "rig: {backend: simulated}\ncamera: {width: 32, height: 24}\nprojector:
 
 
 class Wall:
-    """A projector and a camera that sees a share of what is shown, until `fails_after` frames were taken."""
+    """A projector, and a camera that sees a share of its light, until `fails_after` frames were taken."""
 
     size = SIZE
     highest_level = 255
@@ -103,7 +103,7 @@ def worker(wall: Wall, page: Notebook, tmp_path: Path, monkeypatch: pytest.Monke
     assert wall.open == 0
 
 
-def test_live_image_follows_the_settings_on_one_open_rig(worker: Worker, page: Notebook, wall: Wall) -> None:
+def test_the_live_image_follows_the_settings_on_one_open_rig(worker: Worker, page: Notebook, wall: Wall) -> None:
     assert worker.request(Activity.LIVE)
     until(lambda: page.frames)
     assert page.frames[-1].image.max() == 127
@@ -114,7 +114,7 @@ def test_live_image_follows_the_settings_on_one_open_rig(worker: Worker, page: N
     assert worker.status.activity is Activity.LIVE
 
 
-def test_a_gain_needs_the_rig_opened_anew(worker: Worker, page: Notebook, wall: Wall, tmp_path: Path) -> None:
+def test_a_new_gain_reopens_the_rig(worker: Worker, page: Notebook, wall: Wall, tmp_path: Path) -> None:
     (tmp_path / "wall.yaml").write_text(CONFIG.replace("simulated", "aravis"))
     worker.request(Activity.LIVE)
     until(lambda: page.frames)
@@ -122,7 +122,7 @@ def test_a_gain_needs_the_rig_opened_anew(worker: Worker, page: Notebook, wall: 
     until(lambda: wall.opened == 2 and wall.open == 1)
 
 
-def test_the_live_image_ends_when_asked_to(worker: Worker, page: Notebook, wall: Wall) -> None:
+def test_the_live_image_stops_on_request(worker: Worker, page: Notebook, wall: Wall) -> None:
     worker.request(Activity.LIVE)
     until(lambda: page.frames)
     assert worker.request(Activity.NOTHING)
@@ -130,7 +130,7 @@ def test_the_live_image_ends_when_asked_to(worker: Worker, page: Notebook, wall:
     until(lambda: wall.open == 0)
 
 
-def test_a_device_that_fails_is_a_message(worker: Worker, page: Notebook, wall: Wall) -> None:
+def test_a_device_failure_gives_a_message(worker: Worker, page: Notebook, wall: Wall) -> None:
     wall.fails_after = 3
     worker.request(Activity.LIVE)
     until(lambda: worker.status.message)
@@ -159,7 +159,9 @@ def test_a_scan_that_is_cancelled_keeps_its_frames(worker: Worker, page: Noteboo
     assert any(status.cancelling for status in page.statuses)
 
 
-def test_a_refused_scan_says_why_and_where_the_matches_are(worker: Worker, page: Notebook, tmp_path: Path) -> None:
+def test_a_refused_scan_gives_the_reason_and_the_path_of_the_matches(
+    worker: Worker, page: Notebook, tmp_path: Path
+) -> None:
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.message)
     assert worker.status.message.startswith("no trustworthy calibration: ")
@@ -185,7 +187,7 @@ def test_lost_frames_are_skipped_and_counted(worker: Worker, page: Notebook, wal
     assert wall.opened == 1
 
 
-def test_a_scan_has_the_name_that_was_typed(worker: Worker, page: Notebook, tmp_path: Path) -> None:
+def test_a_scan_gets_the_typed_name(worker: Worker, page: Notebook, tmp_path: Path) -> None:
     worker.change(name=plain_name(" north wall/../2 "))
     for number, expected in enumerate(("north-wall-..-2", "north-wall-..-2-2"), start=1):
         until(lambda: worker.request(Activity.SCANNING))
@@ -194,7 +196,7 @@ def test_a_scan_has_the_name_that_was_typed(worker: Worker, page: Notebook, tmp_
         assert page.results[-1] == Path("scans", expected)
 
 
-def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_bug_gives_a_message_with_a_file(worker: Worker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("division by zero")
 
@@ -208,9 +210,7 @@ def test_a_bug_is_a_message_with_a_file(worker: Worker, monkeypatch: pytest.Monk
     assert "Traceback" in log.read_text()
 
 
-def test_between_captures_the_operator_is_told_and_asked(
-    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path
-) -> None:
+def test_between_captures_the_operator_is_asked(worker: Worker, page: Notebook, wall: Wall, tmp_path: Path) -> None:
     (tmp_path / "wall.yaml").write_text(CONFIG.replace("simulated", "aravis"))
     worker.change(captures=3)
     worker.request(Activity.SCANNING)
@@ -238,7 +238,7 @@ def test_a_question_ends_with_the_scan(worker: Worker, wall: Wall, tmp_path: Pat
     assert (tmp_path / "scans/wall-incomplete/capture").is_dir()
 
 
-def test_closing_cancels_and_tells_how_it_ended(worker: Worker, tmp_path: Path) -> None:
+def test_closing_cancels_and_reports_the_outcome(worker: Worker, tmp_path: Path) -> None:
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.stage and worker.status.stage.done >= 2)
     assert "scans/wall-incomplete/capture" in worker.close().message
@@ -274,7 +274,7 @@ def test_progress_shows_frames_and_stops_between_them() -> None:
         pytest.fail("a step began after it was cancelled")
 
 
-def test_how_long_it_takes_is_told_by_the_last_time(tmp_path: Path) -> None:
+def test_the_remaining_time_is_estimated_from_the_last_run(tmp_path: Path) -> None:
     log = tmp_path / "scan.log"
     log.write_text(
         "2026-01-02 03:04:05,100 INFO scanner.ui.terminal: Capturing and decoding: 23\n"
@@ -292,7 +292,7 @@ def test_how_long_it_takes_is_told_by_the_last_time(tmp_path: Path) -> None:
     assert Stage("Calibrating", began_s=100.0).left_s(110.0) is None
 
 
-def test_the_sound_is_one() -> None:
+def test_the_sound_is_valid() -> None:
     with wave.open(BytesIO(base64.b64decode(chime().partition(",")[2]))) as sound:
         samples = np.frombuffer(sound.readframes(sound.getnframes()), "<i2")
         assert 0.2 < sound.getnframes() / sound.getframerate() < 0.5

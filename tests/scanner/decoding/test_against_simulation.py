@@ -113,7 +113,7 @@ def test_share_of_the_lit_pixels_that_is_kept(results: dict[PresetName, Scanned]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_sigma_is_the_error(results: dict[PresetName, Scanned], preset: PresetName) -> None:
+def test_sigmas_match_the_errors(results: dict[PresetName, Scanned], preset: PresetName) -> None:
     assert 0.8 < np.std(results[preset].error_in_sigmas) < 1.25
 
 

@@ -10,7 +10,7 @@ from scanner.patterns import PRESETS
 HEIGHT, LIT_ROWS, AMPLITUDE, AMBIENT, BANDS = 200, np.arange(40, 160), 50.0, 30.0, 0.15
 
 
-def test_there_are_no_fringes_where_only_bands_are() -> None:
+def test_bands_beyond_the_picture_give_no_fringes() -> None:
     fringe = plan_sequence(PRESETS["quick"].patterns((427, 240)), (427, 240)).fringes[0]
     steps, rows = np.arange(len(fringe.frames)), np.arange(HEIGHT)
     bands = 1 + BANDS * np.sin(2 * np.pi * (rows / 60 + 0.3 * steps[:, None] ** 2))

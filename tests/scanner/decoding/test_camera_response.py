@@ -80,7 +80,7 @@ def test_a_linear_camera_has_no_curve(patterns: Sequence[Pattern]) -> None:
     assert response_of(patterns, photographs(patterns, linear)) is None
 
 
-def test_what_else_makes_sums_differ_is_no_curve() -> None:
+def test_other_causes_of_unequal_sums_give_no_curve() -> None:
     frames = photographs(GRAY, linear)
     lamp = [np.minimum(frame + (0.2 * frames[0] if k > 11 else 0), 255) for k, frame in enumerate(frames)]
     flicker = 1 + 0.1 * np.random.default_rng(3).standard_normal(len(frames))
@@ -100,7 +100,7 @@ def test_blur_under_a_tone_curve_is_neither_motion_nor_light(patterns: Sequence[
 
 
 @pytest.mark.parametrize("curve", [srgb, steep])
-def test_light_that_is_switched_is_still_found(curve: Curve) -> None:
+def test_an_ambient_light_change_is_still_found(curve: Curve) -> None:
     light = replace(SCENE, ambient=SCENE.ambient + 25)
     before, after = (photographs(GRAY, curve, scene) for scene in (SCENE, light))
     decoding = decode(GRAY, [*before[:14], *after[14:]], SCENE.projector)
@@ -109,7 +109,7 @@ def test_light_that_is_switched_is_still_found(curve: Curve) -> None:
 
 
 @pytest.mark.parametrize("curve", [srgb, steep])
-def test_what_moves_is_still_found(curve: Curve) -> None:
+def test_moving_objects_are_still_found(curve: Curve) -> None:
     """A dark object covers part of the picture in some frames."""
     frames = photographs(GRAY, curve)
     for frame in frames[12:16]:
@@ -119,7 +119,7 @@ def test_what_moves_is_still_found(curve: Curve) -> None:
     assert np.mean(decoding.reasons[50:100, 70:100] == 0) < 0.2
 
 
-def test_frames_brighter_than_the_white_one_have_its_largest_light() -> None:
+def test_frames_brighter_than_white_are_clipped_to_white() -> None:
     response = CameraResponse(np.array([0.0, 0.25, 1.0]), top=100.0, saturation=np.inf)
     frame = np.array([[0, 25, 50], [75, 100, 130]], np.uint16)
     assert response.light_of(frame).tolist() == [[0, 128, 256], [639, 1023, 1023]]

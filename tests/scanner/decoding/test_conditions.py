@@ -48,7 +48,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_a_condition(case: Case) -> None:
+def test_expected_masks_and_warnings(case: Case) -> None:
     decoding = case.scene.decode(STANDARD)
     errors = np.abs(case.scene.errors(decoding))
     assert case.median[0] < np.median(errors) < case.median[1]
@@ -59,7 +59,7 @@ def test_a_condition(case: Case) -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("gamma", [1.0, 2.2, 3.0])
-def test_no_gamma_ripples_a_preset(preset: PresetName, gamma: float) -> None:
+def test_gamma_causes_no_ripple_in_any_preset(preset: PresetName, gamma: float) -> None:
     scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
     decoding = scene.decode(PRESETS[preset].patterns(SCENE.projector))
     for errors, coordinate in zip(scene.errors(decoding).T, decoding.matches.projector_px.T, strict=True):
@@ -90,7 +90,7 @@ def flickering(frames: Sequence[Image], seed: int) -> list[Image]:
 
 
 @pytest.mark.parametrize("gamma", [1.8, 2.2, 3.0])
-def test_three_shifts_are_straightened_without_knowing_the_gamma(gamma: float) -> None:
+def test_three_shifts_are_linearised_without_knowing_the_gamma(gamma: float) -> None:
     scene = replace(SCENE, gamma=gamma, read_noise=0.2, electrons_per_level=1000.0)
     decoding = scene.decode(sequence_for(SCENE.projector, periods=(16.0,), shifts=3))
     errors = scene.errors(decoding)[:, 0]
@@ -120,12 +120,12 @@ def test_saturated_pixels_are_masked_and_the_rest_stays_right() -> None:
 
 
 @pytest.mark.parametrize("bits", [10, 12, 16])
-def test_saturation_is_found_whatever_the_number_of_bits(bits: int) -> None:
+def test_saturation_is_found_at_any_bit_depth(bits: int) -> None:
     decoding = replace(SCENE, exposure=330.0, depth_bits=bits).decode(STANDARD)
     assert 0.4 < np.mean(decoding.reasons == MaskReason.SATURATED) < 0.95
 
 
-def test_what_is_too_dark_is_masked_not_guessed() -> None:
+def test_dark_pixels_are_masked_not_guessed() -> None:
     scene = dimmed(SCENE, 0.05)
     decoding = scene.decode(STANDARD)
     errors = np.abs(scene.errors(decoding)).max(axis=1)
@@ -158,7 +158,7 @@ def test_the_noise_is_measured() -> None:
             assert 0.75 < noise.sigma(np.array(level)) / true < 1.5
 
 
-def test_the_frames_are_not_changed_and_may_be_reused() -> None:
+def test_frames_are_not_modified() -> None:
     frames = SCENE.frames(STANDARD)
     before = [frame.copy() for frame in frames]
     whole = decode(STANDARD, frames, SCENE.projector)
@@ -175,7 +175,7 @@ def test_the_frames_are_not_changed_and_may_be_reused() -> None:
     assert np.array_equal(whole.matches.projector_px, again.matches.projector_px)
 
 
-def test_frames_that_are_too_dark_are_called_so() -> None:
+def test_dark_frames_are_reported_as_dark() -> None:
     """At a sixteenth of the light a few grey levels are left, which is the reason to report for any later failure."""
     assert SCENE.decode(STANDARD).darkness is None
     dark = replace(SCENE, exposure=SCENE.exposure / 16).decode(STANDARD).darkness
@@ -186,7 +186,7 @@ def test_frames_that_are_too_dark_are_called_so() -> None:
 
 @pytest.mark.parametrize("share", [0.01, 0.003, 0.0])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> None:
+def test_hardly_any_light_causes_no_crash(preset: PresetName, share: float) -> None:
     """Frames that are identical to the last level must not cause a division by zero."""
     scene = replace(SCENE, exposure=share * SCENE.exposure, ambient=0.0, read_noise=0.2)
     with pytest.raises(InputError, match=r"no pixel changes clearly .* is the projector on"):
@@ -194,7 +194,7 @@ def test_hardly_any_light_is_no_accident(preset: PresetName, share: float) -> No
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_frames_that_are_exposed_one_by_one_are_no_exchange(preset: PresetName) -> None:
+def test_individually_exposed_frames_are_not_taken_for_exchanged_ones(preset: PresetName) -> None:
     """White is exposed from a third up to fully, the pattern frames at random: none may be taken for an exchanged
     frame.
     """
@@ -210,7 +210,7 @@ def test_frames_that_are_exposed_one_by_one_are_no_exchange(preset: PresetName) 
 
 
 @pytest.mark.parametrize(("preset", "periods"), [("concave", 2), ("quick", 1)])
-def test_frames_that_software_has_moved_are_less_certain(preset: PresetName, periods: int) -> None:
+def test_digitally_shifted_frames_have_larger_sigmas(preset: PresetName, periods: int) -> None:
     """Interpolation shifts short fringes less than long ones; with one period this goes unnoticed."""
     scene = replace(SCENE, read_noise=0.2, electrons_per_level=1000.0, zoom=1.6)
     patterns = PRESETS[preset].patterns(SCENE.projector)

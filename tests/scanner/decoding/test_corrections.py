@@ -44,7 +44,7 @@ def seen(
 
 
 @pytest.mark.parametrize("sigma_px", [0.5, 0.8])
-def test_shading_is_taken_out(sigma_px: float) -> None:
+def test_shading_is_corrected(sigma_px: float) -> None:
     true, value, log_a = seen(sigma_px)
     usable = np.ones(value.shape, np.bool_)
     inner = np.s_[4:-4, 4:-4]
@@ -73,7 +73,7 @@ def measured(axes: list[list[tuple[Floats, Floats, Floats]]], noise_px: float = 
     return footprint_of(shaded, log_lit, np.ones(log_lit.shape, np.bool_), TILE, TYPICAL_PX2)
 
 
-def test_a_camera_that_shook_has_a_long_footprint() -> None:
+def test_camera_shake_elongates_the_footprint() -> None:
     slopes = (0.7, 0.2), (-0.15, 0.6)
     found = measured([[seen(0.5, seed, slope=slope, shaken_px=0.8) for seed in range(16)] for slope in slopes])
     lens, motion = 0.5**2, 0.8**2
@@ -83,7 +83,7 @@ def test_a_camera_that_shook_has_a_long_footprint() -> None:
     assert 0.8 * (lens + 2 * motion) < found.largest_px2 < 1.3 * (lens + 2 * motion)
 
 
-def test_a_camera_that_shook_is_told_though_few_patches_tell_most_of_it() -> None:
+def test_camera_shake_is_found_even_if_few_patches_dominate() -> None:
     slopes = (0.7, 0.2), (-0.15, 0.6)
     found = measured(
         [
@@ -94,7 +94,7 @@ def test_a_camera_that_shook_is_told_though_few_patches_tell_most_of_it() -> Non
     assert 0.7 * 0.8**2 < found.mixed_px2 < 1.4 * 0.8**2
 
 
-def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
+def test_a_plain_wall_gives_a_typical_footprint() -> None:
     rng = np.random.default_rng(0)
     shape = (8 * TILE, TILE)
     value = np.broadcast_to(0.7 * np.arange(TILE), shape) + rng.normal(0, 0.02, shape)
@@ -104,14 +104,14 @@ def test_of_a_plain_wall_the_footprint_is_a_typical_one() -> None:
     assert 0.15 < found.across_px2 < 0.25
 
 
-def test_what_is_seen_of_a_sharp_lens_counts_though_it_is_not_significant() -> None:
+def test_the_measured_footprint_of_a_sharp_lens_is_used_although_insignificant() -> None:
     found = measured([[seen(0.3, seed) for seed in range(4)]], noise_px=0.06)
     assert found.across_px2 == found.down_px2
     assert 0.03 < found.across_px2 < 0.17
 
 
 @pytest.mark.parametrize("first", range(0, 60, 20))
-def test_few_patches_that_tell_much_do_not_make_it_long(first: int) -> None:
+def test_few_dominant_patches_do_not_elongate_the_footprint(first: int) -> None:
     slopes = (0.7, 0.2), (-0.15, 0.6)
     found = measured(
         [
@@ -132,7 +132,7 @@ def test_nothing_is_corrected_beside_unusable_pixels() -> None:
     assert shift[18, 18] != 0
 
 
-def test_what_two_periods_disagree_by_is_found() -> None:
+def test_the_disagreement_of_two_periods_is_measured() -> None:
     rng = np.random.default_rng(0)
     shape = (96, 96)
     noise = [np.full(shape, sigma**2, np.float32) for sigma in (0.03, 0.02)]
@@ -144,7 +144,7 @@ def test_what_two_periods_disagree_by_is_found() -> None:
     assert np.all(short[:, 56:] < long[:, 56:])
 
 
-def test_longer_fringes_are_brought_to_the_mean_of_the_shortest() -> None:
+def test_longer_fringes_are_aligned_with_the_shortest() -> None:
     """Interreflection shifts them with the cube of their periods; they still reduce the noise."""
     rng = np.random.default_rng(0)
     periods, shape = (16.0, 9.0, 6.7), (96, 97)
@@ -174,7 +174,7 @@ def added(periods: tuple[float, ...], coordinates: list[Floats], noise: list[Flo
     return variances - np.stack(noise)
 
 
-def test_the_middle_one_of_three_periods_has_the_larger_of_two_errors() -> None:
+def test_the_middle_of_three_periods_gets_the_larger_of_two_errors() -> None:
     shape = (40, 41)
     offsets = [np.full(shape, offset, np.float32) for offset in (0.0, 0.1, 0.4)]
     long, middle, short = added((21.0, 20.0, 19.0), offsets, [np.zeros(shape, np.float32)] * 3)

@@ -50,7 +50,7 @@ def twice(patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
 
 
 @pytest.mark.parametrize(("bits", "colour"), [(8, False), (8, True), (12, False)])
-def test_two_exposures_see_what_neither_sees_alone(bits: int, colour: bool) -> None:
+def test_two_exposures_cover_pixels_that_neither_covers_alone(bits: int, colour: bool) -> None:
     scene = Scene(box_brightness=8.0, indirect=0.02, read_noise=2.0, depth_bits=bits, colour=colour)
     short, long = exposed(scene, 0.1), exposed(scene, 1.0)
     lit = scene.well_lit()
@@ -65,7 +65,7 @@ def test_two_exposures_see_what_neither_sees_alone(bits: int, colour: bool) -> N
     assert 0.7 < np.std(np.clip(scene.errors(merged) / merged.matches.sigma_px[:, None], -6, 6)) < 1.35
 
 
-def test_the_texture_is_that_of_the_shortest_exposure() -> None:
+def test_the_texture_is_from_the_shortest_exposure() -> None:
     scene = Scene()
     frames = bracketed(scene, (0.5, 2.0))
     merged = decoded(frames, twice(PATTERNS))
@@ -74,7 +74,7 @@ def test_the_texture_is_that_of_the_shortest_exposure() -> None:
     assert 0.01 < np.std(difference) < 4
 
 
-def test_the_order_of_the_exposures_is_free() -> None:
+def test_exposures_may_be_in_any_order() -> None:
     scene = Scene()
     up, down = (decoded(bracketed(scene, factors), twice(PATTERNS)) for factors in ((0.4, 2.0), (2.0, 0.4)))
     assert np.array_equal(up.matches.projector_px, down.matches.projector_px)
@@ -94,7 +94,7 @@ def test_exposures_that_do_not_fit_are_refused(exposures_us: tuple[float | None,
         decoded(list(zip(images, exposures_us * 2, strict=False)), twice(PATTERNS))
 
 
-def test_white_comes_first() -> None:
+def test_white_must_come_first() -> None:
     frames = bracketed(Scene(), (0.5, 2.0))
     with pytest.raises(InputError, match="white"):
         decoded([*frames[2:4], *frames[:2], *frames[4:]], twice((Black(), White(), *PATTERNS[2:])))
@@ -107,7 +107,7 @@ def test_all_patterns_have_one_exposure_if_the_first_has() -> None:
 
 
 @pytest.mark.parametrize("exposure_us", [None, 2000.0])
-def test_frames_that_were_exposed_alike_are_averaged(exposure_us: float | None) -> None:
+def test_frames_of_equal_exposure_are_averaged(exposure_us: float | None) -> None:
     scene = replace(Scene(read_noise=4.0), exposure=60.0)
     again = replace(scene, seed=2)
     order = [1, 0, *range(2, len(PATTERNS))]

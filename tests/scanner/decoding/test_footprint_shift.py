@@ -20,7 +20,9 @@ def unshaded() -> Floats32:
     st.tuples(*[st.floats(-0.2, 0.2)] * 3),
     st.builds(Footprint, st.floats(0.05, 0.7), st.floats(0.05, 0.7), st.floats(-0.04, 0.04)),
 )
-def test_what_a_bent_surface_is_off_by_is_taken_out(bends: tuple[float, float, float], footprint: Footprint) -> None:
+def test_the_footprint_error_of_a_curved_surface_is_corrected(
+    bends: tuple[float, float, float], footprint: Footprint
+) -> None:
     along_x, along_y, both = bends
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] - 20.0
     true = 100 + 2 * x - y + 0.5 * along_x * x**2 + 0.5 * along_y * y**2 + both * x * y
@@ -31,7 +33,7 @@ def test_what_a_bent_surface_is_off_by_is_taken_out(bends: tuple[float, float, f
     assert np.all(variance >= 1e-4)
 
 
-def test_noise_grows_by_as_much_as_is_said() -> None:
+def test_noise_grows_by_the_stated_amount() -> None:
     noise = np.random.default_rng(0).normal(0, 0.02, (400, 400)).astype(np.float32)
     value, variance = 5 + noise, np.full(noise.shape, 0.02**2, np.float32)
     correct_curvature_shift(value, variance, np.zeros_like(noise), np.ones(noise.shape, np.bool_), ROUND)
@@ -41,14 +43,14 @@ def test_noise_grows_by_as_much_as_is_said() -> None:
     assert np.median(variance) == pytest.approx(0.02**2 * gain, rel=0.01)
 
 
-def test_a_step_from_one_surface_to_another_is_no_bend() -> None:
+def test_a_depth_step_is_not_taken_for_curvature() -> None:
     true = np.where(np.arange(SHAPE[1]) < 20, 10, 30).astype(np.float32) * np.ones(SHAPE, np.float32)
     value = true.copy()
     correct_curvature_shift(value, np.full(SHAPE, 1e-4, np.float32), unshaded(), np.ones(SHAPE, np.bool_), ROUND)
     np.testing.assert_array_equal(value, true)
 
 
-def test_shading_at_the_rim_is_taken_from_beside_it() -> None:
+def test_shading_at_the_rim_is_extrapolated() -> None:
     surface = np.ones(SHAPE, np.bool_)
     surface[:, :10] = False
     shift = np.full(SHAPE, 0.05, np.float32)
@@ -91,7 +93,7 @@ def test_a_ball_keeps_its_shape() -> None:
     assert abs(np.mean((value - true)[ring])) < 0.5 * with_shading_alone
 
 
-def test_what_is_wanted_comes_out_as_in_the_whole() -> None:
+def test_a_tile_gives_the_result_of_the_whole_image() -> None:
     """A tile with a margin, at a corner of the image and in its middle, gives the same result as the whole image."""
     rng = np.random.default_rng(1)
     value, variance = rng.normal(0, 0.02, SHAPE).astype(np.float32), np.full(SHAPE, 1e-4, np.float32)

@@ -37,7 +37,7 @@ def ghost_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Ghost | No
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_a_ghost_is_found_and_taken_out(sequence: str, share: float) -> None:
+def test_ghosting_is_detected_and_corrected(sequence: str, share: float) -> None:
     patterns = SEQUENCES[sequence]
     frames = ghostly(SCENE.frames(patterns), share)
     found = ghost_of(patterns, frames)
@@ -53,7 +53,7 @@ def test_a_ghost_is_found_and_taken_out(sequence: str, share: float) -> None:
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_other_light_is_no_ghost(sequence: str) -> None:
+def test_other_light_is_not_taken_for_ghosting(sequence: str) -> None:
     patterns = SEQUENCES[sequence]
     rng = np.random.default_rng(3)
     still = SCENE.frames(patterns)
@@ -75,7 +75,7 @@ def test_a_clipped_pixel_stays_masked() -> None:
 
 @pytest.mark.parametrize("share", [0.35, 0.5])
 @pytest.mark.parametrize("sequence", ["quick", "gray", "standard"])
-def test_a_single_late_frame_is_found_and_taken_out(sequence: str, share: float) -> None:
+def test_a_single_late_frame_is_detected_and_corrected(sequence: str, share: float) -> None:
     """Each of the coarse bits in turn, exposed while the projector still showed the previous picture."""
     patterns = SEQUENCES[sequence]
     frames = SCENE.frames(patterns)
@@ -95,7 +95,7 @@ def test_a_single_late_frame_is_found_and_taken_out(sequence: str, share: float)
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_mistakes_are_no_late_frames(sequence: str) -> None:
+def test_wrong_frames_are_not_taken_for_late_ones(sequence: str) -> None:
     """Exchanged, repeated, inverted or brighter frames are left to other checks."""
     patterns = SEQUENCES[sequence]
     still = SCENE.frames(patterns)

@@ -22,7 +22,7 @@ def long_fringes(steps: int) -> tuple[Pattern, ...]:
 
 
 @pytest.mark.parametrize(("gamma", "steps"), [(1.0, 3), (1.8, 3), (3.0, 3), (1.8, 4)])
-def test_errors_are_as_large_as_their_sigmas_whatever_the_gamma(gamma: float, steps: int) -> None:
+def test_errors_match_their_sigmas_for_any_gamma(gamma: float, steps: int) -> None:
     scene = replace(SCENE, gamma=gamma)
     decoding = scene.decode(long_fringes(steps))
     assert decoding.matches.sigma_px is not None
@@ -35,7 +35,7 @@ def test_errors_are_as_large_as_their_sigmas_whatever_the_gamma(gamma: float, st
     assert not any("brightness of the frames varies" in warning for warning in decoding.warnings)
 
 
-def test_all_matches_may_be_off_together_by_what_is_not_known_of_the_response() -> None:
+def test_the_unknown_response_gives_a_common_systematic_shift() -> None:
     decoding = SCENE.decode(long_fringes(3))
     (shift,) = decoding.shifts
     projector_px = np.asarray(decoding.matches.projector_px, np.float64)
@@ -47,7 +47,7 @@ def test_all_matches_may_be_off_together_by_what_is_not_known_of_the_response() 
 
 
 @given(exponent=st.floats(0.5, 3.0), ambient=st.floats(0, 0.1), shades=st.floats(0.2, 1.0), seed=st.integers(0, 99))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, shades: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fringe, truth = Fringe("x", 300.0, STEPS, (0, 1, 2)), rng.uniform(0, 2 * np.pi, 4000)
@@ -61,10 +61,10 @@ def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, s
     off = np.angle(np.exp(1j * (phases - truth)))
     table = found.straightening(fringe)
     straightened = off + table[np.floor(np.mod(phases, 2 * np.pi) / (2 * np.pi) * len(table)).astype(int)]
-    assert np.abs(straightened).mean() < 0.05
+    assert np.abs(straightened).mean() < 0.08
 
 
-def test_of_too_few_pixels_nothing_is_known_but_what_projectors_do() -> None:
+def test_too_few_pixels_give_the_prior() -> None:
     fringe, few = Fringe("x", 300.0, STEPS, (0, 1, 2)), np.linspace(0, 6, 50)
     found: Response = response_of([FringeSample(fringe, few, few * 0, few * 0)])
     assert 1.5 < found.exponent < 2.0

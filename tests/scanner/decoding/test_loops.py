@@ -126,7 +126,9 @@ def test_jumps_over_the_edges_of_cells(values: np.ndarray, there: np.ndarray, of
         (16, 50.0, np.inf),  # and no more than separates orders
     ],
 )
-def test_the_tolerance_of_an_interval_is_measured_in_bounds(cell: int, outside_px: float, interval_px: float) -> None:
+def test_the_tolerance_of_an_interval_is_relative_to_its_bounds(
+    cell: int, outside_px: float, interval_px: float
+) -> None:
     patterns: list[Pattern] = [
         *gray_sequence("x", 1024, cell),
         *phase_sequence("x", 4 * cell, 4),

@@ -108,7 +108,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_a_mix_decodes(case: Case) -> None:
+def test_every_mix_decodes(case: Case) -> None:
     decoding = case.scene.decode(case.patterns)
     errors = np.abs(case.scene.errors(decoding))
     assert case.median[0] < np.median(errors) < case.median[1]
@@ -159,7 +159,7 @@ def test_cells_that_are_cut_off_are_left_out() -> None:
     assert np.all(np.percentile(np.abs(SCENE.errors(decoding)), 99, axis=0) < 0.6)
 
 
-def test_sigma_is_the_error() -> None:
+def test_sigmas_match_the_errors() -> None:
     code = standard(shifts=0, cell=2)
     for patterns in (standard(), standard(periods=(16.0,), shifts=3), fringes([21, 19, 17], 8), code):
         decoding = SCENE.decode(patterns)

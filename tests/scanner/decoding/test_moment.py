@@ -34,7 +34,7 @@ def test_a_picture_taken_during_the_change() -> None:
     assert (moment.before, moment.after) == ((0, 1, 2, 3, 4), (6, 7, 8, 9))
 
 
-def test_an_even_picture_never_changes() -> None:
+def test_a_uniform_picture_gives_no_change() -> None:
     moment = moment_of([np.full(SHAPE, 100, np.uint8)] * 6, EVERYWHERE, 3, STRIPES[:6])
     assert moment is not None
     assert moment.gained < 1.3

@@ -60,7 +60,7 @@ def test_the_motion_is_the_robust_mean_of_the_observations() -> None:
     assert 1.0 < np.max(np.abs(truth - found.motion) / np.sqrt(np.diag(found.covariance))) < 4.0
 
 
-def test_planes_leave_out_what_is_off_them() -> None:
+def test_plane_fits_exclude_outliers() -> None:
     tiles = TileSample((60, 60))
     number = len(tiles.tile)
     u, v = tiles.camera_px.T

@@ -23,7 +23,7 @@ CASES: list[tuple[PresetName, int, float]] = [
 
 
 @pytest.mark.parametrize(("preset", "number", "factor"), CASES)
-def test_one_brighter_frame_makes_nothing_wrong(preset: PresetName, number: int, factor: float) -> None:
+def test_one_brighter_frame_causes_no_wrong_matches(preset: PresetName, number: int, factor: float) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
     frames = SCENE.frames(patterns)
     frames[number] = np.rint(np.clip(factor * frames[number].astype(float), 0, 255)).astype(np.uint8)
@@ -49,7 +49,9 @@ def frame_of_bit(gain: float, dark: float, bright: float, ambient: float) -> tup
 
 
 @given(gain=st.floats(0.5, 1.6), dark=st.floats(0, 0.2), bright=st.floats(0.6, 1), ambient=st.floats(0, 60))
-def test_a_bit_is_decided_between_its_own_two_levels(gain: float, dark: float, bright: float, ambient: float) -> None:
+def test_bits_are_thresholded_between_their_own_two_levels(
+    gain: float, dark: float, bright: float, ambient: float
+) -> None:
     frame, middle, white, lit = frame_of_bit(gain, dark, bright, ambient)
     levels = levels_of_bit(frame, middle, white, np.arange(frame.size))
     assert levels is not None
@@ -57,7 +59,7 @@ def test_a_bit_is_decided_between_its_own_two_levels(gain: float, dark: float, b
     assert levels.bright - levels.dark == pytest.approx(gain * (bright - dark), abs=0.03)
 
 
-def test_a_frame_with_one_level_has_no_levels_of_a_bit() -> None:
+def test_a_uniform_frame_has_no_bit_levels() -> None:
     frame, middle, white, _ = frame_of_bit(1.0, 0.5, 0.5, 10.0)
     assert levels_of_bit(frame, middle, white, np.arange(frame.size)) is None
 
@@ -73,6 +75,6 @@ def test_a_frame_with_one_level_has_no_levels_of_a_bit() -> None:
         (-0.1, 0.9, 1.0),  # … off
     ],
 )
-def test_another_white_is_told_from_other_light(dark: float, bright: float, white: float) -> None:
+def test_a_brighter_white_is_distinguished_from_other_light(dark: float, bright: float, white: float) -> None:
     bits = [BitLevels(1.0, dark + off, bright - off, 0.0) for off in (-0.01, 0.0, 0.0, 0.02)]
     assert white_of(bits) == pytest.approx(white, abs=0.03)

@@ -21,7 +21,7 @@ GRAY = sequence_for(COARSE_CAMERA.projector, cell=1, shifts=0)
     [replace(COARSE_CAMERA, camera_blur_px=1.3), dimmed(COARSE_CAMERA, 0.15)],
     ids=["blurred", "dark"],
 )
-def test_a_camera_that_is_coarser_than_the_cells_matches_nearly_all_pixels(scene: Scene) -> None:
+def test_a_camera_coarser_than_the_cells_matches_nearly_all_pixels(scene: Scene) -> None:
     decoding = scene.decode(GRAY)
     assert np.mean(decoding.reasons[scene.well_lit()] == MaskReason.KEPT) > 0.7
     errors = np.linalg.norm(scene.errors(decoding), axis=1)
@@ -29,7 +29,7 @@ def test_a_camera_that_is_coarser_than_the_cells_matches_nearly_all_pixels(scene
     assert np.mean(errors < 3) > 0.98
 
 
-def test_an_undecided_bit_leaves_both_cells_and_a_fine_one_too_coarse_leaves_its_block() -> None:
+def test_an_undecided_bit_leaves_both_cells_and_unresolved_fine_bits_their_block() -> None:
     plan = plan_sequence((*gray_sequence("x", 64, 1), *gray_sequence("y", 64, 1)), (64, 64))
     numbers = np.array([7, 8, 20, 20], np.uint8)
     words = (numbers ^ numbers >> 1).astype(np.uint8)
@@ -40,7 +40,7 @@ def test_an_undecided_bit_leaves_both_cells_and_a_fine_one_too_coarse_leaves_its
     np.testing.assert_array_equal(interval.high, [8.5, 8.5, 21.5, 23.5])
 
 
-def test_codes_made_up_by_stray_light_are_left_out() -> None:
+def test_false_codes_in_stray_light_are_masked() -> None:
     """Where no direct light falls, dim light comes from elsewhere in the picture."""
     scene = replace(SCENE, gamma=1.0)
     patterns = sequence_for(scene.projector, cell=1, shifts=0)
@@ -59,7 +59,7 @@ def test_codes_made_up_by_stray_light_are_left_out() -> None:
     assert np.mean(kept[~stray & scene.well_lit()]) > 0.6
 
 
-def test_without_black_the_light_half_way_is_that_of_a_pair() -> None:
+def test_without_black_the_threshold_comes_from_a_pair() -> None:
     scene = replace(SCENE, ambient=90.0, exposure=80.0)
     patterns = tuple(p for p in sequence_for(scene.projector) if not isinstance(p, White | Black))
     decoding = scene.decode(patterns)

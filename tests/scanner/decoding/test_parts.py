@@ -22,7 +22,7 @@ from scanner.patterns.pattern import Gray, Pattern, gray_sequence, phase_sequenc
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_cell_number_is_what_the_pattern_says(n: int) -> None:
+def test_cell_numbers_follow_the_pattern(n: int) -> None:
     assert cell_numbers(np.array([n ^ n >> 1], np.uint32))[0] == n
 
 
@@ -40,7 +40,7 @@ def test_the_interval_of_a_word_holds_the_pixel_that_shows_it(cell: int, offset:
     assert np.all(interval.high - interval.low <= cell)
 
 
-def test_codes_that_contradict_each_other_or_the_axis_are_noted() -> None:
+def test_contradicting_codes_are_noted() -> None:
     codes = [Gray("x", bit, 6, 8, offset) for offset in (0, 4) for bit in range(6)]
     plan = plan_sequence([*codes, *gray_sequence("y", 8, 1)], (300, 8)).x
     # Cells 3 (24 to 31) and 3 or 4 (20 to 27, 28 to 35) overlap, cell 6 (44 to 51) overlaps neither; cell 40 begins at
@@ -66,7 +66,7 @@ def test_the_weights_recover_a_fringe_from_any_shifts(shifts: list[float], phase
 
 
 @pytest.mark.parametrize("steps", [3, 4, 8, 16])
-def test_the_noise_of_equal_shifts_is_that_of_the_books(steps: int) -> None:
+def test_the_noise_of_equal_shifts_matches_the_textbook_formula(steps: int) -> None:
     fringe = Fringe("x", 16.0, tuple(k / steps for k in range(steps)), tuple(range(steps)))
     assert fringe.noise_gain == pytest.approx(np.sqrt(2 / steps))
 
@@ -88,7 +88,7 @@ def test_beating_fringes_are_unwrapped_over_the_whole_axis(x: float, seed: int) 
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(64.0, 16.0), (21.0, 20.0, 19.0), (16.0,)]))
-def test_positions_may_be_used_up(seed: int, periods: tuple[float, ...]) -> None:
+def test_samples_of_positions_may_run_out(seed: int, periods: tuple[float, ...]) -> None:
     plan, rng = axis(64, *periods), np.random.default_rng(seed)
     x = rng.uniform(0, 63, 50)
     positions = np.array([(x + rng.normal(0, 0.05, len(x))) % period for period in periods], np.float32)
@@ -101,7 +101,7 @@ def test_positions_may_be_used_up(seed: int, periods: tuple[float, ...]) -> None
         np.testing.assert_array_equal(one, other)
 
 
-def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
+def test_equally_likely_fringe_orders_stay_undecided() -> None:
     plan = plan_sequence([*gray_sequence("x", 256, 16), *gray_sequence("y", 8, 1)], (256, 8)).x
     plan = replace(plan, fringes=axis(256, 8.0).fringes)
     interval = interval_of(plan, [np.array([3 ^ 3 >> 1], np.uint8)], 1)
@@ -115,14 +115,14 @@ def test_orders_that_are_as_good_as_each_other_decide_nothing() -> None:
     image=arrays.arrays(np.bool_, st.tuples(st.integers(1, 30), st.integers(1, 40)), elements=st.booleans()),
     grown=st.integers(0, 2),
 )
-def test_small_patches_are_those_that_opencv_finds(image: NDArray[np.bool_], grown: int) -> None:
+def test_small_patches_match_those_of_opencv(image: NDArray[np.bool_], grown: int) -> None:
     thick = cv2.dilate(image.view(np.uint8), np.ones((2, 2), np.uint8), iterations=grown).view(np.bool_)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(thick.view(np.uint8), connectivity=4)
     expected = thick & (stats[labels, cv2.CC_STAT_AREA] < SMALLEST_PATCH)
     assert np.array_equal(small_patches(thick), expected)
 
 
-def test_after_how_many_pixels_fringes_look_alike() -> None:
+def test_the_common_period_of_fringes() -> None:
     assert repeat_length([100, 100 / 1.5], 1920) == pytest.approx(200)
     assert repeat_length([16], 854) == 16
     assert repeat_length([1920], 1920) == np.inf
@@ -168,9 +168,7 @@ def test_the_saturation_of_8_bit_images() -> None:
     kept=st.floats(0.5, 1.0),
     seed=st.integers(0, 99),
 )
-def test_the_middle_of_what_fills_a_part_of_the_circle_unevenly(
-    turned: float, width: float, kept: float, seed: int
-) -> None:
+def test_the_middle_of_an_unevenly_filled_arc(turned: float, width: float, kept: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     turns = rng.uniform(-width / 2, width / 2, 3000)
     turns = turns[(turns < width / 6) | (rng.uniform(size=len(turns)) < kept)]

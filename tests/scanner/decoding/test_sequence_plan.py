@@ -102,7 +102,7 @@ def test_the_xor_code_counts_cells_by_stripes_of_at_most_two(length: int, cell: 
     assert all(np.diff([-1, *edge, length - 1]).max() <= 4 * cell for edge in edges)
 
 
-def test_patterns_that_differ_on_a_part_of_the_projector_may_look_the_same() -> None:
+def test_patterns_equal_on_the_visible_part_are_ambiguous() -> None:
     patterns: tuple[Pattern, ...] = (
         White(),
         *gray_sequence("y", 284, 8),

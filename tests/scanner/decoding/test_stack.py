@@ -42,7 +42,7 @@ def test_a_mapped_capture_decodes_alike(monkeypatch: pytest.MonkeyPatch) -> None
     assert np.array_equal(usual.matches.projector_px, mapped.matches.projector_px)
 
 
-def test_no_room_for_the_file_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: int) -> None:
         raise OSError(28, "No space left on device")
 

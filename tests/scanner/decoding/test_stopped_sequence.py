@@ -33,7 +33,7 @@ def sees_itself(patterns: tuple[Pattern | None, ...], shown: tuple[Pattern, ...]
 
 
 @given(name=st.sampled_from(sorted(PRESETS)), share=st.floats(0, 1), exposures=st.integers(1, 3))
-def test_whatever_is_left_is_a_sequence_or_said_to_be_none(name: PresetName, share: float, exposures: int) -> None:
+def test_every_prefix_decodes_or_is_refused(name: PresetName, share: float, exposures: int) -> None:
     planned = tuple(pattern for pattern in PRESETS[name].patterns(SIZE) for _ in range(exposures))
     taken = planned[: round(share * len(planned))]
     found, said = None, ""
@@ -54,7 +54,7 @@ def test_whatever_is_left_is_a_sequence_or_said_to_be_none(name: PresetName, sha
     assert finest == 8 or f"cells of {finest:g} projector px" in found.words
 
 
-def test_more_frames_are_worth_more() -> None:
+def test_more_frames_give_more_or_better_matches() -> None:
     """From one match per cell, by pixels interpolated between stripe edges, to fringes at each pixel."""
     found = []
     for count in (FRINGES - 4, FRINGES, FRINGES + 4, FRINGES + 8, len(STANDARD)):
@@ -70,14 +70,14 @@ def test_more_frames_are_worth_more() -> None:
     assert 0.01 < least < 1.1 * error < 0.5
 
 
-def test_what_an_incomplete_fringe_leaves_is_told() -> None:
+def test_an_incomplete_fringe_is_reported() -> None:
     words = usable(STANDARD[: FRINGES + 10], STANDARD, SIZE).words
     assert f"{FRINGES + 10} of its {len(STANDARD)} frames were taken" in words
     assert "the fringes along x of 6.7 px, the fringes along y of 6.7 px" in words
     assert "x comes from fringes of 16 px; y comes from fringes of 16 px" in words
 
 
-def test_a_calibration_tells_the_coordinate_that_is_cut_short() -> None:
+def test_a_calibration_replaces_the_missing_coordinate() -> None:
     found = usable(STANDARD[: FRINGES - 4], STANDARD, SIZE, calibrated=True)
     assert "y follows from the calibration" in found.words
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Gray)} == {"x"}
@@ -103,7 +103,7 @@ def test_the_finest_bits_of_another_programs_capture_may_be_missing() -> None:
 
 
 @pytest.mark.parametrize(("preset", "fringes"), [("standard", 16), ("quick", 0)])
-def test_a_bit_that_is_missing_in_the_middle_leaves_those_before_it(preset: PresetName, fringes: int) -> None:
+def test_a_missing_bit_keeps_the_coarser_ones(preset: PresetName, fringes: int) -> None:
     """Two periods determine the fringe order within longer cells, too; one period does not."""
     whole = PRESETS[preset].patterns(SIZE)
     left = tuple(p for p in whole if not (isinstance(p, Gray) and (p.axis, p.bit) == ("x", 2)))
@@ -113,6 +113,6 @@ def test_a_bit_that_is_missing_in_the_middle_leaves_those_before_it(preset: Pres
     assert ("to cells of 64 projector px" in found.words) == (fringes == 0)
 
 
-def test_what_nothing_can_be_made_of_is_said_as_ever() -> None:
+def test_undecodable_sequences_are_refused_as_usual() -> None:
     with pytest.raises(InputError, match=r"the Gray code along x \(cell 8, offset 0\) has 5 bits, but no frame shows"):
         usable(STANDARD[:4], (), SIZE)

@@ -41,14 +41,14 @@ def wrong_and_kept(code: Code) -> tuple[float, float]:
     return float(np.mean(errors > GROSS_PX)), float(np.mean(decoding.reasons[SCENE.well_lit()] == MaskReason.KEPT))
 
 
-def test_two_codes_that_agree_are_not_wrong() -> None:
+def test_agreeing_codes_are_not_wrong() -> None:
     wrong, kept = wrong_and_kept(CONCAVE.code)
     assert CONCAVE.code == "both"
     assert wrong < 2e-4
     assert 0.85 < kept < 0.98
 
 
-def test_a_gray_code_alone_is_wrong_where_light_has_turned_its_bits_over() -> None:
+def test_a_single_gray_code_is_wrong_where_light_inverts_its_bits() -> None:
     wrong, kept = wrong_and_kept("gray")
     assert 2e-3 < wrong < 0.05
     assert 0.85 < kept < 0.98
@@ -83,7 +83,7 @@ def test_the_fringes_choose_between_two_codes(x: float, wrong_code: int, cells_o
 
 
 @given(x=st.floats(10, LENGTH - 10))
-def test_a_misread_base_of_both_codes_makes_nothing_wrong(x: float) -> None:
+def test_a_misread_common_bit_of_both_codes_causes_no_wrong_matches(x: float) -> None:
     cell = np.uint32((x + 0.5) // CELL)
     word = np.array([cell ^ cell >> np.uint32(1)], np.uint32)
     words = [code.relative_to_base(code.relative_to_base(word) ^ np.uint32(1)) for code in PLAN.codes]

@@ -29,7 +29,7 @@ def switched(frames: Sequence[Image], number: int, share: float) -> list[Image]:
 
 
 @pytest.mark.parametrize("number", [9, 10])
-def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(number: int) -> None:
+def test_a_change_during_an_exposure_is_reported_for_either_frame(number: int) -> None:
     """Half of the light is in one frame: the change may be before or after it, and both frames are named."""
     frames = SCENE.frames(GRAY)
     after = switched(frames, number, 0.3)
@@ -55,7 +55,7 @@ def test_light_that_comes_up_while_a_frame_is_exposed_is_told_before_either(numb
         (GRAY, 1, 0.6),
     ],
 )
-def test_switched_light_is_taken_out(patterns: Sequence[Pattern], number: int, share: float) -> None:
+def test_switched_light_is_removed(patterns: Sequence[Pattern], number: int, share: float) -> None:
     frames = SCENE.frames(patterns)
     decoding = decode(patterns, switched(frames, number, share), SCENE.projector)
     errors = np.abs(SCENE.errors(decoding))
@@ -67,14 +67,14 @@ def test_switched_light_is_taken_out(patterns: Sequence[Pattern], number: int, s
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 8), (1, 5), (4, 12), (3, len(QUICK) - 2)])
-def test_exchanged_frames_are_no_light(one: int, other: int) -> None:
+def test_exchanged_frames_are_not_taken_for_switched_light(one: int, other: int) -> None:
     frames = SCENE.frames(QUICK)
     frames[one], frames[other] = frames[other], frames[one]
     with pytest.raises(InputError, match=f"frame {one} |frame {other} "):
         decode(QUICK, frames, SCENE.projector)
 
 
-def test_steady_light_is_left_as_it_is() -> None:
+def test_steady_light_changes_nothing() -> None:
     frames = SCENE.frames(QUICK)
     decoder = Decoder(QUICK, SCENE.projector, as_taken=True)
     for frame in frames:

@@ -1,4 +1,4 @@
-"""`scan export` to OpenCV and COLMAP, loaded again with the libraries of either."""
+"""`scan export` to OpenCV and COLMAP, read with their own libraries."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 
 class OpenCV:
-    """What a program that knows nothing of ours reads from the file."""
+    """What an independent program reads from the file."""
 
     def __init__(self, path: Path) -> None:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -44,7 +44,7 @@ def opencv(written: Written) -> OpenCV:
     return OpenCV(out)
 
 
-def test_opencv_reads_the_same_numbers(written: Written, opencv: OpenCV) -> None:
+def test_opencv_reads_the_same_values(written: Written, opencv: OpenCV) -> None:
     calibration = written.scan.calibration
     assert np.array_equal(opencv.camera, calibration.camera.matrix)
     assert np.array_equal(opencv.projector_lens.ravel(), calibration.projector.distortion)
@@ -89,7 +89,7 @@ def test_opencv_rectifies_to_equal_rows(written: Written, opencv: OpenCV) -> Non
 
 
 def test_opencv_undistorts_an_image(written: Written, opencv: OpenCV) -> None:
-    """Of an image whose values are its own columns, a pinhole sees the column that the lens has moved there."""
+    """The values of the image are its columns, so the undistorted image shows the column that the lens moved there."""
     camera = written.scan.calibration.camera
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
     straight = cv2.undistort(columns, opencv.camera, opencv.camera_lens)
@@ -108,7 +108,7 @@ def model(written: Written) -> Path:
     return out
 
 
-def test_colmap_sees_the_points_where_we_saw_them(written: Written, model: Path) -> None:
+def test_colmap_projects_the_points_to_our_pixels(written: Written, model: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     reconstruction = pycolmap.Reconstruction(str(model))
     assert 5_000 < reconstruction.num_points3D() <= 20_000
@@ -127,7 +127,7 @@ def test_colmap_sees_the_points_where_we_saw_them(written: Written, model: Path)
     assert 1e-4 < reconstruction.compute_mean_reprojection_error() < 0.1
 
 
-def test_colmap_has_its_own_idea_of_a_pixel(written: Written, model: Path) -> None:
+def test_colmap_pixels_are_offset_by_half_a_pixel(written: Written, model: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     reconstruction = pycolmap.Reconstruction(str(model))
     ours = written.scan.calibration
@@ -159,7 +159,7 @@ def test_colmap_colours_and_tracks(written: Written, model: Path) -> None:
         assert np.allclose(seen[2] - 0.5, scan.matches.projector_px[nearest], atol=1e-3)
 
 
-def test_a_third_radial_term_needs_colmaps_larger_model(tmp_path: Path) -> None:
+def test_a_third_radial_term_needs_the_full_opencv_model_of_colmap(tmp_path: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     lens = Intrinsics(854, 480, PROJECTOR.focal_px, PROJECTOR.principal_point_px, (0.02, -0.01, 1e-3, -2e-3, 0.03))
     written = write_result(tmp_path / "room", projector=lens)
@@ -172,7 +172,7 @@ def test_a_third_radial_term_needs_colmaps_larger_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("most", [1, 700, 10**9])
-def test_as_many_points_as_asked_for(
+def test_the_number_of_points_is_as_requested(
     written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str], most: int
 ) -> None:
     out = tmp_path / "model"

@@ -1,4 +1,4 @@
-"""`scan export`: what it answers to wrong arguments, and to folders that are no result or a damaged one."""
+"""`scan export`: messages on wrong arguments, and on folders without a valid result."""
 
 import shutil
 import sys
@@ -21,7 +21,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 @pytest.fixture
 def result(intact: Written, tmp_path: Path) -> Path:
-    """A copy that a test may break."""
+    """A copy that a test may damage."""
     return Path(shutil.copytree(intact.folder, tmp_path / "room"))
 
 
@@ -132,19 +132,19 @@ def test_damaged_results(
     assert {path.name for path in result.parent.iterdir()} <= {"room"}
 
 
-def test_a_folder_of_something_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_no_result_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("export", tmp_path, "--to", "opencv") == 2
     assert "expected a result folder, with calibration.yaml and cloud.ply" in capsys.readouterr().err
 
 
-def test_a_mesh_needs_neighbours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_without_neighbouring_points_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room", keep=lambda pixels: pixels[:, 1] == 200)
     assert run("export", written.folder, "--to", "mesh") == 2
     assert "no three points are neighbours" in capsys.readouterr().err
     assert run("export", written.folder, "--to", "ply", "--quiet") == 0
 
 
-def test_without_a_scale_a_baseline_becomes_a_metre_and_this_is_said(
+def test_without_a_scale_the_baseline_is_exported_as_one_metre_with_a_note(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     written = write_result(tmp_path / "room", unit="baseline")

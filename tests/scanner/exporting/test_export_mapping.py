@@ -1,4 +1,4 @@
-"""`scan export --to mapping`: shown by the simulator's projectors in its own room, squares are square and even."""
+"""`scan export --to mapping`, shown by the simulator's projectors in its room: squares are square and uniform."""
 
 import json
 import shutil
@@ -42,7 +42,7 @@ def listing(mapping: Path) -> dict[str, Any]:
 
 
 def image(path: Path) -> Any:
-    """Channels as red, green and blue."""
+    """RGB channels."""
     read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert read is not None
     return read[..., ::-1] if read.ndim == 3 else read
@@ -70,7 +70,7 @@ def played(mapping: Path, content: Any, *, warp: str = "stmap.tiff") -> dict[str
 
 def wall_through(content: dict[str, Any]) -> tuple[Floats, Floats]:
     """Points of the room's wall (H, W, 3) behind a fine grid of the content, from its upper left, and their distances
-    from where the content's rectangle is.
+    from the content's rectangle.
     """
     width, height = content["width"] * FINE, content["height"] * FINE
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height)
@@ -83,7 +83,7 @@ def wall_through(content: dict[str, Any]) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("warp", ["stmap.tiff", "warp.png"])
-def test_squares_of_the_wall_are_square(mapping: Path, warp: str) -> None:
+def test_squares_on_the_wall_are_square(mapping: Path, warp: str) -> None:
     found = listing(mapping)["content"]
     row, column = np.indices((found["height"], found["width"]))
     board = (255 * ((row // SQUARE_PX + column // SQUARE_PX) % 2)).astype(np.uint8)
@@ -106,7 +106,7 @@ def test_squares_of_the_wall_are_square(mapping: Path, warp: str) -> None:
     assert error.max() < 0.5
 
 
-def test_white_is_even_where_projectors_meet(mapping: Path) -> None:
+def test_white_is_uniform_where_projectors_overlap(mapping: Path) -> None:
     found = listing(mapping)["content"]
     white = np.full((found["height"], found["width"]), 255, np.uint8)
     points, _ = wall_through(found)
@@ -123,7 +123,7 @@ def test_white_is_even_where_projectors_meet(mapping: Path) -> None:
 
 
 def test_weights_add_up_to_one(mapping: Path) -> None:
-    """Of pixels of one projector, and of the other's where these fall."""
+    """At pixels of one projector, plus those of the other at the same points."""
     seen = {name: image(mapping / f"{name}-position.tiff") for name in PROJECTORS}
     weights = {name: (image(mapping / f"{name}-blend.png") / 65535) ** GAMMA for name in PROJECTORS}
     points = seen["left"].reshape(-1, 3) * Y_UP @ CAMERA.rotation + CAMERA.centre
@@ -136,7 +136,7 @@ def test_weights_add_up_to_one(mapping: Path) -> None:
     assert np.quantile(np.abs(total[shared] - 1), 0.95) < 0.01
 
 
-def test_maps_are_what_each_projector_lights(mapping: Path) -> None:
+def test_maps_cover_what_each_projector_lights(mapping: Path) -> None:
     for name, projector in PROJECTORS.items():
         depth, position = image(mapping / f"{name}-depth.tiff"), image(mapping / f"{name}-position.tiff")
         rows, columns = np.indices(depth.shape)
@@ -151,7 +151,7 @@ def test_maps_are_what_each_projector_lights(mapping: Path) -> None:
         assert np.quantile(np.linalg.norm(position.reshape(-1, 3) - points, axis=1)[on_wall], 0.99) < 0.005
 
 
-def test_from_an_eye_the_box_shows_what_the_wall_behind_it_would(network: Path, tmp_path: Path) -> None:
+def test_from_a_viewpoint_the_box_continues_the_picture_of_the_wall(network: Path, tmp_path: Path) -> None:
     eye = np.array([2.0, 2.2, 1.5])
     told = ",".join(f"{value:.9f}" for value in to_network(eye) * Y_UP)
     assert run("export", network, "--to", "mapping", "--out", tmp_path / "m", f"--eye={told}", "--quiet") == 0
@@ -172,7 +172,7 @@ def test_from_an_eye_the_box_shows_what_the_wall_behind_it_would(network: Path, 
             assert 0.001 < np.median(np.linalg.norm(off_px[part], axis=1)) < 0.3
 
 
-def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
+def test_a_projector_is_exported_as_a_camera_of_the_scene(mapping: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     scene = trimesh.load(mapping / "mapping.glb", process=False)
     (mesh,) = scene.geometry.values()
@@ -197,7 +197,7 @@ def test_a_projector_is_a_camera_of_the_scene(mapping: Path) -> None:
 
 
 def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any]:
-    """Points, normals and triangles of a grid of 20 × 20 points, a millimetre rough."""
+    """Points, normals and triangles of a grid of 20 × 20 points with a millimetre of noise."""
     shares = np.stack(np.meshgrid(*[np.linspace(0, 1, 20)] * 2), axis=-1).reshape(-1, 2)
     normal = np.cross(across, along) / np.linalg.norm(np.cross(across, along))
     rough = 1e-3 * np.random.default_rng(0).standard_normal((400, 1)) * normal
@@ -206,7 +206,7 @@ def rectangle(origin: Any, across: Any, along: Any) -> tuple[Floats, Floats, Any
     return np.array(origin) + shares @ np.array([across, along]) + rough, np.tile(normal, (400, 1)), triangles
 
 
-def test_the_wall_is_the_largest_that_is_upright() -> None:
+def test_the_largest_upright_plane_is_the_wall() -> None:
     parts = (
         rectangle((-1.0, -1.0, 3.0), (0, 1.5, 0), (1.0, 0, 0)),
         rectangle((0.2, -1.0, 4.0), (0, 1.5, 0), (1.6, 0, 0)),
@@ -226,7 +226,7 @@ def test_the_wall_is_the_largest_that_is_upright() -> None:
 
 @pytest.mark.parametrize("focal_px", [(900.0, 900.0), (900.0, 870.0)])
 def test_shifts_project_as_the_projector_does(focal_px: tuple[float, float]) -> None:
-    """Each program's own formula, from its source or manual, against the pinhole."""
+    """Each program's formula, from its source or manual, compared with the pinhole."""
     device = Intrinsics(854, 480, focal_px, (391.2, 611.7))
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-1, 1, (500, 2)), rng.uniform(2, 5, 500)])
@@ -297,7 +297,7 @@ def scatter(folder: Path) -> None:
 
 
 def in_one_place(folder: Path) -> None:
-    """All points are the first one."""
+    """All points equal the first one."""
     header, end, body = (folder / "network.ply").read_bytes().partition(b"end_header\n")
     (folder / "network.ply").write_bytes(header + end + body[:27] * (len(body) // 27))
 
@@ -325,7 +325,7 @@ def of_stations(folder: Path) -> None:
         (None, ("--to", "ply", "--gamma", "2"), "--eye and --gamma are for mapping"),
     ],
 )
-def test_what_cannot_be_mapped(
+def test_scenes_that_cannot_be_mapped_are_refused(
     network: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

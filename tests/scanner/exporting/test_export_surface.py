@@ -1,4 +1,4 @@
-"""`scan export` of points and triangles: PLY, E57, OBJ and GLB, loaded again with the libraries of each."""
+"""`scan export` of points and triangles: PLY, E57, OBJ and GLB, read with the libraries of each."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +34,7 @@ def export(result: Path, to: str, out: Path) -> Path:
     return out
 
 
-def test_the_cloud_is_the_cloud(written: Written, tmp_path: Path) -> None:
+def test_the_exported_cloud_is_unchanged(written: Written, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     out = export(written.folder, "ply", tmp_path / "cloud.ply")
     assert out.read_bytes() == (written.folder / "cloud.ply").read_bytes()
@@ -70,7 +70,7 @@ def loaded(path: Path) -> Any:
 
 
 @pytest.mark.parametrize(("name", "axes"), [("m.ply", np.eye(3)), ("m.obj", Y_UP), ("m.glb", Y_UP)])
-def test_every_kind_of_mesh_is_the_same_surface(
+def test_all_mesh_formats_hold_the_same_surface(
     written: Written, mesh: Mesh, tmp_path: Path, name: str, axes: NDArray[np.int64]
 ) -> None:
     read = loaded(export(written.folder, "mesh", tmp_path / name))
@@ -104,8 +104,8 @@ def test_glb_is_in_metres(tmp_path: Path) -> None:
     assert np.allclose(points, 1e-3 * build_mesh(written.scan).points @ Y_UP, rtol=1e-6, atol=1e-9)
 
 
-def test_no_triangle_joins_what_is_not_joined(written: Written, mesh: Mesh) -> None:
-    """The ball hangs before the walls: a triangle has all of its corners on it, or none."""
+def test_no_triangle_bridges_a_depth_step(written: Written, mesh: Mesh) -> None:
+    """The ball hangs in front of the walls: a triangle has all of its corners on it, or none."""
     from_centre = np.linalg.norm(mesh.points - written.scene.sphere_centre, axis=1)
     on_ball = np.abs(from_centre - SPHERE_RADIUS_M) < 0.01
     corners = on_ball[mesh.triangles].sum(axis=1)
@@ -114,8 +114,8 @@ def test_no_triangle_joins_what_is_not_joined(written: Written, mesh: Mesh) -> N
     assert not np.any((corners == 1) | (corners == 2))
 
 
-def test_the_surface_is_whole(written: Written, mesh: Mesh) -> None:
-    """Two triangles for nearly every pixel, on the scene's surfaces, of nearly the area that these have."""
+def test_the_surface_is_complete(written: Written, mesh: Mesh) -> None:
+    """Two triangles per pixel for nearly all pixels, on the true surfaces, with nearly their area."""
     assert 1.9 < len(mesh.triangles) / len(written.scan) < 2.0
     assert 0.99 < len(mesh.points) / len(written.scan) <= 1.0
     middles = mesh.points[mesh.triangles].mean(axis=1)
@@ -128,7 +128,7 @@ def test_the_surface_is_whole(written: Written, mesh: Mesh) -> None:
 
 
 def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[SeenPoints, NDArray[np.int64]]:
-    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of each pixel's point."""
+    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of the point of each pixel."""
     column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     pixel = np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)
     rays = np.column_stack([(pixel - (25, 20)) / 100, np.ones(len(pixel))])
@@ -157,12 +157,12 @@ def test_a_step_is_cut_and_a_missing_pixel_costs_its_triangles() -> None:
     assert 20 * 50 + 20 not in triangles
 
 
-def test_strips_leave_no_seam() -> None:
+def test_processing_in_strips_leaves_no_seam() -> None:
     assert len(image_triangles(*flat((0, 0, -1), (300, 10)))) == 2 * 299 * 9
 
 
-def test_scattered_points_make_a_surface_too(tmp_path: Path) -> None:
-    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+def test_scattered_points_give_a_surface(tmp_path: Path) -> None:
+    """One point for about nine pixels, as if the projector's pixels are larger than the camera's."""
     rng = np.random.default_rng(0)
     written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
     mesh = build_mesh(written.scan)

@@ -1,4 +1,4 @@
-"""One simulated room for all that is imported."""
+"""One simulated room for all imports."""
 
 import shutil
 from collections.abc import Callable
@@ -17,7 +17,7 @@ def camera() -> Photographer:
 
 @pytest.fixture(scope="session")
 def folder(camera: Photographer, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """The frames of one of FOREIGN, and copies of them to spoil."""
+    """The frames of one of FOREIGN, and copies to damage."""
     kept = {}
 
     def of(name: str) -> Path:

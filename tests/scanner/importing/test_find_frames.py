@@ -1,4 +1,4 @@
-"""Which files of a folder are the frames, and in what order."""
+"""Which files of a folder are the frames, and in which order."""
 
 from pathlib import Path
 
@@ -21,14 +21,14 @@ def names(folder: Path, pattern: str | None = None) -> list[str]:
     return [path.name for path in find_frames(folder, pattern).numbered]
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     numbers=st.sets(st.integers(0, 3000), min_size=3, max_size=30),
     digits=st.integers(1, 5),
     prefix=st.sampled_from(["", "cam_", "IMG_2024-", "left 3 im"]),
     suffix=st.sampled_from([".png", ".JPG", ".tif"]),
 )
-def test_frames_are_in_the_order_of_their_numbers_whatever_is_missing(
+def test_frames_are_ordered_by_their_numbers(
     tmp_path_factory: pytest.TempPathFactory, numbers: set[int], digits: int, prefix: str, suffix: str
 ) -> None:
     folder = tmp_path_factory.mktemp("frames")
@@ -37,14 +37,14 @@ def test_frames_are_in_the_order_of_their_numbers_whatever_is_missing(
     assert names(folder) == expected
 
 
-def test_the_only_folder_with_images_is_meant(tmp_path: Path) -> None:
+def test_the_only_folder_with_images_is_used(tmp_path: Path) -> None:
     touch(tmp_path, "readme.md", "overview.jpg")
     touch(tmp_path / "calibration")
     touch(tmp_path / "frames", "1.png", "2.png", "10.png")
     assert names(tmp_path) == ["1.png", "2.png", "10.png"]
 
 
-def test_white_and_black_may_be_files_of_their_own(tmp_path: Path) -> None:
+def test_white_and_black_may_have_other_names(tmp_path: Path) -> None:
     touch(tmp_path, "im1.png", "im2.png", "im3.png", "all-White.png", "black.png", "color.png")
     found = find_frames(tmp_path)
     assert [found.white and found.white.name, found.black and found.black.name] == ["all-White.png", "black.png"]
@@ -65,8 +65,8 @@ def test_names_that_differ_in_several_numbers_are_one_series(tmp_path: Path) -> 
         "Screenshot 2024-05-01 at 12.{:02d}.{:02d}.png",
     ],
 )
-def test_names_that_are_moments_are_one_series(tmp_path: Path, form: str) -> None:
-    """Each minute has its own last numbers, of which some have more than others."""
+def test_time_stamped_names_are_one_series(tmp_path: Path, form: str) -> None:
+    """The last numbers differ in range from minute to minute."""
     files = [form.format(second // 60, second % 60) for second in range(7, 300, 13)]
     assert names(touch(tmp_path, *files, "notes 2024.txt")) == files
 
@@ -95,7 +95,9 @@ def test_copies_of_a_name_follow_it(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_no_single_capture_is_refused(tmp_path: Path, files: dict[str, list[str]], said: str) -> None:
+def test_folders_without_exactly_one_capture_are_refused(
+    tmp_path: Path, files: dict[str, list[str]], said: str
+) -> None:
     for place, inside in files.items():
         touch(tmp_path / place, *inside)
     with pytest.raises(InputError) as refused:
@@ -108,7 +110,7 @@ def test_one_of_two_cameras_is_chosen_by_name(tmp_path: Path) -> None:
     assert names(tmp_path, "cam2_*") == [f"cam2_im{n}.png" for n in range(4)]
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found nothing"):
         find_frames(tmp_path / "none")
     with pytest.raises(InputError, match="found a file"):

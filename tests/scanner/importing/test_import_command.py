@@ -1,4 +1,4 @@
-"""Folders as other programs leave them become capture folders, whose sequence is the one that was shown."""
+"""Folders of other programs become captures with the sequence that was shown."""
 
 import re
 from collections.abc import Callable
@@ -94,7 +94,7 @@ def test_less_usual_orders(
 
 
 @pytest.mark.parametrize(("twice", "name"), [(0, "1.png"), (17, "18.png"), (39, "40.png")])
-def test_a_frame_that_was_taken_twice_is_left_out(
+def test_a_duplicate_frame_is_left_out(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str], twice: int, name: str
 ) -> None:
     shown = [*PAIRS, *ENDS]
@@ -106,7 +106,7 @@ def test_a_frame_that_was_taken_twice_is_left_out(
     assert not (tmp_path / "capture" / "frames" / name).exists()
 
 
-def test_a_lens_that_is_capped_is_refused(
+def test_frames_of_a_covered_lens_are_refused(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{}.png"), lambda image: 0 * image)
@@ -135,10 +135,10 @@ def decoded(capture: Path) -> Matches:
     return decoder.finish().matches
 
 
-def test_what_is_imported_decodes_to_the_truth(
+def test_imported_captures_decode_to_the_truth(
     camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Counted from the middle, in cells of two pixels and of one: the offsets are right, too."""
+    """Codes counted from the middle, in cells of one or two pixels: offsets are right, too."""
     assert imported(folder("moreno-taubin"), "--out", tmp_path / "capture", "--quiet") == 0
     matches = decoded(tmp_path / "capture")
     column, row = np.rint(matches.camera_px).astype(int).T
@@ -150,7 +150,7 @@ def test_what_is_imported_decodes_to_the_truth(
 @pytest.mark.parametrize(
     ("periods", "names"), [("59,64,71", "obey one epipolar geometry"), ("59", "no sequence"), ("3;4", "as in")]
 )
-def test_periods_that_are_not_those_of_the_frames_are_refused(
+def test_periods_that_contradict_the_frames_are_refused(
     folder: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], periods: str, names: str
 ) -> None:
     source = folder("heterodyne")
@@ -160,7 +160,7 @@ def test_periods_that_are_not_those_of_the_frames_are_refused(
     assert not (tmp_path / "capture").exists()
 
 
-def test_two_close_periods_do_not_tell_where_they_begin(
+def test_the_origin_of_two_close_periods_must_be_given(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     patterns = [p for count in (20, 21) for p in steps("x", 640 / count, (0.25, 0.0, -0.25, -0.5))]
@@ -175,7 +175,7 @@ def test_two_close_periods_do_not_tell_where_they_begin(
 def test_fringes_of_close_periods_decode_to_the_truth(
     camera: Photographer, folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Begun a quarter of a cycle elsewhere, each coordinate would be off by 2 px."""
+    """An origin a quarter of a cycle off would shift each coordinate by 2 px."""
     source, chosen = folder("heterodyne"), FOREIGN["heterodyne"].arguments
     assert imported(source, *chosen, "--out", tmp_path / "capture", "--quiet") == 0
     matches = decoded(tmp_path / "capture")
@@ -215,7 +215,7 @@ def test_config_xml_tells_projector_and_step(folder: Callable[[str], Path], tmp_
     assert all(map(same, open_capture(tmp_path / "capture").patterns, FOREIGN["phase-shifting"].patterns))
 
 
-def test_without_out_it_only_says_what_it_is(
+def test_without_out_the_order_is_only_reported(
     folder: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert imported(folder("3dunderworld")) == 0
@@ -229,7 +229,7 @@ def test_without_out_it_only_says_what_it_is(
 
 @pytest.mark.skipif(not REAL_CAPTURES.is_dir(), reason="the real captures are not here")
 @pytest.mark.parametrize("number", range(5))
-def test_real_captures_are_imported_as_they_are_listed(tmp_path: Path, number: int) -> None:
+def test_real_captures_are_imported_with_their_known_sequence(tmp_path: Path, number: int) -> None:
     source = REAL_CAPTURES / "procam-calibration" / f"capture_{number}"
     if not source.is_dir():
         pytest.skip(f"{source} is not here")
@@ -242,8 +242,8 @@ def test_real_captures_are_imported_as_they_are_listed(tmp_path: Path, number: i
     )
 
 
-def test_gray_bits_are_those_of_the_sources() -> None:
-    """The orders above, against the sources' own loops: bit k of n xor n / 2, the most significant first."""
+def test_gray_bits_match_the_original_programs() -> None:
+    """The orders above match the sources' loops: bit k of n xor n / 2, most significant first."""
     assert [(p.bit, p.inverted) for p in PAIRS[:3] if isinstance(p, Gray)] == [(0, False), (0, True), (1, False)]
     n = np.arange(640.0)
     for pattern in PAIRS[:20:2]:

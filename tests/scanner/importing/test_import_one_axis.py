@@ -1,4 +1,4 @@
-"""Stripes along one axis: no second axis tells their order, but cells beside each other do."""
+"""Stripes along one axis: without a second axis, adjacent cells determine the order."""
 
 from itertools import product
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_the_order_of_one_axis_is_the_only_one_that_fits(
 
 @pytest.mark.parametrize("above_finest", [0, 1, 3])
 @pytest.mark.parametrize("options", [(), ("--from", "gray")])
-def test_an_xor_code_is_no_gray_code(
+def test_an_xor_code_is_distinguished_from_a_gray_code(
     camera: Photographer,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -55,17 +55,17 @@ def test_an_xor_code_is_no_gray_code(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_the_projector_is_must_be_given(
+def test_the_projector_size_must_be_given(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = camera.write(tmp_path / "frames", in_order("x", "after", finest_first=True), named("{}.png"))
     assert imported(source) == 2
     error = capsys.readouterr().err
-    assert "looks right along x, but one axis does not tell the projector's size: give --projector" in error
+    assert "looks right along x, but one axis does not determine the projector's size: give --projector" in error
     assert "mirrored" not in error
 
 
-def test_orders_are_told_apart_by_their_descriptions() -> None:
+def test_the_descriptions_of_orders_differ() -> None:
     orders = [
         in_order("x", inverses, finest_first=fine) for inverses in ("after", "last", "none") for fine in (False, True)
     ]

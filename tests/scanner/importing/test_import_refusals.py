@@ -1,4 +1,4 @@
-"""Folders that are no capture, or that cannot tell what they are, and arguments that are wrong."""
+"""Folders that are no capture or are ambiguous, and wrong arguments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.xdist_group("importing")
 
 
 def refused(capsys: pytest.CaptureFixture[str], source: Path, *arguments: object) -> str:
-    """The one message, after which there is nothing at --out."""
+    """The error message, after which --out does not exist."""
     out = source.parent / "nothing"
     assert imported(source, *arguments, "--out", out) == 2
     assert not out.exists()
@@ -28,31 +28,27 @@ def refused(capsys: pytest.CaptureFixture[str], source: Path, *arguments: object
     return error
 
 
-def test_frames_that_were_shown_in_no_known_order(
-    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_in_an_unknown_order(camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shuffled = [PAIRS[index] for index in np.random.default_rng(0).permutation(len(PAIRS))]
     error = refused(capsys, camera.write(tmp_path / "frames", shuffled, named("{}.png")))
     assert "38 frames, 0.png to 37.png; they fit no known order of frames" in error
     assert "opencv:" in error
 
 
-def test_rows_before_columns_are_mirrored(
-    camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_swapped_axes_look_mirrored(camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows_first = [*bits("y", 9), *bits("x", 10), *ENDS]
     error = refused(capsys, camera.write(tmp_path / "frames", rows_first, named("{}.png")), "--from", "opencv")
     assert "mirrored" in error or "never changes" in error
 
 
-def test_a_mirrored_capture_is_none_of_y_before_x(
+def test_a_mirrored_capture_is_not_taken_for_swapped_axes(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("{}.png"), lambda image: image[:, ::-1].copy())
     assert "mirrored" in refused(capsys, source)
 
 
-def test_a_missing_frame_is_a_wrong_number(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_frame_gives_a_wrong_count(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
     source = folder("procam-calibration")
     (source / "graycode_11.png").unlink()
     error = refused(capsys, source, "--from", "procam-calibration")
@@ -60,16 +56,14 @@ def test_a_missing_frame_is_a_wrong_number(folder: Callable[[str], Path], capsys
     assert "no sequence of 39 frames" in error
 
 
-def test_what_is_too_many_is_not_even_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_many_files_are_refused_before_reading(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "film").mkdir()
     for number in range(300):
         (tmp_path / "film" / f"{number}.png").write_bytes(b"no image")
     assert "no sequence of 300 frames" in refused(capsys, tmp_path / "film")
 
 
-def test_what_frames_cannot_tell_is_asked_for(
-    folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_undeterminable_values_are_asked_for(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert "give --projector and --cell" in refused(capsys, folder("phase-shifting"))
     assert "give --projector" in refused(capsys, folder("slstudio-gray, x"))
 
@@ -78,10 +72,10 @@ def middle(image: Image) -> Image:
     return image[150:230, 190:290].copy()
 
 
-def test_a_size_that_was_not_seen_is_asked_for(
+def test_an_unseen_projector_size_is_asked_for(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Where the camera sees the middle of the picture only, several projectors may have shown it."""
+    """If the camera sees only the middle of the picture, several projectors are possible."""
     source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("graycode_{:02d}.png"), middle)
     error = refused(capsys, source)
     assert "the projector's size is not clear, 640 × 360, or 640 × 480" in error
@@ -90,10 +84,10 @@ def test_a_size_that_was_not_seen_is_asked_for(
     assert open_capture(tmp_path / "capture").projector_size == PROJECTOR
 
 
-def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
+def test_a_named_order_is_accepted_although_it_does_not_decode(
     folder: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`scan replay` will say what is wrong with them; but whose they are is clear."""
+    """`scan replay` then reports the error; the order itself is clear."""
 
     class Decoder:
         def __init__(self, *_: object, **__: object) -> None:
@@ -108,7 +102,7 @@ def test_what_looks_right_and_does_not_decode_is_taken_at_ones_word(
     assert open_capture(tmp_path / "capture").patterns == (*PAIRS, *ENDS)
 
 
-def test_a_wrong_projector_is_not_believed(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_projector_size_is_refused(folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
     error = refused(capsys, folder("opencv"), "--projector", "1920x1080")
     assert "no sequence of 40 frames for a projector of 1920 × 1080" in error
 
@@ -125,7 +119,7 @@ def test_a_damaged_frame(folder: Callable[[str], Path], capsys: pytest.CaptureFi
     assert "graycode_05.png" in refused(capsys, source)
 
 
-def test_photographs_of_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_photographs_without_patterns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "holiday").mkdir()
     noise = np.random.default_rng(3)
     for number in range(42):

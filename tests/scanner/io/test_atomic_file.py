@@ -1,4 +1,4 @@
-"""What is left of folders that were made for files of which nothing came."""
+"""Folders that were created for files that could not be written."""
 
 from pathlib import Path
 
@@ -18,13 +18,13 @@ def write(folder: Path, *, fail: bool) -> None:
         paths[1].write_text("2")
 
 
-def test_folders_that_were_made_for_nothing_vanish(tmp_path: Path) -> None:
+def test_after_a_failure_new_folders_are_removed(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="No space left"):
         write(tmp_path / "a" / "b", fail=True)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_that_were_there_before_stay_with_what_is_in_them(tmp_path: Path) -> None:
+def test_after_a_failure_existing_folders_are_kept(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "empty").mkdir()
     (tmp_path / "a" / "note").write_text("mine")
@@ -35,12 +35,12 @@ def test_folders_that_were_there_before_stay_with_what_is_in_them(tmp_path: Path
     assert found == {"a", "a/note", "empty"}
 
 
-def test_a_folder_that_cannot_be_made_leaves_none_on_the_way(tmp_path: Path) -> None:
+def test_after_a_failed_mkdir_new_parents_are_removed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be made"):
         write(tmp_path / "a" / ("b" * 300), fail=False)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_became_of_it_stays(tmp_path: Path) -> None:
+def test_after_success_the_files_stay(tmp_path: Path) -> None:
     write(tmp_path / "a" / "b", fail=False)
     assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == set(NAMES)

@@ -67,7 +67,7 @@ def test_every_number_reads_back_the_same(tmp_path_factory: pytest.TempPathFacto
     assert same(read_calibration(path), calibration)
 
 
-def test_the_file_has_the_keys_that_others_rely_on(tmp_path: Path) -> None:
+def test_the_keys_of_the_file_format_are_fixed(tmp_path: Path) -> None:
     write_calibration(tmp_path / "calibration.yaml", CALIBRATION)
     data = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
     assert list(data) == ["camera", "projector", "rotation", "translation", "unit", "sigma"]
@@ -92,7 +92,7 @@ def written(tmp_path: Path, **changes: object) -> Path:
     return path
 
 
-def test_a_short_distortion_ends_in_zeros(tmp_path: Path) -> None:
+def test_a_short_distortion_is_padded_with_zeros(tmp_path: Path) -> None:
     assert read_calibration(written(tmp_path, camera__distortion=[-0.1, 0.2])).camera.distortion == (-0.1, 0.2, 0, 0, 0)
     assert read_calibration(written(tmp_path, camera__distortion=[])).camera.distortion == (0,) * 5
     assert read_calibration(written(tmp_path, camera__distortion=None)).camera.distortion == (0,) * 5
@@ -106,7 +106,7 @@ def test_sigma_may_be_left_out(tmp_path: Path) -> None:
     assert read_calibration(written(tmp_path, sigma=None)).sigma == Sigmas()
 
 
-def test_sigmas_of_other_programs_are_understood(tmp_path: Path) -> None:
+def test_sigmas_of_other_programs_are_read(tmp_path: Path) -> None:
     sigma = {"camera_focal_px": [1, 2.5], "camera_principal_point_px": 3, "corner_angles_deg": 0.1, "skew": 1.0}
     found = read_calibration(written(tmp_path, sigma=sigma)).sigma
     assert found == Sigmas(DeviceSigmas((1.0, 2.5), (3.0, 3.0)), corner_angles_deg=(0.1, 0.1, 0.1))

@@ -1,4 +1,4 @@
-"""What is no file at all, or leads elsewhere: devices, sockets, holes, links in a circle."""
+"""Paths that are no regular file or lead elsewhere: devices, sockets, sparse files, circular links."""
 
 import os
 import socket
@@ -53,7 +53,7 @@ def test_only_regular_files_are_read(tmp_path: Path, monkeypatch: Any, name: str
         READERS[name](Path(name))
 
 
-def test_a_listing_outside_of_the_capture_is_refused(capture_folder: Path) -> None:
+def test_a_listing_outside_the_capture_is_refused(capture_folder: Path) -> None:
     (capture_folder / "capture.yaml").rename(capture_folder.parent / "elsewhere.yaml")
     (capture_folder / "capture.yaml").symlink_to(capture_folder.parent / "elsewhere.yaml")
     with pytest.raises(InputError, match="a link that leads out of the capture folder"):
@@ -61,9 +61,7 @@ def test_a_listing_outside_of_the_capture_is_refused(capture_folder: Path) -> No
 
 
 @pytest.mark.parametrize("command", ["photos", "room"])
-def test_links_in_a_circle_are_refused_by_name(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_circular_links_are_refused_by_name(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config, circle = tmp_path / "rig.yaml", tmp_path / "circle"
     config.write_text("camera: {width: 48, height: 32}\nprojector: {width: 48, height: 32}\n")
     circle.symlink_to("circle")

@@ -1,4 +1,4 @@
-"""Matches and clouds that are small, and were made to fill the memory or to be believed."""
+"""Small matches and clouds that would fill the memory or hold implausible numbers."""
 
 import io
 import struct

@@ -1,4 +1,4 @@
-"""YAML that is small, and was made to hang the program, to fill its memory, or to be obeyed by a terminal."""
+"""Small YAML that would hang the program, fill its memory, or control a terminal."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -48,7 +48,7 @@ def test_hostile_yaml_is_refused(name: str) -> None:
     assert len(str(caught.value)) < 400
 
 
-def test_numbers_are_those_of_yaml_1_2_and_of_64_bits() -> None:
+def test_numbers_follow_yaml_1_2_with_64_bits() -> None:
     found = parse_yaml(f"[1:30, 1e3, 1_000, 0x1F, {'9' * 5000}, 0x{'f' * 5000}, {'1:' * 5000}1]", "")
     assert found == ["1:30", 1000.0, 1000, 31, "9" * 5000, f"0x{'f' * 5000}", f"{'1:' * 5000}1"]
 
@@ -57,7 +57,7 @@ def test_a_few_aliases_are_no_bomb() -> None:
     assert parse_yaml("a: &a {x: 1}\nb: *a\nc: {<<: *a, y: 2}", "")["c"] == {"x": 1, "y": 2}
 
 
-def test_what_a_terminal_would_obey_is_marked_and_what_is_long_is_cut(capture_folder: Path) -> None:
+def test_control_characters_are_escaped_and_long_values_cut(capture_folder: Path) -> None:
     listing = read_listing(capture_folder)
     listing |= {"devices": {"camera": "\x1b]0;title\x07" + "x" * 5000, "lens": [["a"] * 50] * 5}, "by\x9b31m": 1}
     (capture_folder / "capture.yaml").write_text(flow_yaml(listing))
@@ -67,7 +67,7 @@ def test_what_a_terminal_would_obey_is_marked_and_what_is_long_is_cut(capture_fo
     assert max(map(len, about.values())) <= 200
 
 
-def test_many_unknown_keys_are_told_on_a_screen(tmp_path: Path) -> None:
+def test_many_unknown_keys_give_a_short_message(tmp_path: Path) -> None:
     path = tmp_path / "room.yaml"
     path.write_text("\n".join(f"k{i}{'k' * 500}: 1" for i in range(1500)))
     with pytest.raises(InputError, match="and 1,488 more of the kind") as caught:

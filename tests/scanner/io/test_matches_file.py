@@ -127,7 +127,7 @@ def test_an_array_larger_than_any_memory_is_refused(tmp_path: Path) -> None:
         read_matches(tmp_path / "matches.npz")
 
 
-def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_archive_is_refused(tmp_path: Path) -> None:
     (tmp_path / "matches.npz").write_bytes(b"\x80\x04K\x01.")
     with pytest.raises(InputError, match=r"expected an .npz file"):
         read_matches(tmp_path / "matches.npz")

@@ -20,7 +20,7 @@ def cloud() -> Cloud:
 
 
 def parse_ply(path: Path) -> tuple[list[str], NDArray[np.void]]:
-    """Header lines and vertices, by the format's definition alone."""
+    """Header lines and vertices, by the definition of the format."""
     header, _, body = path.read_bytes().partition(b"end_header\n")
     lines = header.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
@@ -31,7 +31,7 @@ def parse_ply(path: Path) -> tuple[list[str], NDArray[np.void]]:
     return lines, vertices
 
 
-def test_what_is_written_is_the_cloud(cloud: Cloud, tmp_path: Path) -> None:
+def test_the_cloud_is_written(cloud: Cloud, tmp_path: Path) -> None:
     write_ply(tmp_path / "cloud.ply", cloud, match=cloud.match)
     lines, vertices = parse_ply(tmp_path / "cloud.ply")
     assert vertices.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "match")
@@ -51,7 +51,7 @@ def test_an_empty_cloud_is_a_valid_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", ["m\nend_header\n", "µm", "  in\tches \r\n"])
-def test_a_strange_unit_cannot_break_the_header(cloud: Cloud, tmp_path: Path, unit: str) -> None:
+def test_an_odd_unit_does_not_break_the_header(cloud: Cloud, tmp_path: Path, unit: str) -> None:
     write_ply(tmp_path / "cloud.ply", replace(cloud, unit=unit))
     lines, vertices = parse_ply(tmp_path / "cloud.ply")
     assert sum(line.startswith("comment unit") for line in lines) == 1

@@ -27,7 +27,7 @@ def test_poses_read_back_the_same(tmp_path: Path) -> None:
         ("cameras", "camera", 3, "cameras"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, count: int, words: str) -> None:
+def test_wrong_files_are_refused(tmp_path: Path, old: str, new: str, count: int, words: str) -> None:
     path = tmp_path / "poses.yaml"
     write_poses(path, poses())
     path.write_text(path.read_text().replace(old, new, 1) if old else path.read_text())

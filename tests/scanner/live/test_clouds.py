@@ -1,4 +1,4 @@
-"""Clouds of a few frames against what is known: true to their sigmas when all is still, and honest when it moves."""
+"""Clouds of six frames compared with the truth: true sigmas at rest, and correct masks in motion."""
 
 from itertools import islice
 
@@ -28,7 +28,7 @@ def begun(bench: LiveBench, depths: tuple[float, float] | None = DEPTHS) -> tupl
 
 
 def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None = DEPTHS) -> list[LiveCloud | None]:
-    """What becomes of so many rounds; None of those that are dropped."""
+    """The clouds of a number of rounds; None for dropped ones."""
     seen, sequence, decoder = begun(bench, depths)
     earlier: list[LiveCloud] = []
     taken = islice(rounds(bench.rig, sequence, seen.response), number)
@@ -36,7 +36,7 @@ def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None 
 
 
 def errors(cloud: LiveCloud, bench: LiveBench, axis: int = 0) -> tuple[Floats, Floats, Bools]:
-    """In pixels and in sigmas, of the pixels that are kept, which are (H, W)."""
+    """Errors in pixels and in sigmas, of the kept pixels, (H, W)."""
     middle = _BEFORE + FRAMES * cloud.taken.number + (FRAMES - 1) / 2
     off = cloud.coordinate - bench.truth(middle)[0][..., axis]
     kept = np.isfinite(cloud.coordinate)
@@ -45,7 +45,7 @@ def errors(cloud: LiveCloud, bench: LiveBench, axis: int = 0) -> tuple[Floats, F
 
 @pytest.mark.parametrize("depths", [DEPTHS, None])
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_a_still_scene_is_seen_to_within_its_sigmas(depths: tuple[float, float] | None, gamma: float) -> None:
+def test_errors_of_a_static_scene_match_their_sigmas(depths: tuple[float, float] | None, gamma: float) -> None:
     bench = LiveBench(gamma=gamma)
     cloud = clouds_of(bench, 2, depths)[1]
     assert cloud is not None
@@ -57,7 +57,7 @@ def test_a_still_scene_is_seen_to_within_its_sigmas(depths: tuple[float, float] 
     assert cloud.moving_share < 1e-3
 
 
-def test_light_from_another_wall_takes_no_pixel_for_its_neighbour_a_period_off() -> None:
+def test_interreflection_causes_no_period_slip() -> None:
     bench = LiveBench(bounce=0.15)
     cloud = clouds_of(bench, 2, None)[1]
     assert cloud is not None
@@ -66,7 +66,7 @@ def test_light_from_another_wall_takes_no_pixel_for_its_neighbour_a_period_off()
     assert np.mean(np.abs(off) > 5) < 2e-3
 
 
-def test_points_and_their_sigmas_are_where_rays_meet_stripes() -> None:
+def test_points_and_sigmas_follow_from_rays_and_stripe_planes() -> None:
     bench = LiveBench(calibration=calibration(lens=-0.05))
     cloud = clouds_of(bench, 2)[1]
     assert cloud is not None
@@ -89,10 +89,10 @@ def test_narrower_limits_make_finer_fringes() -> None:
 
 
 @pytest.mark.parametrize(("speed_m", "least_moving"), [((0.0003, 0.0, 0.0), 0.02), ((0.0, 0.0, -0.0003), 0.1)])
-def test_a_ball_at_10_mm_a_second_is_seen_with_what_that_costs(
+def test_a_ball_moving_at_10_mm_per_second_has_the_expected_errors(
     speed_m: tuple[float, float, float], least_moving: float
 ) -> None:
-    """33 ms a frame, to the right or towards the camera."""
+    """33 ms per frame, to the right or towards the camera."""
     bench = LiveBench(speed_m=speed_m)
     cloud = clouds_of(bench, 3)[2]
     assert cloud is not None
@@ -106,7 +106,7 @@ def test_a_ball_at_10_mm_a_second_is_seen_with_what_that_costs(
     assert np.mean(np.abs(of_ball) > 6) < 0.01
 
 
-def test_a_ball_that_moves_too_fast_is_left_out_not_shown_as_spikes() -> None:
+def test_a_ball_that_moves_too_fast_is_masked() -> None:
     bench = LiveBench(speed_m=(0.0, 0.0, -0.004))
     cloud = clouds_of(bench, 3)[2]
     assert cloud is not None
@@ -119,7 +119,7 @@ def test_a_ball_that_moves_too_fast_is_left_out_not_shown_as_spikes() -> None:
 
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.05])
 @pytest.mark.parametrize("which", range(FRAMES))
-def test_a_late_frame_costs_one_cloud_and_none_is_wrong(share: float, which: int) -> None:
+def test_a_late_frame_costs_one_cloud_and_makes_none_wrong(share: float, which: int) -> None:
     bench = LiveBench(late=frozenset([_BEFORE + 2 * FRAMES + which]), share=share)
     clouds = clouds_of(bench, 5)
     assert [cloud is None for cloud in clouds] == [True, False, True, False, False]

@@ -1,4 +1,4 @@
-"""The loop around the decoder: what is kept, what ends it, and that nothing grows or waits."""
+"""The loop around the decoder: what is kept, what ends it, and that nothing grows or blocks."""
 
 import re
 import threading
@@ -36,7 +36,7 @@ projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
 
 
 class Acting(Watcher):
-    """Does something when a cloud comes, and notes what is told."""
+    """Runs an action for each cloud, and records the sentences."""
 
     def __init__(self, act: object = None) -> None:
         self._act = act
@@ -52,7 +52,7 @@ class Acting(Watcher):
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> LiveBench:
-    """The rig that every configuration names."""
+    """The rig of every configuration."""
     made = LiveBench()
 
     @contextmanager
@@ -76,7 +76,7 @@ def live(folder: Path, bench: LiveBench, wishes: Wishes, watcher: Watcher) -> Lo
     )
 
 
-def test_so_many_clouds_are_kept_as_stations_of_a_thing(tmp_path: Path, bench: LiveBench) -> None:
+def test_the_requested_number_of_clouds_is_kept_as_stations(tmp_path: Path, bench: LiveBench) -> None:
     found = live(tmp_path, bench, Wishes(number=2), Acting())
     assert len(found.kept) == 2
     config = load_config(tmp_path / "rig.yaml")
@@ -93,7 +93,7 @@ def test_so_many_clouds_are_kept_as_stations_of_a_thing(tmp_path: Path, bench: L
         read_stations(places, config, Terminal(quiet=True))
 
 
-def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench) -> None:
+def test_a_cloud_is_kept_on_request(tmp_path: Path, bench: LiveBench) -> None:
     wishes = Wishes()
 
     def act(_: LiveCloud | None, account: Account) -> None:
@@ -108,14 +108,14 @@ def test_a_cloud_is_kept_when_somebody_wants_it(tmp_path: Path, bench: LiveBench
     assert re.match(r"Station 1 is kept: [\d,]{5,7} points, sigma 0.\d+ mm\.", told)
 
 
-def test_clouds_are_kept_every_so_often(tmp_path: Path, bench: LiveBench) -> None:
+def test_clouds_are_kept_at_intervals(tmp_path: Path, bench: LiveBench) -> None:
     began_s = time.monotonic()
     live(tmp_path, bench, Wishes(number=3, every_s=0.2), Acting())
     assert time.monotonic() - began_s > 0.4
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), DeviceError("the camera is gone")])
-def test_what_was_kept_is_there_whatever_ends_it(
+def test_kept_clouds_are_saved_however_the_loop_ends(
     tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     take = LiveBench.take
@@ -132,7 +132,7 @@ def test_what_was_kept_is_there_whatever_ends_it(
     assert len(list((tmp_path / "out" / "captures").iterdir())) == len(found.kept) >= 1
 
 
-def test_nothing_is_left_where_nothing_was_kept(
+def test_without_kept_clouds_no_folder_is_left(
     tmp_path: Path, bench: LiveBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone(_: LiveBench) -> object:
@@ -144,7 +144,7 @@ def test_nothing_is_left_where_nothing_was_kept(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_fails_beside_ends_the_loop(tmp_path: Path, bench: LiveBench) -> None:
+def test_an_error_in_the_observer_ends_the_loop(tmp_path: Path, bench: LiveBench) -> None:
     def act(_: LiveCloud | None, __: Account) -> None:
         raise DeviceError("the page is gone")
 
@@ -152,7 +152,7 @@ def test_what_fails_beside_ends_the_loop(tmp_path: Path, bench: LiveBench) -> No
         live(tmp_path, bench, Wishes(), Acting(act))
 
 
-def test_the_newest_is_taken_and_older_ones_are_dropped() -> None:
+def test_the_newest_cloud_is_taken_and_older_ones_are_dropped() -> None:
     slot = Newest[int]()
     for number in range(5):
         slot.put(number)
@@ -161,7 +161,7 @@ def test_the_newest_is_taken_and_older_ones_are_dropped() -> None:
     assert slot.take() is None
 
 
-def test_who_is_slow_does_not_hold_up_the_camera() -> None:
+def test_a_slow_observer_does_not_delay_the_camera() -> None:
     still, decoder = _still(LiveBench())
     account, began_s = Account(), time.monotonic()
 
@@ -174,7 +174,7 @@ def test_who_is_slow_does_not_hold_up_the_camera() -> None:
     assert account.clouds + account.skipped >= 298
 
 
-def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
+def test_memory_does_not_grow_over_ten_thousand_clouds() -> None:
     bench = LiveBench(calibration=calibration(smaller=8))
     everywhere = np.ones(bench.calibration.camera.size[::-1], np.bool_)
     seen = FirstLook(everywhere, (1.0, 0.02), 255.0, None)
@@ -197,8 +197,8 @@ def test_ten_thousand_clouds_leave_the_memory_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("number", [2, None])
-def test_where_no_cloud_comes_it_ends_and_says_so(tmp_path: Path, bench: LiveBench, number: int | None) -> None:
-    """Other frames of each round show the picture before: with nobody to see it, it would go on for ever."""
+def test_without_any_cloud_the_loop_ends_with_an_error(tmp_path: Path, bench: LiveBench, number: int | None) -> None:
+    """One frame of each round shows the previous picture; unattended, the loop would never end."""
     bench.late = frozenset(range(29, 2000, 5))
     wishes = Wishes(number=number)
 
@@ -207,7 +207,7 @@ def test_where_no_cloud_comes_it_ends_and_says_so(tmp_path: Path, bench: LiveBen
             wishes.end.set()
 
     error = KeyboardInterrupt if number is None else RefusalError
-    said = None if number is None else "No cloud came of the last 100 rounds: their frames contradict"
+    said = None if number is None else "The last 100 rounds gave no cloud: their frames contradict"
     with pytest.raises(error, match=said):
         live(tmp_path, bench, wishes, Acting(act))
 
@@ -219,7 +219,7 @@ def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveB
 
 
 def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
-    """Some rounds of a scene, and what decodes them."""
+    """Some rounds of a static scene, and their decoder."""
     seen, sequence, decoder = begun(bench)
     taken = islice(rounds(bench.rig, sequence, seen.response), 3)
     return [each for each in taken if each is not None], decoder

@@ -1,4 +1,4 @@
-"""`scan measure` on a synthetic scene: results against the truth, and answers to wrong arguments."""
+"""`scan measure` on a synthetic scene: results compared with the truth, and messages on wrong arguments."""
 
 import json
 from pathlib import Path
@@ -45,7 +45,7 @@ def test_the_sphere(written: Written, measured: dict[str, Any]) -> None:
     assert np.allclose(sphere["image_px"]["centre"], (column, row), atol=0.1)
 
 
-def test_the_spheres_errors_are_those_of_its_points(written: Written, measured: dict[str, Any]) -> None:
+def test_the_sphere_sigma_follows_from_its_points(written: Written, measured: dict[str, Any]) -> None:
     (sphere,) = measured["spheres"]
     scan = written.scan
     from_centre = np.linalg.norm(scan.points - written.scene.sphere_centre, axis=1)
@@ -106,7 +106,7 @@ def test_the_heat_map_is_a_picture_in_colour(written: Written, measured: dict[st
         assert 0.05 < np.mean(half > 40) < 0.9
 
 
-def test_the_terminal_tells_it_in_millimetres(
+def test_the_terminal_shows_millimetres(
     written: Written, measured: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("measure", written.folder, "--sphere", "30cm", "--out", tmp_path / "m") == 0
@@ -128,7 +128,7 @@ def test_other_units(tmp_path: Path, unit: str, text: str) -> None:
 
 
 def test_a_sparse_cloud(tmp_path: Path) -> None:
-    """One point for about nine pixels, as with a projector whose pixels are larger than the camera's."""
+    """One point for about nine pixels, as if the projector's pixels are larger than the camera's."""
     rng = np.random.default_rng(0)
     written = write_result(tmp_path / "room", keep=lambda pixels: rng.random(len(pixels)) < 0.11)
     assert run("measure", written.folder, "--sphere", "300mm", "--quiet") == 0
@@ -155,7 +155,7 @@ def test_a_sparse_cloud(tmp_path: Path) -> None:
         (("--distance", 120, 150, 120), 2, ("--distance", "4 arguments")),
     ],
 )
-def test_what_cannot_be_measured(
+def test_unmeasurable_requests_are_refused(
     written: Written,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -171,7 +171,7 @@ def test_what_cannot_be_measured(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_earlier_measurement_is_not_replaced_unasked(
+def test_an_earlier_measurement_is_replaced_only_on_request(
     written: Written, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for extra, code in ((), 0), ((), 2), (("--overwrite",), 0):
@@ -179,13 +179,13 @@ def test_an_earlier_measurement_is_not_replaced_unasked(
     assert "already exists" in capsys.readouterr().err
 
 
-def test_without_a_scale_millimetres_mean_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_millimetres_need_a_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room", unit="baseline")
     assert run("measure", written.folder, "--sphere", "300mm") == 2
     assert "scale.baseline_m" in capsys.readouterr().err
 
 
-def test_without_faces_something_must_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_faces_a_measurement_must_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room")
     matches = read_matches(written.folder)
     write_matches(written.folder / "matches.npz", Matches(matches.camera_px, matches.projector_px))
@@ -198,7 +198,7 @@ def test_without_faces_something_must_be_asked_for(tmp_path: Path, capsys: pytes
     assert {path.name for path in (tmp_path / "room-measured").iterdir()} == {"measure.json"}
 
 
-def test_a_refused_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refused_capture_cannot_be_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = write_result(tmp_path / "room")
     (written.folder / "calibration.yaml").unlink()
     assert run("measure", written.folder) == 2

@@ -58,7 +58,7 @@ def test_the_ball_of_a_simulated_room(result: Path, room: Room, capsys: pytest.C
     )
 
 
-def test_the_report_says_the_same(result: Path) -> None:
+def test_the_report_shows_the_same_values(result: Path) -> None:
     document = json.loads((result.with_name("room-measured") / "measure.json").read_text())
     page = (result / "report.html").read_text().replace("\N{NO-BREAK SPACE}", " ")
     assert document["known_lengths"]["sentence"] in page
@@ -86,6 +86,6 @@ def test_acceptance_with_a_ball_bar(result: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("ball_bar", ["240mm,240mm", "240mm,240mm,100mm", "240mm,240mn,400mm"])
-def test_ball_bars_that_are_none(result: Path, ball_bar: str, tmp_path: Path) -> None:
+def test_wrong_ball_bars_are_refused(result: Path, ball_bar: str, tmp_path: Path) -> None:
     assert main(["accept", str(result), "--ball-bar", ball_bar, "--out", str(tmp_path / "out")]) == 2
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""`scan network` on captures of a made-up network, end to end."""
+"""`scan network` on captures of a synthetic network, end to end."""
 
 import shutil
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_pairs_that_share_no_device_are_named(
         (["a-p", "b-p"], ("--distance", "a,b"), "expected two devices and a length"),
     ],
 )
-def test_what_is_no_network(
+def test_wrong_networks_are_refused(
     names: list[str], extra: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folders = [write_capture(tmp_path / name) for name in names]
@@ -105,7 +105,7 @@ def test_a_mirrored_capture_is_named(
     assert "a-p: the horizontal coordinate runs backwards" in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_device_of_two_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_with_two_image_sizes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folders = [write_capture(tmp_path / name) for name in ("a-p", "b-p")]
     listing = folders[1] / "capture.yaml"
     content = yaml.safe_load(listing.read_text())

@@ -1,4 +1,4 @@
-"""A network captured by its own devices: two cameras and two projectors in one simulated room."""
+"""A network that captures itself: two cameras and two projectors in one simulated room."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +26,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_every_device_is_as_it_is(taken: Path) -> None:
+def test_every_device_is_estimated_correctly(taken: Path) -> None:
     document = yaml.safe_load((taken / "network.yaml").read_text(encoding="utf-8"))
     found = {each["name"]: each for each in document["devices"]}
     assert {*found} == {"left", "right", "stage", "side"}
@@ -40,7 +40,7 @@ def test_every_device_is_as_it_is(taken: Path) -> None:
     assert found["left"]["focal_px"][0] < 0.97 * found["right"]["focal_px"][0]
 
 
-def test_its_captures_give_the_same_network_again(taken: Path, tmp_path: Path) -> None:
+def test_replaying_the_captures_gives_the_same_network(taken: Path, tmp_path: Path) -> None:
     pairs = sorted(map(str, (taken / "captures").iterdir()))
     assert [Path(pair).name for pair in pairs] == ["left-side", "left-stage", "right-side", "right-stage"]
     again = tmp_path / "again"
@@ -55,7 +55,7 @@ def _name(device: dict[str, str]) -> str:
     return device["name"]
 
 
-def test_a_pair_is_the_common_keys_with_those_of_its_devices() -> None:
+def test_a_pair_merges_common_and_device_keys() -> None:
     config = load_config(HALL, ["rigs.cameras.right.camera={width: 640, height: 480}"])
     pairs = config.pairs
     assert [*pairs] == [("left", "stage"), ("right", "stage"), ("left", "side"), ("right", "side")]
@@ -80,7 +80,7 @@ def test_a_pair_is_the_common_keys_with_those_of_its_devices() -> None:
         ("rigs.projectors.side.camera={width: 320, height: 240}", "left has 320 × 240 pixels with left and side"),
     ],
 )
-def test_what_is_impossible_is_named_before_a_capture(
+def test_impossible_settings_are_named_before_a_capture(
     change: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert scan(["network", "--config", str(HALL), "--set", change, "--out", str(tmp_path / "out")]) == 2
@@ -88,12 +88,12 @@ def test_what_is_impossible_is_named_before_a_capture(
     assert not (tmp_path / "out").exists()
 
 
-def test_captures_or_devices_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_captures_or_devices_are_required(capsys: pytest.CaptureFixture[str]) -> None:
     assert scan(["network"]) == 2
     assert "--config" in capsys.readouterr().err
 
 
-def test_a_device_that_fails_costs_no_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_failure_keeps_the_captures_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole: Callable[..., object] = take
 
     def failing(rig: object, config: object, place: Path, *rest: object) -> object:

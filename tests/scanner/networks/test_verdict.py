@@ -28,8 +28,8 @@ def verdict_of(made: SyntheticNetwork, captures: Mapping[tuple[str, str], Matche
 @pytest.mark.parametrize(
     ("turned_px", "wavy", "grade"), [(0.0, 0.0, "good"), (0.0, 0.005, "good"), (1.0, 0.0, "refused")]
 )
-def test_a_camera_that_turned_between_two_projectors_is_told(turned_px: float, wavy: float, grade: str) -> None:
-    """And walls with waves of half a centimetre are not taken for it."""
+def test_a_camera_turned_between_two_projectors_is_reported(turned_px: float, wavy: float, grade: str) -> None:
+    """Walls with waves of half a centimetre are not reported."""
     made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000, wavy=wavy))
     moved = made.captures["camera2", "projector2"]
     turned = replace(moved, camera_px=moved.camera_px + np.array([turned_px, 0.0]))
@@ -71,7 +71,7 @@ def test_the_device_whose_picture_is_warped_is_named(name: str, remedy: str) -> 
     assert verdict.advice.startswith(remedy)
 
 
-def test_two_devices_in_one_place_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_devices_in_one_place_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     apart = networks._poses
 
     def close(*args: Any) -> dict[str, Motion]:

@@ -1,4 +1,4 @@
-"""Stations of a simulated thing, joined: poses, the thing without background, and refusals of ambiguous ones."""
+"""Stations of a simulated thing: poses, removal of the background, and refusals of ambiguous ones."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def turned() -> tuple[list[ThingStation], SolvedObject]:
     return stations, solved(stations)
 
 
-def test_places_are_found_without_order_or_guess(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+def test_poses_are_found_without_order_or_initial_guess(turned: tuple[list[ThingStation], SolvedObject]) -> None:
     stations, found = turned
     assert found.numbers == (0, 1, 2, 3, 4)
     assert verdict_on(found).grade == "good"
@@ -61,7 +61,7 @@ def test_the_turntable_is_found(turned: tuple[list[ThingStation], SolvedObject])
     np.testing.assert_allclose(steps, [30, 60, 90, 120], atol=0.02)
 
 
-def test_what_rests_is_left_out(turned: tuple[list[ThingStation], SolvedObject]) -> None:
+def test_the_static_background_is_left_out(turned: tuple[list[ThingStation], SolvedObject]) -> None:
     stations, found = turned
     assert 0.4 < found.rests < 0.9
     for true, station in zip(stations, found.stations, strict=True):
@@ -77,7 +77,7 @@ def test_a_plain_ball_is_ambiguous() -> None:
     assert "otherwise" in verdict.reasons[0] or "turn or slide" in verdict.headline
 
 
-def test_another_thing_is_named_and_left_out() -> None:
+def test_a_station_of_another_object_is_named_and_left_out() -> None:
     stations = thing_stations([0, 1, 2], CAMERA, seed=2, steps=12, background=False)
     stranger = thing_stations([0], CAMERA, seed=2, steps=12, background=False, kind="box")
     found = solved([*stations, *stranger])
@@ -85,21 +85,23 @@ def test_another_thing_is_named_and_left_out() -> None:
     assert verdict_on(found).grade == "fair"
 
 
-def test_what_never_moved_or_looks_as_if_it_had_not_is_said_to_rest() -> None:
+def test_an_object_that_did_not_visibly_move_is_refused() -> None:
     station = thing_stations([0], CAMERA)[0]
-    with pytest.raises(RefusalError, match="rests: its surface is at the same place in the 4 stations") as refusal:
+    with pytest.raises(
+        RefusalError, match="Nothing moved: all surfaces are at the same place in the 4 stations"
+    ) as refusal:
         solved([station] * 4)
     assert "round about the axis" in refusal.value.advice
 
 
-def test_a_table_does_not_hold_two_stations_together() -> None:
-    """More than half of what both see rests."""
+def test_the_table_alone_does_not_connect_two_stations() -> None:
+    """More than half of the common surface is static."""
     first, second = solved(thing_stations([0, 2], CAMERA, seed=2), pictures=False).stations
     turn = Rotation.from_matrix(between(first.place, second.place).rotation)
     assert 0 < abs(np.degrees(turn.magnitude()) - 30) < 0.05
 
 
-def test_two_stations_of_a_thing_that_was_not_turned_are_refused() -> None:
+def test_two_stations_of_an_unturned_object_are_refused() -> None:
     with pytest.raises(RefusalError, match="Nothing was turned between the 2 stations") as refusal:
         solved(thing_stations([0, 0], CAMERA, seed=1))
     assert "4 or more" in refusal.value.advice
@@ -112,7 +114,7 @@ def test_a_calibration_of_another_rig_is_refused() -> None:
         solved([replace(each, calibration=other) for each in stations])
 
 
-def test_nothing_in_common_is_refused() -> None:
+def test_stations_without_overlap_are_refused() -> None:
     one = thing_stations([0], CAMERA, seed=2, background=False)
     other = thing_stations([0], CAMERA, seed=2, background=False, kind="box")
     with pytest.raises(RefusalError, match="No two stations show the same part of a thing"):
@@ -153,7 +155,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
             assert printed.area == pytest.approx(1e6 * surface.area[0], rel=1e-3)
 
 
-def test_the_volume_of_a_closed_surface_is_told() -> None:
+def test_the_volume_of_a_closed_surface_is_reported() -> None:
     solid = thing_stations([0], CAMERA, seed=2, background=False)[0].solid
     assert is_closed(solid.triangles)
     assert not is_closed(solid.triangles[1:])

@@ -9,7 +9,7 @@ SIZE = (64, 48)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2, 2.6])
-def test_the_light_of_a_group_is_the_same_everywhere_whatever_the_projector_makes_of_grey(gamma: float) -> None:
+def test_a_group_sums_to_uniform_light_for_any_gamma(gamma: float) -> None:
     patterns = sequence_for(SIZE, code="both", cell=8, inverses=True, periods=(16.0, 6.7), shifts=4)
     groups = level_groups(patterns)
     assert sorted(number for group in groups for number in group) == list(range(len(patterns)))
@@ -19,7 +19,7 @@ def test_the_light_of_a_group_is_the_same_everywhere_whatever_the_projector_make
         assert len(group) in (2, 4)
 
 
-def test_what_belongs_to_nothing_is_left_out() -> None:
+def test_patterns_without_a_group_are_left_out() -> None:
     quick = PRESETS["quick"].patterns(SIZE)
     bits = [number for number, pattern in enumerate(quick) if isinstance(pattern, Gray)]
     groups = level_groups(quick)
@@ -41,7 +41,7 @@ def test_what_belongs_to_nothing_is_left_out() -> None:
         [Phase("x", 16, 0.0), Phase("x", 16, 1 / 3), Phase("x", 12, 2 / 3)],
     ],
 )
-def test_these_do_not_go_together(patterns: list[Pattern]) -> None:
+def test_patterns_that_do_not_form_a_group(patterns: list[Pattern]) -> None:
     assert level_groups(patterns) == ()
 
 

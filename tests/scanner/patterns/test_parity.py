@@ -26,7 +26,7 @@ def test_no_combination_of_a_group_is_black_or_white_everywhere(code: Code, size
                 assert 0 < np.mean(np.logical_xor.reduce(chosen)) < 1
 
 
-def test_bits_with_inverses_and_bits_that_are_shown_twice_are_left_out() -> None:
+def test_bits_with_inverses_and_repeated_bits_are_left_out() -> None:
     assert unpaired_bits(PRESETS["standard"].patterns(SIZE)) == ()
     first, second, third = (Gray("x", bit, 3) for bit in range(3))
     assert unpaired_bits([first, second, third, second]) == ((0, 2),)

@@ -43,7 +43,7 @@ def test_a_pattern_reads_back_the_same(pattern: Pattern) -> None:
     assert TypeAdapter(PatternEntry).validate_python(entry["pattern"]).pattern() == pattern
 
 
-def test_the_keys_are_those_that_others_rely_on() -> None:
+def test_the_keys_of_the_file_format_are_fixed() -> None:
     assert pattern_to_dict(Gray("x", 0, 10)) == {
         "kind": "gray",
         "axis": "x",

@@ -1,4 +1,4 @@
-"""Reading photos: EXIF orientation and focal length, and what cannot be used."""
+"""Reading photos: EXIF orientation and focal length, and unusable files."""
 
 from pathlib import Path
 
@@ -24,14 +24,16 @@ def write(path: Path, pixels: np.ndarray, orientation: int = 1, focal_mm: int | 
 
 @pytest.fixture
 def pixels() -> np.ndarray:
-    """Rising brightness, different along both axes, so that a JPEG keeps every orientation apart."""
+    """Increasing brightness, different along both axes, which identifies every orientation in a JPEG."""
     rows, columns = np.mgrid[:48, :64]
     return np.stack([4 * rows, 3 * columns, 2 * rows + columns], axis=-1).astype(np.uint8)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
-def test_photos_are_turned_as_exif_says(tmp_path: Path, pixels: np.ndarray, orientation: int, suffix: str) -> None:
+def test_photos_are_rotated_by_their_exif_orientation(
+    tmp_path: Path, pixels: np.ndarray, orientation: int, suffix: str
+) -> None:
     paths = [write(tmp_path / f"{name}.{suffix}", pixels, orientation) for name in "ab"]
     first, _ = read_photos(paths)
     with Image.open(paths[0]) as image:
@@ -55,7 +57,7 @@ def test_the_focal_length_is_read_in_pixels(tmp_path: Path, pixels: np.ndarray) 
     assert second.focal_px is None
 
 
-def test_sixteen_bits_become_eight(tmp_path: Path) -> None:
+def test_sixteen_bits_are_reduced_to_eight(tmp_path: Path) -> None:
     grey = np.linspace(0, 65535, 64 * 48).reshape(48, 64).astype(np.uint16)
     for name in "ab":
         Image.fromarray(grey).save(tmp_path / f"{name}.png")
@@ -77,7 +79,7 @@ def test_a_photo_given_twice_is_refused(tmp_path: Path, pixels: np.ndarray) -> N
 
 
 @pytest.mark.parametrize("content", [b"", b"no image", b"\xff\xd8\xff\xe0 broken off"])
-def test_a_file_that_is_no_photo_is_refused(tmp_path: Path, pixels: np.ndarray, content: bytes) -> None:
+def test_a_file_without_an_image_is_refused(tmp_path: Path, pixels: np.ndarray, content: bytes) -> None:
     good = write(tmp_path / "a.jpg", pixels)
     bad = tmp_path / "b.jpg"
     bad.write_bytes(content)

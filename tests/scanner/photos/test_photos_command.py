@@ -1,4 +1,4 @@
-"""`scan photos` from files to files, on photos of a painted corner, and everything that it turns away."""
+"""`scan photos` end to end on photos of a painted corner, and its refusals."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def photos(walls: Walls, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
 @pytest.fixture(scope="module")
 def result(photos: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of two photos, with a dense cloud."""
+    """The result of two photos, with a dense cloud."""
     out = tmp_path_factory.mktemp("results") / "two"
     assert run(*photos[:2], "--out", out, "--dense", *EXACT) == 0
     return out
@@ -98,7 +98,7 @@ def test_the_dense_cloud_is_denser_and_on_the_same_walls(result: Path) -> None:
         assert 1e-5 < np.median(off) < 0.02 * np.linalg.norm(centre)
 
 
-def test_the_report_speaks_of_photos(result: Path) -> None:
+def test_the_report_uses_the_words_for_photos(result: Path) -> None:
     text = (result / "report.html").read_text()
     assert "Between the photos" in text
     assert "<h3>The photos</h3>" in text
@@ -106,7 +106,7 @@ def test_the_report_speaks_of_photos(result: Path) -> None:
     assert "focal length, EXIF" in text
 
 
-def test_matches_of_another_program_give_the_same(result: Path, photos: list[Path], tmp_path: Path) -> None:
+def test_matches_of_another_program_give_the_same_result(result: Path, photos: list[Path], tmp_path: Path) -> None:
     given = read_matches(result)
     np.savez(tmp_path / "m.npz", camera_px=given.camera_px, projector_px=given.projector_px)
     assert run(*photos[:2], "--matches", tmp_path / "m.npz", "--out", tmp_path / "out", *EXACT) == 0
@@ -179,7 +179,7 @@ def test_the_exif_focal_length_is_shown_and_used_only_if_asked_for(
 
 
 def refused(capsys: pytest.CaptureFixture[str], paths: list[Path], out: Path, *words: str) -> None:
-    """Exit code 4, and what was found is kept."""
+    """Exit code 4, and the matches are kept."""
     assert run(*paths, "--out", out) == 4
     message = capsys.readouterr().err
     for word in words:
@@ -230,7 +230,7 @@ def test_photos_of_nothing_are_refused(tmp_path: Path, capsys: pytest.CaptureFix
         (("A.png", "B.png", "--exif-prior"), "FocalLengthIn35mmFilm"),
     ],
 )
-def test_what_cannot_be_used_is_named(
+def test_unusable_arguments_are_named(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""Numbers for reading."""
+"""Formatted numbers."""
 
 import math
 
@@ -9,7 +9,7 @@ from scanner.quantities.calibration_numbers import plain
 
 
 @given(st.floats(-1e6, 1e6), st.integers(0, 6))
-def test_a_number_has_its_sign_unless_zero_is_shown(value: float, decimals: int) -> None:
+def test_numbers_have_a_sign_unless_shown_as_zero(value: float, decimals: int) -> None:
     shown = plain(value, decimals, signed=True)
     assert math.isclose(float(shown.replace("−", "-")), value, abs_tol=0.501 * 10**-decimals)
     assert shown[0] in ("+" if value > 0 else "−") or float(shown) == 0
@@ -17,7 +17,7 @@ def test_a_number_has_its_sign_unless_zero_is_shown(value: float, decimals: int)
     assert plain(value, decimals) == shown.removeprefix("+")
 
 
-def test_what_rounds_to_zero_is_zero() -> None:
+def test_values_that_round_to_zero_have_no_sign() -> None:
     assert [plain(value, 2, signed=True) for value in (-0.0034, 0.0034, 0.0, -0.006)] == [
         "0.00",
         "0.00",

@@ -46,7 +46,7 @@ def test_errors_are_relative_to_the_truth() -> None:
     np.testing.assert_allclose(intrinsic_errors_percent(FOUND, TRUTH), [1.0, -2.0, 1.0, -0.5], atol=0.01)
 
 
-def test_the_line_about_the_truth() -> None:
+def test_the_summary_line_of_the_truth() -> None:
     line = truth_line(FOUND, TRUTH)
     for words in ("1.13 %", "rotation 0.500°", "baseline 0.573°"):
         assert words in line
@@ -89,7 +89,7 @@ def test_one_length_fixes_the_scale(scale: ScaleSettings | None, baseline: float
     np.testing.assert_allclose(calibration.translation / baseline, FOUND.translation)
 
 
-def test_a_calibration_that_has_a_unit_keeps_it() -> None:
+def test_a_calibration_with_a_unit_keeps_it() -> None:
     assert scaled(TRUTH, None, ScaleSettings(baseline_m=7)) is TRUTH
 
 
@@ -106,7 +106,7 @@ def test_a_quiet_terminal_says_nothing(capsys: pytest.CaptureFixture[str]) -> No
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_pipe_gets_the_summary_only(capsys: pytest.CaptureFixture[str]) -> None:
+def test_piped_output_is_the_summary_only(capsys: pytest.CaptureFixture[str]) -> None:
     terminal = Terminal()
     assert list(terminal.track(range(3), 3, "Counting")) == [0, 1, 2]
     with terminal.step("Thinking"):

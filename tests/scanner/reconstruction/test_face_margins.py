@@ -1,4 +1,4 @@
-"""Faces lose the margin in which a blurred lens mixes them."""
+"""Faces lose the margin where a blurred lens mixes them."""
 
 import numpy as np
 
@@ -9,20 +9,20 @@ SIZE = (80, 60)
 
 
 def halves() -> Matches:
-    """Two faces side by side that meet at column 40, with a pixel without a match in one of them."""
+    """Two faces side by side that meet at column 40; one of them has a pixel without a match."""
     row, column = np.divmod(np.arange(SIZE[0] * SIZE[1]), SIZE[0])
     there = ~((row == 30) & (column == 20))
     pixels = np.stack([column, row], axis=1)[there].astype(np.float64)
     return Matches(pixels, pixels).with_faces((pixels[:, 0] >= 40).astype(np.int32))
 
 
-def test_a_sharp_lens_leaves_faces_as_they_are() -> None:
+def test_with_a_sharp_lens_faces_keep_their_margins() -> None:
     matches = halves()
     assert without_margins(matches, SIZE, 0.0) is matches
     assert without_margins(matches, SIZE, 0.9) is matches
 
 
-def test_matches_within_two_sigmas_of_the_border_have_no_face() -> None:
+def test_matches_within_two_blur_sigmas_of_the_border_lose_their_face() -> None:
     found = without_margins(halves(), SIZE, 4.0)
     assert found.face is not None
     column, row = found.camera_px.T

@@ -66,6 +66,6 @@ def test_wrong_masks_are_refused(masks: Path, name: str) -> None:
         assert word in str(caught.value)
 
 
-def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder of masks"):
         read_masks(tmp_path / "masks", SIZE)

@@ -1,4 +1,4 @@
-"""Between captures: where to go next, what is gained, and when it is enough."""
+"""Advice between captures: the next view, its gain, and when captures suffice."""
 
 from collections.abc import Sequence
 
@@ -37,21 +37,21 @@ def twice() -> tuple[list[Matches], Calibration]:
     return [each.matches for each in taken], taken[0].calibration
 
 
-def test_one_capture_is_not_enough_and_the_way_on_is_told(twice: tuple[list[Matches], Calibration]) -> None:
+def test_one_capture_is_insufficient_and_a_next_view_is_proposed(twice: tuple[list[Matches], Calibration]) -> None:
     matches, calibration = twice
     first = told(matches[:1], calibration)
     assert not first.enough
     assert any("move" in sentence and "°" in sentence for sentence in first.sentences)
 
 
-def test_it_says_when_it_is_enough(twice: tuple[list[Matches], Calibration]) -> None:
+def test_a_sufficient_set_of_captures_is_recognised(twice: tuple[list[Matches], Calibration]) -> None:
     matches, calibration = twice
     last = told(matches, calibration)
     assert last.enough
     assert any(sentence.startswith("That is enough to measure.") for sentence in last.sentences)
 
 
-def test_a_capture_from_the_same_place_is_said_to_bring_nothing(twice: tuple[list[Matches], Calibration]) -> None:
+def test_a_repeated_view_is_reported_as_useless(twice: tuple[list[Matches], Calibration]) -> None:
     matches, calibration = twice
     again = matches[0].with_faces(matches[0].labels)
     assert any("count as one" in sentence for sentence in told([matches[0], again], calibration).sentences)
@@ -59,7 +59,7 @@ def test_a_capture_from_the_same_place_is_said_to_bring_nothing(twice: tuple[lis
 
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.5, 2.0))
 @settings(max_examples=50)
-def test_whoever_takes_the_step_and_the_turn_has_the_corner_where_it_was(right: float, up: float, far: float) -> None:
+def test_the_proposed_step_and_turn_keep_the_corner_in_view(right: float, up: float, far: float) -> None:
     vertex = np.array([0.3, -0.2, 5.0])
     pose = Pose(np.eye(3), vertex, 0)
     step = step_taken(pose, right, up, far)
@@ -77,7 +77,7 @@ def test_whoever_takes_the_step_and_the_turn_has_the_corner_where_it_was(right: 
         (0.0, -25.0, 1.0, ("m down", "turn it 25° up")),
     ],
 )
-def test_words_for_whoever_carries_the_rig(
+def test_directions_to_the_operator(
     twice: tuple[list[Matches], Calibration], right: float, up: float, distance: float, words: tuple[str, ...]
 ) -> None:
     step = step_taken(Pose(np.eye(3), np.array([0.0, 0.0, 5.0]), 0), right, up, distance)

@@ -1,4 +1,4 @@
-"""Keystone correction, read off the contrast of stripes that a projector resamples: drawn here by OpenCV."""
+"""Keystone correction, measured from the contrast of resampled stripes, which OpenCV draws here."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ SHIFTS = 4
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_pixels_are_on_the_plane_that_all_matches_near_them_are_on(seed: int) -> None:
+def test_pixels_get_the_plane_of_the_matches_around_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     camera_px = np.stack(np.meshgrid(np.arange(24), np.arange(16)), axis=-1).reshape(-1, 2).astype(np.float64)
     plane = np.where(camera_px[:, 0] < 12, 3, rng.integers(0, 2))
@@ -39,7 +39,7 @@ def test_pixels_are_on_the_plane_that_all_matches_near_them_are_on(seed: int) ->
 
 
 def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:
-    """Takes the picture's pixels to the panel's: one edge so much narrower, all of it by an inset smaller."""
+    """Homography from the picture's to the panel's pixels: one edge narrower by a share, and an inset on all sides."""
     width, height = SIZE
     corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
     x, y = narrower / 2 * width, narrower / 2 * height
@@ -55,7 +55,7 @@ def trapezoid(narrower: float, edge: str, inset: float) -> np.ndarray:
 
 
 def stripes(homography: np.ndarray, period: float, noise: float, seed: int) -> FinestStripes:
-    """What remains of fringes on a panel that shows the picture with linear interpolation, at random places of it."""
+    """Remaining contrast of fringes on a panel that interpolates linearly, at random pixels."""
     width, height = SIZE
     rng = np.random.default_rng(seed)
     picture_px = rng.uniform((2, 2), (width - 3, height - 3), (6000, 2))
@@ -86,7 +86,7 @@ def measured(homography: np.ndarray, period: float = 6.7, noise: float = 0.05, s
 
 
 def worst_px(found: np.ndarray, true: np.ndarray) -> float:
-    """Over the picture, but for where the panel begins."""
+    """Largest error over the picture, apart from the origin of the panel."""
     grid = np.stack(np.meshgrid(np.linspace(0, SIZE[0] - 1, 9), np.linspace(0, SIZE[1] - 1, 9)), axis=-1).reshape(-1, 2)
     off = mapped(found, grid) - mapped(true, grid)
     return float(np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1).max())
@@ -100,7 +100,7 @@ def worst_px(found: np.ndarray, true: np.ndarray) -> float:
     st.sampled_from([4.0, 6.7, 8.43]),
     st.integers(0, 1000),
 )
-def test_a_trapezoid_is_found_to_a_part_of_a_pixel(
+def test_a_trapezoid_is_found_to_sub_pixel_accuracy(
     narrower: float, edge: str, inset: float, period: float, seed: int
 ) -> None:
     true = trapezoid(narrower, edge, inset)
@@ -119,7 +119,7 @@ def test_a_trapezoid_is_found_to_a_part_of_a_pixel(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_any_quadrangle_is_found(seed: int) -> None:
-    """As corners are moved one by one, or a projector looks askew."""
+    """As if corners are moved one by one, or the projector is oblique."""
     rng = np.random.default_rng(seed)
     width, height = SIZE
     corners = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1)], np.float32)
@@ -132,13 +132,13 @@ def test_any_quadrangle_is_found(seed: int) -> None:
 
 @pytest.mark.parametrize("period", [4.0, 6.7, 12.3])
 @pytest.mark.parametrize("scale", [1.0, 0.97, 0.8])
-def test_what_is_shown_as_it_is_or_smaller_has_no_keystone(scale: float, period: float) -> None:
+def test_unscaled_and_reduced_pictures_have_no_keystone(scale: float, period: float) -> None:
     middle = (np.array(SIZE) - 1) / 2
     smaller = np.array([[scale, 0, middle[0] * (1 - scale)], [0, scale, middle[1] * (1 - scale)], [0, 0, 1.0]])
     assert measured(smaller, period) is None
 
 
-def test_stripes_too_wide_to_lose_anything_tell_nothing() -> None:
+def test_wide_stripes_give_no_result() -> None:
     assert measured(trapezoid(0.03, "top", 0.0), period=40.0, noise=0.0) is None
 
 
@@ -146,7 +146,7 @@ def test_noise_is_no_keystone() -> None:
     assert measured(trapezoid(0.03, "top", 0.0), noise=3.0) is None
 
 
-def test_matches_on_no_plane_tell_nothing() -> None:
+def test_matches_off_any_plane_give_no_result() -> None:
     seen = stripes(trapezoid(0.03, "top", 0.0), 6.7, 0.05, 0)
     matches = Matches(seen.camera_px, seen.projector_px)
     assert measure_keystone(seen, matches, np.full(len(matches), -1, np.int32), SIZE) is None
@@ -154,7 +154,7 @@ def test_matches_on_no_plane_tell_nothing() -> None:
 
 
 @given(st.integers(-9, 9), st.integers(-9, 9), st.floats(-0.4, 0.4))
-def test_captures_of_one_rig_begin_at_the_same_pixel_of_its_panel(right: int, down: int, by: float) -> None:
+def test_captures_of_one_rig_start_at_the_same_panel_pixel(right: int, down: int, by: float) -> None:
     one = trapezoid(0.03, "left", 0.0)
     other = np.array([[1, 0, right + by], [0, 1, down], [0, 0, 1]]) @ trapezoid(0.03, "left", 0.0)
     assert worst_from(beginning_as(one, other, SIZE), one) == pytest.approx(abs(by), abs=1e-6)
@@ -165,8 +165,8 @@ def worst_from(found: np.ndarray, true: np.ndarray) -> float:
     return float(np.linalg.norm(mapped(found, corners) - mapped(true, corners), axis=1).max())
 
 
-def test_a_scan_through_keystone_correction_is_calibrated_as_if_it_were_off(tmp_path: Path) -> None:
-    """Off by 45 % where nobody looks, with a sigma of 1.5 %."""
+def test_keystone_correction_is_undone_before_calibration(tmp_path: Path) -> None:
+    """If ignored, the error would be 45 %, with a sigma of 1.5 %."""
     settings = {
         "rig": {"backend": "simulated", "seed": 0, "panel": {"keystone": 0.02}},
         "camera": {"width": 612, "height": 512, "principal_point": {"known": [313.82, 263.32]}},

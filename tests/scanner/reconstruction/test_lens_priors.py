@@ -1,4 +1,4 @@
-"""What a configuration says of both lenses."""
+"""Lens priors from a configuration."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,19 +26,19 @@ def calibrated(path: Path) -> Path:
     return path
 
 
-def test_ordinary_lenses_unless_something_is_said() -> None:
+def test_ordinary_lenses_are_the_default() -> None:
     assert lenses_of(Config(), CAMERA, PROJECTOR) == ORDINARY_LENSES
 
 
 @pytest.mark.parametrize("decentering", [0.0, 0.0003, 0.002])
-def test_decentering_is_that_of_both_devices(decentering: float) -> None:
+def test_decentering_applies_to_both_devices(decentering: float) -> None:
     config = load_config(None, [f"lens.decentering={decentering}", "lens.k3=0.5"])
     for lens, ordinary in zip(lenses_of(config, CAMERA, PROJECTOR), ORDINARY_LENSES, strict=True):
         assert lens.mean == (0.0,) * 5
         assert lens.sigma == (*ordinary.sigma[:2], decentering, decentering, 0.5)
 
 
-def test_a_calibration_tells_the_lenses_that_it_states_sigmas_of(tmp_path: Path) -> None:
+def test_a_calibration_with_sigmas_gives_the_lens_priors(tmp_path: Path) -> None:
     calibrated(tmp_path / "calibration.yaml")
     (tmp_path / "room.yaml").write_text("lens: {from: calibration.yaml}\n", encoding="utf-8")
     config = load_config(tmp_path / "room.yaml")
@@ -64,6 +64,6 @@ def test_a_calibration_of_other_devices_is_refused(tmp_path: Path) -> None:
         ("lens.decentring=0.1", "decentering"),
     ],
 )
-def test_what_is_impossible_is_named(setting: str, message: str) -> None:
+def test_impossible_settings_are_named(setting: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         load_config(None, [setting])

@@ -1,4 +1,4 @@
-"""The matches file is written while its capture is calibrated, and is what the result is made of."""
+"""The matches file is written during the calibration, and becomes part of the result."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ def capture() -> Decoded:
     return calibrated_report(room()).outcome.decoded
 
 
-def test_what_calibrating_leaves_as_it_is_is_written_once(tmp_path: Path, capture: Decoded) -> None:
+def test_unchanged_matches_are_written_once(tmp_path: Path, capture: Decoded) -> None:
     with MatchesAhead(tmp_path) as ahead:
         ahead.begin([capture])
         ahead.write(tmp_path, capture)
@@ -29,7 +29,7 @@ def test_what_calibrating_leaves_as_it_is_is_written_once(tmp_path: Path, captur
     assert len(read_matches(tmp_path)) == len(capture.matches)
 
 
-def test_what_is_labelled_otherwise_in_the_end_is_written_again(tmp_path: Path, capture: Decoded) -> None:
+def test_relabelled_matches_are_written_again(tmp_path: Path, capture: Decoded) -> None:
     face = np.where(capture.matches.labels == 0, 1, capture.matches.labels).astype(np.int32)
     with MatchesAhead(tmp_path) as ahead:
         ahead.begin([capture])
@@ -37,7 +37,7 @@ def test_what_is_labelled_otherwise_in_the_end_is_written_again(tmp_path: Path, 
     assert read_matches(tmp_path).on_each_face[0] == 0 < capture.matches.on_each_face[0]
 
 
-def test_of_several_captures_none_is_written_ahead(tmp_path: Path, capture: Decoded) -> None:
+def test_several_captures_are_not_written_ahead(tmp_path: Path, capture: Decoded) -> None:
     with MatchesAhead(tmp_path) as ahead:
         ahead.begin([capture, capture])
         assert not (tmp_path / MATCHES_FILE).exists()
@@ -45,7 +45,7 @@ def test_of_several_captures_none_is_written_ahead(tmp_path: Path, capture: Deco
     assert [path.parent.name for path in tmp_path.rglob(MATCHES_FILE)] == ["first"]
 
 
-def test_a_file_that_could_not_be_written_is_told_of_when_it_is_wanted(tmp_path: Path, capture: Decoded) -> None:
+def test_a_write_error_is_raised_when_the_file_is_needed(tmp_path: Path, capture: Decoded) -> None:
     (tmp_path / MATCHES_FILE).mkdir()
     with MatchesAhead(tmp_path) as ahead:
         ahead.begin([capture])

@@ -47,7 +47,7 @@ def test_points_are_in_the_corners_frame(cloud: Cloud, view: View) -> None:
         assert 0.99 < np.median(found.normals[on_face, axis]) <= 1
 
 
-def test_a_cube_of_the_grid_holds_one_point_at_most(cloud: Cloud, view: View) -> None:
+def test_a_voxel_holds_at_most_one_point(cloud: Cloud, view: View) -> None:
     found = merged([cloud, cloud], [view, view], (0, 0))
     assert 0.5 * cloud.there.sum() < len(found.points) < cloud.there.sum()
     # A float32 may round a point over the border of its cube.
@@ -55,8 +55,8 @@ def test_a_cube_of_the_grid_holds_one_point_at_most(cloud: Cloud, view: View) ->
     assert found.grid == pytest.approx(view.distance / CAMERA.focal_px[0])
 
 
-def test_of_two_points_in_a_cube_the_nearer_to_its_camera_stays(cloud: Cloud, view: View) -> None:
-    """The second capture is the same from farther away, and all its points are black."""
+def test_a_voxel_keeps_the_point_nearest_to_its_camera(cloud: Cloud, view: View) -> None:
+    """The second capture is the same from farther away, with black points."""
     away = replace(cloud, points=2 * cloud.points, colours=np.zeros_like(cloud.colours))
     far = replace(view, points=away.points, corner=Corner(2 * view.corner.vertex, view.corner.legs))
     found = merged([cloud, away], [view, far], (0, 0))
@@ -66,7 +66,7 @@ def test_of_two_points_in_a_cube_the_nearer_to_its_camera_stays(cloud: Cloud, vi
 
 
 @pytest.mark.parametrize("turn", [1, 2])
-def test_another_numbering_of_the_legs_is_the_same_cloud(cloud: Cloud, view: View, turn: int) -> None:
+def test_renumbering_the_legs_gives_the_same_cloud(cloud: Cloud, view: View, turn: int) -> None:
     other = replace(view, corner=renumbered(view.corner, -turn))
     found = merged([cloud, cloud], [view, other], (0, turn))
     alone = merged([cloud, cloud], [view, view], (0, 0))
@@ -96,7 +96,7 @@ def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> Sel
     return SelfCalibrated(decoded, solution, scene.calibration)
 
 
-def test_captures_are_merged_whatever_the_order_of_their_faces(scene: Scene, cloud: Cloud) -> None:
+def test_captures_are_merged_for_any_order_of_faces(scene: Scene, cloud: Cloud) -> None:
     corners = scene.corner, renumbered(scene.corner, 1)
     found, (remark,) = merge([found_in(scene, corner, scene.texture) for corner in corners], [cloud, cloud])
     assert found is not None
@@ -105,7 +105,7 @@ def test_captures_are_merged_whatever_the_order_of_their_faces(scene: Scene, clo
     assert "agree to" in remark
 
 
-def test_without_evidence_there_is_no_merged_cloud(scene: Scene, cloud: Cloud) -> None:
+def test_ambiguous_captures_are_not_merged(scene: Scene, cloud: Cloud) -> None:
     on_walls = np.zeros(cloud.there.shape, np.bool_)
     column, row = scene.matches.camera_px[scene.surface < 3].astype(int).T
     on_walls[row, column] = True

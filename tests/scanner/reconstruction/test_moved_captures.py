@@ -33,7 +33,7 @@ def capture() -> tuple[Decoded, SelfCalibration]:
     ("at_rest", "likely", "refused"),
     [(0.1, 0.4, False), (0.1, 0.6, True), (1.2, 0.9, False), (1.2, 1.3, True)],
 )
-def test_it_may_cost_what_the_view_is_unsure_of_anyway(
+def test_motion_is_accepted_up_to_the_uncertainty_at_rest(
     capture: tuple[Decoded, SelfCalibration], at_rest: float, likely: float, refused: bool
 ) -> None:
     decoded, solution = capture
@@ -46,4 +46,4 @@ def test_it_may_cost_what_the_view_is_unsure_of_anyway(
     added = with_doubt([decoded], solution).notes[len(solution.notes) :]
     assert len(added) == (likely > 0.5)
     for note in added:
-        assert "may cost 0.9 % of the intrinsics, of which this view is unsure by 1.2 % anyway" in note
+        assert "may change the intrinsics by 0.9 %; at rest, this view determines them to 1.2 %" in note

@@ -1,4 +1,4 @@
-"""A ChArUco sheet on a simulated room's floor gives the metres, with a sigma that is true."""
+"""A ChArUco board on the floor of a simulated room determines the scale, with a true sigma."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def room() -> SimulatedRoom:
 
 @pytest.fixture(scope="module")
 def rig(room: SimulatedRoom) -> Calibration:
-    """In baselines."""
+    """A rig in units of the baseline."""
     return replace(
         room.calibration, translation=room.calibration.translation / room.calibration.baseline, unit="baseline"
     )
@@ -66,7 +66,7 @@ def test_the_baseline_is_found(room: SimulatedRoom, rig: Calibration, capture: D
     assert 0.0099 < unsure.sigma.known_baseline / unsure.baseline < 0.0115
 
 
-def test_without_a_sheet_there_is_no_scale(rig: Calibration, capture: Decoded) -> None:
+def test_without_a_board_there_is_no_scale(rig: Calibration, capture: Decoded) -> None:
     with pytest.raises(RefusalError, match="no charuco:7x9 was found") as refused:
         scaled_by_sheet(rig, None, [capture], CharucoSettings(board="7x9", square_mm=30))
     assert "scan calibrate" in refused.value.advice

@@ -15,5 +15,5 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> FilmedRoom:
 
 @pytest.fixture(scope="session")
 def recording(filmed: FilmedRoom) -> Path:
-    """By a phone at 30 frames a second."""
+    """A recording by a phone at 30 frames a second."""
     return filmed.film("phone.mp4", Camera(bit_rate=BIT_RATE))

@@ -1,4 +1,4 @@
-"""The video, the tone curve, and the weights of frames, each against what it is to be."""
+"""The video, the tone curve, and the weights of frames, each compared with its definition."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def programme(hold_s: float, loops: int = 1) -> Programme:
     return programme_of(PRESETS["quick"].patterns((32, 18)), Size(32, 18), hold_s, loops)
 
 
-def test_a_video_shows_each_picture_for_its_time(tmp_path: Path) -> None:
+def test_a_video_shows_each_picture_for_its_duration(tmp_path: Path) -> None:
     shown = programme(0.05, loops=2)
     write_player_video(tmp_path / "video.mp4", shown)
     with av.open(str(tmp_path / "video.mp4")) as container:
@@ -54,21 +54,21 @@ def test_pictures_last_an_odd_number_of_frames(hold_s: float, loops: int) -> Non
 
 
 @given(exponent=st.floats(1.0, 4.0), contrast=st.floats(-0.9, 0.9))
-def test_a_tone_curve_rises_from_nothing_to_all(exponent: float, contrast: float) -> None:
+def test_a_tone_curve_rises_from_zero_to_one(exponent: float, contrast: float) -> None:
     light = ToneCurve(exponent, contrast).light(np.linspace(0, 1, 200))
     assert np.all(np.diff(light) > 0)
     assert light[[0, -1]] == pytest.approx([0, 1])
 
 
 @pytest.mark.parametrize(("black", "white", "codes"), [(16, 235, 256), (64, 940, 1024), (0, 255, 256)])
-def test_luma_has_the_range_that_its_file_says(black: int, white: int, codes: int) -> None:
+def test_luma_has_the_range_stated_in_its_file(black: int, white: int, codes: int) -> None:
     light = LumaCodes(black, white).light(ToneCurve(1.0, 0.0))
     assert len(light) == codes
     assert light[[black, white]] == pytest.approx([0, 1])
     assert light[(black + white) // 2] == pytest.approx(0.5, abs=0.003)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     exposure_s=st.floats(0.001, 0.04),
     readout_s=st.floats(-0.02, 0.03),
@@ -76,7 +76,7 @@ def test_luma_has_the_range_that_its_file_says(black: int, white: int, codes: in
     hold_s=st.sampled_from([0.08, 0.12, 0.2]),
     loops=st.integers(1, 3),
 )
-def test_weighted_frames_are_their_picture_alone(
+def test_weighted_frames_contain_their_picture_only(
     exposure_s: float, readout_s: float, start_s: float, hold_s: float, loops: int
 ) -> None:
     shown = programme(hold_s, loops)
@@ -115,7 +115,7 @@ def test_a_shift_of_the_picture_is_measured(shift_px: float) -> None:
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 3])
-def test_frames_are_turned_upright(turns: int) -> None:
+def test_frames_are_rotated_upright(turns: int) -> None:
     light = np.linspace(0, 1, 12, dtype=np.float32).reshape(3, 4)
     image = image_of(light, turns)
     assert image.shape == ((3, 4) if turns % 2 == 0 else (4, 3))

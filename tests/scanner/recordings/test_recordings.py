@@ -1,4 +1,4 @@
-"""Films of a simulated room become captures that decode as well as frames that were taken one by one."""
+"""Films of a simulated room become captures that decode as well as single frames."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.xdist_group("recordings")
 
 
 def imported(filmed: FilmedRoom, recording: Path, out: Path) -> dict[str, float]:
-    """What was found out about a recording."""
+    """The parameters estimated from a recording."""
     assert run("import", recording, "--sequence", filmed.sequence, "--out", out, "--quiet") == 0
     found: dict[str, float] = yaml.safe_load((out / "capture.yaml").read_text(encoding="utf-8"))["recording"]
     return found
@@ -35,7 +35,9 @@ def median_error_px(filmed: FilmedRoom, capture: Path) -> float:
     return float(np.nanmedian(error))
 
 
-def test_a_phones_clocks_are_found_and_its_film_decodes(filmed: FilmedRoom, recording: Path, tmp_path: Path) -> None:
+def test_the_clock_of_a_phone_is_estimated_and_its_film_decodes(
+    filmed: FilmedRoom, recording: Path, tmp_path: Path
+) -> None:
     found = imported(filmed, recording, tmp_path / "capture")
     # The projector's answer adds 2 ms to the exposure of 16.7, and its scanning out takes 8 off the readout of 20.
     assert 15 < found["exposure_ms"] < 21
@@ -57,7 +59,7 @@ def test_a_film_in_ten_bits_with_repeated_frames(filmed: FilmedRoom, tmp_path: P
     assert 0.005 < median_error_px(filmed, tmp_path / "capture") < 0.12
 
 
-def test_a_camera_that_moves_and_changes_its_exposure_is_told(filmed: FilmedRoom, tmp_path: Path) -> None:
+def test_a_moving_camera_that_changes_its_exposure_is_reported(filmed: FilmedRoom, tmp_path: Path) -> None:
     unsteady = Camera(
         bit_rate=BIT_RATE, gain=lambda time_s: 1 - 0.024 * time_s, motion=lambda time_s: (0.15 * time_s, 0.0, 0.0)
     )
@@ -67,7 +69,7 @@ def test_a_camera_that_moves_and_changes_its_exposure_is_told(filmed: FilmedRoom
     assert "exposure changed by 1" in notes
 
 
-def test_a_film_without_the_end_says_what_is_missing(
+def test_a_film_without_its_end_is_reported(
     filmed: FilmedRoom, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = filmed.film("short.mp4", Camera(bit_rate=BIT_RATE), length_s=5.0)

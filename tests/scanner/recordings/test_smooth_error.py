@@ -1,4 +1,4 @@
-"""What an encoder and a slow panel do to fringes is measured, or cancels, by showing all pictures there and back."""
+"""Effects of an encoder and a slow panel on fringes are measured, or cancel, in a forward and a backward pass."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ MODES = 10
 
 
 def of_two_passes(half: Floats, noise: float = 0.0, back: bool = True) -> tuple[list[PictureWeights], Averaged]:
-    """Pictures of a wall whose fringes are `half` (H, W) a phase apart, in radians, either way, in the two passes."""
+    """Pictures of a wall whose fringes have phases of ± `half` (H, W) radians in the two passes."""
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     passes = np.zeros((2, len(PROGRAMME.patterns), HEIGHT, WIDTH), np.float32)
@@ -36,7 +36,7 @@ def of_two_passes(half: Floats, noise: float = 0.0, back: bool = True) -> tuple[
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 @pytest.mark.parametrize("size", [0.002, 0.02])
-def test_smooth_errors_are_those_between_the_passes(size: float, noise: float) -> None:
+def test_smooth_errors_follow_from_the_difference_of_the_passes(size: float, noise: float) -> None:
     slope = np.broadcast_to(np.linspace(-size, size, WIDTH), (HEIGHT, WIDTH))
     found = smooth_px(PROGRAMME, *of_two_passes(slope, noise))
     assert found is not None
@@ -44,19 +44,19 @@ def test_smooth_errors_are_those_between_the_passes(size: float, noise: float) -
     assert 1.8 * seen < found < 2.2 * seen
 
 
-def test_pixels_that_err_independently_err_by_nothing_smooth() -> None:
+def test_independent_pixel_errors_give_no_smooth_error() -> None:
     found = smooth_px(PROGRAMME, *of_two_passes(np.zeros((HEIGHT, WIDTH)), noise=0.02))
     assert found is not None
     # Of 0.02 of an amplitude of 0.4, in the mean over 4,800 pixels.
     assert found < 0.5 * SHORTEST / (2 * np.pi) * 0.05 / np.sqrt(4800)
 
 
-def test_one_pass_tells_nothing() -> None:
+def test_one_pass_gives_no_result() -> None:
     assert smooth_px(PROGRAMME, *of_two_passes(np.zeros((HEIGHT, WIDTH)), back=False)) is None
 
 
 @pytest.mark.parametrize("ghost", [0.003, 0.03])
-def test_what_stays_of_a_picture_in_the_next_shifts_no_fringe(ghost: float) -> None:
+def test_ghosting_shifts_no_fringe(ghost: float) -> None:
     rng = np.random.default_rng(0)
     at = dict(zip("xy", rng.uniform(0, 60, (2, 20_000)), strict=True))
     light = [
@@ -67,7 +67,7 @@ def test_what_stays_of_a_picture_in_the_next_shifts_no_fringe(ghost: float) -> N
     ]
 
     def shift_of(axis: str, passes: slice) -> float:
-        """The mean phase of the shortest fringe beside the true one."""
+        """Mean phase error of the shortest fringe."""
         total = np.zeros(20_000, np.complex128)
         for number, pattern in enumerate(PROGRAMME.patterns):
             if isinstance(pattern, Phase) and (pattern.axis, pattern.period) == (axis, SHORTEST):

@@ -1,4 +1,4 @@
-"""What is no recording of the video is refused in one sentence, with exit code 2."""
+"""Files that are no recording of the video are refused in one sentence, with exit code 2."""
 
 import sys
 from collections.abc import Callable
@@ -81,7 +81,7 @@ def another_film(path: Path, recording: Path) -> None:
         (another_film, "no start mark"),
     ],
 )
-def test_what_is_no_recording_is_refused(
+def test_a_file_that_is_no_recording_is_refused(
     filmed: FilmedRoom,
     recording: Path,
     tmp_path: Path,
@@ -115,7 +115,7 @@ def test_the_sequence_of_another_video_is_refused(
         (("--sequence", "configs/room-sim.yaml", "--out", "x"), "sequence.yaml of a video"),
     ],
 )
-def test_wrong_options_are_told(
+def test_wrong_options_are_reported(
     recording: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], told: str
 ) -> None:
     assert run("import", recording, *arguments) == 2
@@ -133,14 +133,14 @@ def test_wrong_options_are_told(
         (("--video", "a.mp4", "--loops", "0"), "expected 1 to 20 loops"),
     ],
 )
-def test_wrong_videos_are_told(
+def test_wrong_videos_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], told: str
 ) -> None:
     assert run("patterns", "--config", "configs/room-sim.yaml", "--out", tmp_path / "out", *arguments) == 2
     assert told in capsys.readouterr().err
 
 
-def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match="video needs av, which is not installed; type: "):
         library()

@@ -58,7 +58,7 @@ def test_the_nearer_surface_hides_the_farther() -> None:
         assert side[0] == 0
 
 
-def test_one_looks_into_a_room_through_its_walls() -> None:
+def test_surfaces_facing_away_are_not_drawn() -> None:
     wall_from_behind, inside = square(3, 120, (255, 0, 0), facing=1.0), square(6, 120, (0, 0, 255))
     picture = render(cloud_of(wall_from_behind, inside), view_along(FORWARD, UP), (200, 200), [])
     assert picture[..., 0].max() == 0

@@ -1,4 +1,4 @@
-"""Maps and matches reduced to what a page shows."""
+"""Maps and matches reduced for a page."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_a_plane_stays_a_plane(size: tuple[int, int]) -> None:
     assert reduced.mean() == pytest.approx(2 + 0.5 * 5.5 - 0.25 * 4)
 
 
-def test_only_what_is_there_counts() -> None:
+def test_missing_values_do_not_enter_the_average() -> None:
     values = np.full((4, 6), np.nan, np.float32)
     values[0, 0], values[1, 1], values[3, 4] = 1.0, 3.0, -5.0
     assert averaged(values, (3, 2)) == pytest.approx(
@@ -29,7 +29,7 @@ def test_only_what_is_there_counts() -> None:
 
 
 @given(st.integers(1, 12), st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=6))
-def test_the_extent_of_what_is_there(height: int, width: int, places: list[tuple[int, int]]) -> None:
+def test_the_extent_of_valid_values(height: int, width: int, places: list[tuple[int, int]]) -> None:
     values = np.full((height, width), np.nan, np.float32)
     for row, column in places:
         values[row % height, column % width] = 0.0
@@ -56,8 +56,8 @@ def test_labels_and_matches_of_cells() -> None:
         assert shown - 1 == (label[inside][-1] if inside.any() else -1)
 
 
-def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
-    """Of a match for every pixel, as a decoder gives them: no grid remains, and neighbours are drawn alike."""
+def test_samples_are_spread_over_their_cells() -> None:
+    """With a match at every pixel, samples form no grid, and pixels are equally likely."""
     pixels = np.stack(np.meshgrid(np.arange(350.0), np.arange(280.0)), -1).reshape(-1, 2)
     drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
@@ -66,7 +66,7 @@ def test_what_is_drawn_lies_anywhere_in_its_cell() -> None:
 
 
 @given(st.integers(0, 60), st.integers(1, 80), st.integers(0, 2**32 - 1))
-def test_places_are_drawn_evenly_out_of_those_within(most_there: int, most: int, seed: int) -> None:
+def test_samples_within_the_limit_are_evenly_spread(most_there: int, most: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     values = np.full((7, 11), np.nan, np.float32)
     some = rng.permutation(values.size)[:most_there]
@@ -81,7 +81,7 @@ def test_places_are_drawn_evenly_out_of_those_within(most_there: int, most: int,
     assert [int(np.searchsorted(within, place)) // stretch for place in places] == list(range(-(-count // stretch)))
 
 
-def test_a_column_of_many_is_drawn_from_every_column() -> None:
+def test_every_column_is_sampled() -> None:
     _, places = places_within(np.zeros((100, 100), np.float32), np.inf, 1000)
     counts = np.bincount(places % 100, minlength=100)
     assert 0 < counts.min() < counts.max() < 30  # 10 on average

@@ -1,4 +1,4 @@
-"""PNG files as another program reads them."""
+"""PNG files, read by another library."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The report's table of the faces: numbers that fit beside the map, in a unit that stands above them."""
+"""The report's table of the faces: values fit beside the map, in the unit of its heading."""
 
 import re
 
@@ -11,7 +11,7 @@ from tests.support.reports import calibrated_report
 NUMBER = r"\d+(\.\d+)?"
 
 
-def test_the_faces_are_measured_in_the_unit_above_them() -> None:
+def test_flatness_is_in_the_unit_of_the_table_head() -> None:
     report = calibrated_report(room())  # in metres
     found, scene = flatness(report), report.scene
     assert found is not None

@@ -101,7 +101,7 @@ def refused_html(refused: ReportInput, tmp_path_factory: pytest.TempPathFactory)
     return page_of(refused, tmp_path_factory.mktemp("refused"))[0]
 
 
-def test_it_tells_verdict_numbers_and_facts(calibrated_html: str) -> None:
+def test_the_report_shows_verdict_numbers_and_metadata(calibrated_html: str) -> None:
     page = Page(calibrated_html)
     for expected in (
         "Camera 408 × 342",
@@ -122,7 +122,7 @@ def test_it_tells_verdict_numbers_and_facts(calibrated_html: str) -> None:
         assert expected in page.text, expected
 
 
-def test_sections_come_in_the_order_in_which_one_asks(calibrated_html: str) -> None:
+def test_sections_are_in_order_of_importance(calibrated_html: str) -> None:
     page = Page(calibrated_html)
     sections = [value for tag, name, value in page.attributes if (tag, name) == ("section", "id")]
     assert sections == [
@@ -169,7 +169,7 @@ def test_matches_alone_make_a_report(calibrated: ReportInput, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("kind", ["calibrated", "refused"])
-def test_it_needs_nothing_from_outside(kind: str, request: pytest.FixtureRequest) -> None:
+def test_the_page_loads_no_external_resources(kind: str, request: pytest.FixtureRequest) -> None:
     html = request.getfixturevalue(f"{kind}_html")
     page = Page(html)
     assert "http" not in re.sub(r"data:image/[^\"]*", "", html).replace("http-equiv", "")
@@ -197,7 +197,7 @@ def test_no_text_is_smaller_than_12_px(calibrated_html: str) -> None:
     assert widths == {int(width) for width in re.findall(r"min-width: (\d+)px", css)} & widths  # never drawn smaller
 
 
-def test_hostile_strings_stay_text(calibrated: ReportInput, scene: Scene, tmp_path: Path) -> None:
+def test_hostile_strings_are_escaped(calibrated: ReportInput, scene: Scene, tmp_path: Path) -> None:
     hostile = "</style><script>alert(1)</script>\"'><img src=x>{{ 7 * 7 }}"
     found, (decoded, cloud) = _calibrated(calibrated), _parts(calibrated)
     outcome = Reconstructed(
@@ -222,7 +222,7 @@ def test_hostile_strings_stay_text(calibrated: ReportInput, scene: Scene, tmp_pa
     assert ("img", "src", "x") not in page.attributes
 
 
-def test_pictures_are_what_they_say(calibrated_html: str) -> None:
+def test_pictures_have_the_stated_type_and_size(calibrated_html: str) -> None:
     page = Page(calibrated_html)
     uris = [value for tag, name, value in page.attributes if (tag, name) == ("img", "src")]
     assert len(uris) == 12  # two of them for the first page on paper
@@ -265,7 +265,7 @@ def test_shares_of_the_mask_reasons(calibrated: ReportInput) -> None:
 @pytest.mark.parametrize(
     ("share", "words"), [(0.0, "0.0 %"), (1e-5, "< 0.1 %"), (0.25, "25.0 %"), (0.99999, "> 99.9 %"), (1.0, "100.0 %")]
 )
-def test_rounding_hides_nothing(scene: Scene, share: float, words: str) -> None:
+def test_rounding_never_shows_zero_for_a_small_share(scene: Scene, share: float, words: str) -> None:
     reasons = np.full((1, 100_000), MaskReason.DARK, dtype=np.uint8)
     reasons[0, : round(share * reasons.size)] = MaskReason.KEPT
     found = mask(replace(decoding_of(scene), reasons=reasons))
@@ -273,7 +273,7 @@ def test_rounding_hides_nothing(scene: Scene, share: float, words: str) -> None:
     assert {entry.label: entry.share for entry in found.legend}.get("matched", "0.0 %") == words
 
 
-def test_every_mask_reason_has_words_and_a_colour_of_its_own(scene: Scene) -> None:
+def test_every_mask_reason_has_its_own_text_and_colour(scene: Scene) -> None:
     reasons = np.array([[int(reason) for reason in MaskReason]], dtype=np.uint8)
     found = mask(replace(decoding_of(scene), reasons=reasons))
     assert found is not None
@@ -297,11 +297,11 @@ def test_the_grade_follows_the_sigmas(calibrated: ReportInput, sigma: Sigmas, gr
     assert verdict(ReportInput(Reconstructed(changed, _parts(calibrated)[1]))).grade == grade
 
 
-def test_rays_that_miss_in_a_pattern_are_pointed_out(calibrated: ReportInput) -> None:
+def test_structured_ray_residuals_are_reported(calibrated: ReportInput) -> None:
     _, cloud = _parts(calibrated)
     missing = replace(cloud, statistics=replace(cloud.statistics, calibration_px=1.5))
     found = verdict(ReportInput(Reconstructed(_calibrated(calibrated), missing)))
-    assert (found.grade, "errors that show" in found.headline) == ("fair", True)
+    assert (found.grade, "systematic errors" in found.headline) == ("fair", True)
 
 
 @pytest.mark.parametrize(
@@ -320,14 +320,14 @@ def test_numbers_show_two_digits_of_their_sigma(quantity: Quantity, value: str, 
     assert quantity.shown(quantity.error, signed=True) == error
 
 
-def test_quantities_against_the_truth(calibrated: ReportInput, scene: Scene) -> None:
+def test_quantities_are_compared_with_the_truth(calibrated: ReportInput, scene: Scene) -> None:
     focal = device_quantities("camera", _calibrated(calibrated).calibration, scene.calibration)[0]
     assert focal.error == pytest.approx(0.5)
     assert focal.error_sigmas == pytest.approx(0.125)
     assert focal.error_percent == pytest.approx(100 * 0.5 / 299)
 
 
-def test_patterns_in_words() -> None:
+def test_patterns_are_described_in_words() -> None:
     words = describe_patterns(sequence_for((854, 480)))
     assert words.startswith(
         "white, black, 14 × Gray code along x (cell 8 px), 12 × Gray code along y (cell 8 px), "
@@ -335,8 +335,8 @@ def test_patterns_in_words() -> None:
     )
 
 
-def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) -> None:
-    """Of a calibration that was given, too: rays that miss smoothly by three times their noise are its fault."""
+def test_a_misfit_beyond_the_noise_is_not_graded_good(calibrated: ReportInput) -> None:
+    """Also for a given calibration: smooth ray residuals of three times the noise are its fault."""
     decoded, cloud = _parts(calibrated)
     given = GivenCalibration(decoded, _calibrated(calibrated).calibration)
     for smooth_px, grade in ((0.05, "good"), (0.15, "good"), (0.3, "fair")):
@@ -349,10 +349,10 @@ def test_a_misfit_beyond_the_noise_is_no_good_result(calibrated: ReportInput) ->
     ("warnings", "grade", "said"),
     [((), "good", "all patterns along x agree"), ((f"{UNCHECKED} it.",), "fair", f"{UNCHECKED} it.")],
 )
-def test_what_matches_say_of_themselves_grades_one_axis(
+def test_stated_match_errors_limit_the_grade_of_one_axis(
     calibrated: ReportInput, warnings: tuple[str, ...], grade: str, said: str
 ) -> None:
-    """The rays meet whatever the calibration; a fringe that nothing checks is no more than fair."""
+    """With one axis, rays meet for any calibration; an unchecked fringe is graded fair at best."""
     decoded, cloud = _parts(calibrated)
     assert decoded.decoding is not None
     matches = replace(decoded.matches, sigma_px=np.full(len(decoded.matches), 0.05))
@@ -366,11 +366,11 @@ def test_what_matches_say_of_themselves_grades_one_axis(
 
 
 @pytest.mark.parametrize(("x", "doubtful"), [(203.0, False), (-3.0, True), (409.0, True)])
-def test_a_principal_point_outside_of_the_image_is_doubted(calibrated: ReportInput, x: float, doubtful: bool) -> None:
+def test_a_principal_point_outside_the_image_is_reported(calibrated: ReportInput, x: float, doubtful: bool) -> None:
     own, (_, cloud) = _calibrated(calibrated), _parts(calibrated)
     sigma = Sigmas(DeviceSigmas((0.3, 0.3)), DeviceSigmas((0.8, 0.8)))
     camera = replace(own.calibration.camera, principal_point_px=(x, 170.0))
     changed = replace(own, calibration=replace(own.calibration, camera=camera, sigma=sigma))
     found = verdict(ReportInput(Reconstructed(changed, cloud)))
-    assert ("outside of its image" in " ".join(found.reasons)) == doubtful
+    assert ("outside its image" in " ".join(found.reasons)) == doubtful
     assert found.grade == ("fair" if doubtful else "good")

@@ -1,4 +1,4 @@
-"""The report as a person sees it: in Chromium, in light, in dark, on paper, with and without JavaScript."""
+"""The report in Chromium: light, dark, printed, with and without JavaScript."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,7 +83,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def pages(browser: "Browser") -> Iterator[Any]:
-    """Opens a file, and fails if the page says anything to the console, or asks for anything beyond itself."""
+    """Opens a file, and fails if the page logs to the console or requests anything external."""
     contexts, complaints = [], []
 
     def opened(path: Path, **options: Any) -> "Page":
@@ -108,7 +108,7 @@ def pages(browser: "Browser") -> Iterator[Any]:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("kind", ["calibrated", "refused", "refused-with-faces"])
-def test_it_can_be_read_in_light_and_in_dark(pages: Any, reports: dict[str, Path], kind: str, scheme: str) -> None:
+def test_text_has_contrast_in_light_and_dark_mode(pages: Any, reports: dict[str, Path], kind: str, scheme: str) -> None:
     page = pages(reports[kind], color_scheme=scheme)
     background = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (max(int(part) for part in background[4:-1].split(",")) < 60) == (scheme == "dark")
@@ -118,7 +118,7 @@ def test_it_can_be_read_in_light_and_in_dark(pages: Any, reports: dict[str, Path
     assert page.evaluate(CUT_OFF) == []
 
 
-def test_the_cloud_is_drawn_and_turns_with_the_keys(pages: Any, reports: dict[str, Path]) -> None:
+def test_the_cloud_is_drawn_and_rotates_with_the_keys(pages: Any, reports: dict[str, Path]) -> None:
     page = pages(reports["calibrated"])
     canvas = page.locator(".viewer canvas")
     canvas.wait_for(state="visible")
@@ -136,7 +136,7 @@ def test_the_cloud_is_drawn_and_turns_with_the_keys(pages: Any, reports: dict[st
     assert page.evaluate(DRAWN)[1] == before
 
 
-def test_the_cloud_turns_with_the_mouse_and_by_its_buttons(pages: Any, reports: dict[str, Path]) -> None:
+def test_the_cloud_rotates_with_the_mouse_and_buttons(pages: Any, reports: dict[str, Path]) -> None:
     page = pages(reports["calibrated"])
     canvas = page.locator(".viewer canvas")
     canvas.scroll_into_view_if_needed()
@@ -159,7 +159,7 @@ def test_the_cloud_turns_with_the_mouse_and_by_its_buttons(pages: Any, reports: 
     assert len(seen) == 5
 
 
-def test_on_paper_it_is_light_with_a_still_picture(pages: Any, reports: dict[str, Path]) -> None:
+def test_print_is_light_with_a_still_picture(pages: Any, reports: dict[str, Path]) -> None:
     page = pages(reports["calibrated"], color_scheme="dark")
     page.emulate_media(media="print")
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
@@ -172,7 +172,7 @@ def test_on_paper_it_is_light_with_a_still_picture(pages: Any, reports: dict[str
 
 
 @pytest.mark.parametrize("name", ["calibrated", "refused", "refused-with-faces"])
-def test_the_first_page_of_paper_says_all_that_matters(pages: Any, reports: dict[str, Path], name: str) -> None:
+def test_the_first_printed_page_has_the_main_results(pages: Any, reports: dict[str, Path], name: str) -> None:
     page = pages(reports[name])
     sheet = page.locator(".sheet")
     assert not sheet.is_visible()
@@ -192,9 +192,7 @@ def test_without_javascript_there_is_a_still_picture(pages: Any, reports: dict[s
     assert not page.locator(".viewer canvas").is_visible()
 
 
-def test_a_script_that_is_not_the_reports_does_not_run(
-    browser: "Browser", reports: dict[str, Path], tmp_path: Path
-) -> None:
+def test_a_foreign_script_does_not_run(browser: "Browser", reports: dict[str, Path], tmp_path: Path) -> None:
     spoiled = tmp_path / "spoiled.html"
     html = reports["calibrated"].read_text(encoding="utf-8")
     spoiled.write_text(html.replace("</main>", "<script>document.title = 'taken'</script></main>"), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What a report says about several captures, about the uncertainty of points, and about an assumption."""
+"""Reports of several captures, of the uncertainty of points, and of an assumption."""
 
 import re
 from dataclasses import replace
@@ -48,7 +48,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def report(scene: Scene) -> ReportInput:
-    """Of a calibration that is sure but for the camera's focal length, with a sigma of one per cent."""
+    """A calibration that is certain except for the camera's focal length, whose sigma is one per cent."""
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = SIGMA_F**2
     by_principal_point = np.zeros((SHARED, 2))
@@ -83,7 +83,7 @@ def page(report: ReportInput, tmp_path_factory: pytest.TempPathFactory) -> str:
     return path.read_text()
 
 
-def test_it_lists_the_captures_and_shows_their_cloud(page: str) -> None:
+def test_the_report_lists_the_captures_and_shows_their_cloud(page: str) -> None:
     for words in (
         "from 2 captures together",
         '<a href="captures/1/report.html">capture 1</a>',
@@ -109,15 +109,15 @@ def test_it_lists_the_captures_and_shows_their_cloud(page: str) -> None:
     ]
 
 
-def test_a_capture_alone_has_no_list(report: ReportInput, tmp_path: Path) -> None:
+def test_a_single_capture_has_no_list(report: ReportInput, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", replace(report, company=Company()))
     alone = (tmp_path / "report.html").read_text()
     assert 'id="captures"' not in alone
     assert "captures together" not in alone
 
 
-def test_the_sigmas_of_points_are_those_of_trials(report: ReportInput, scene: Scene) -> None:
-    """The camera's focal length is moved; per sigma of it the points move by theirs, but for what "nearest" means."""
+def test_point_sigmas_match_trials(report: ReportInput, scene: Scene) -> None:
+    """The camera's focal length is varied; per sigma, points move by theirs."""
     found = point_sigmas(report)
     assert found is not None
     assert found.map.scale.low.endswith(" %")
@@ -129,7 +129,7 @@ def test_the_sigmas_of_points_are_those_of_trials(report: ReportInput, scene: Sc
 
 
 def _triangulated(state: State, matches: Matches) -> np.ndarray:
-    """Where the camera's rays come nearest to the projector's."""
+    """The point of the camera's ray closest to the projector's."""
     rays, q = unproject(state.camera, matches.camera_px)[0], unproject(state.projector, matches.projector_px)[0]
     turned = rays @ state.rotation.T
     a, b, c = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (turned, q), (q, q)))
@@ -137,7 +137,7 @@ def _triangulated(state: State, matches: Matches) -> np.ndarray:
     return rays * depth[:, None]
 
 
-def test_the_price_of_the_principal_point(report: ReportInput) -> None:
+def test_the_cost_of_an_assumed_principal_point(report: ReportInput) -> None:
     (sentence,) = price_of_principal_point(report.solution).sentences
     assert "10 px in x would move the camera's focal length by +1.00 % and the projector's by +0.50 %" in sentence
     assert "10 px in y would move the camera's focal length by −0.20 %" in sentence
@@ -156,7 +156,7 @@ def test_a_method_without_sigmas_has_no_map(report: ReportInput) -> None:
     assert point_sigmas(replace(report, outcome=replace(report.outcome, calibrated=calibrated))) is None
 
 
-def test_the_papers_objective_is_lowest_near_the_truth_once_the_lenses_are_straight(report: ReportInput) -> None:
+def test_without_distortion_the_papers_objective_is_lowest_near_the_truth(report: ReportInput) -> None:
     """With lenses as bent as these it would be 27 % off. Of the minima, one is marked there."""
     found = focal_length(report)
     assert found is not None

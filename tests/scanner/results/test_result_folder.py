@@ -21,7 +21,7 @@ def make_result(out: Path, content: str = "new", *, overwrite: bool = False) -> 
 
 
 def fail(out: Path, error: BaseException, *, frames: int = 2, keep_capture: bool = False) -> None:
-    """Begin a result, capture something, and end with an error."""
+    """Begin a result, capture something, and raise an error."""
     with new_result(out, CONFIG, overwrite=False, keep_capture=keep_capture) as folder:
         capture_something(folder, frames)
         (folder / "report.html").write_text("why")
@@ -35,7 +35,7 @@ def capture_something(folder: Path, count: int) -> None:
         (frames / f"{index:03d}.png").touch()
 
 
-def test_a_result_is_not_there_until_it_is_whole(tmp_path: Path) -> None:
+def test_a_result_appears_only_when_complete(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "room"
     with new_result(out, CONFIG, overwrite=False) as folder:
         (folder / "report.html").write_text("half")
@@ -79,7 +79,7 @@ def test_a_live_capture_without_a_frame_leaves_nothing_behind(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_is_not_touched(tmp_path: Path) -> None:
+def test_existing_folders_are_not_touched(tmp_path: Path) -> None:
     out = tmp_path / "room"
     make_result(out, "old")
     with pytest.raises(InputError, match=r"already exists.*--overwrite"):
@@ -104,7 +104,7 @@ def test_a_result_survives_a_failed_replacement(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["room"]
 
 
-def test_an_empty_folder_is_as_good_as_none(tmp_path: Path) -> None:
+def test_an_empty_folder_counts_as_none(tmp_path: Path) -> None:
     (tmp_path / "room").mkdir()
     make_result(tmp_path / "room")
     assert (tmp_path / "room" / "report.html").read_text() == "new"
@@ -130,7 +130,7 @@ def test_only_results_are_overwritten(tmp_path: Path) -> None:
     assert (folder / "thesis.tex").exists()
 
 
-def test_a_folder_that_appears_meanwhile_is_kept_and_so_is_the_result(tmp_path: Path) -> None:
+def test_a_folder_created_meanwhile_is_kept_beside_the_result(tmp_path: Path) -> None:
     out = tmp_path / "room"
     output = OutputFolder(out)
 
@@ -147,13 +147,13 @@ def test_a_folder_that_appears_meanwhile_is_kept_and_so_is_the_result(tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["room", "room-2"]
 
 
-def test_a_place_where_nothing_can_be_made_is_refused(tmp_path: Path) -> None:
+def test_an_unwritable_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot be made"):
         make_result(tmp_path / "file" / "room")
 
 
-def test_names_count_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_default_names_count_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for expected in ("room", "room-2", "room-3"):
         out = default_out("room", overwrite=False)
@@ -163,7 +163,7 @@ def test_names_count_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.filterwarnings("default::RuntimeWarning")
-def test_the_log_holds_what_was_logged_and_warned(tmp_path: Path) -> None:
+def test_the_log_holds_messages_and_warnings(tmp_path: Path) -> None:
     with new_result(tmp_path / "room", load_config(None, ["rig.seed=5"]), overwrite=False):
         logging.getLogger("scanner.anything").info("a step")
         warnings.warn("divide by zero", RuntimeWarning, stacklevel=1)
@@ -182,8 +182,8 @@ def _make(place: tuple[str, int]) -> tuple[str, list[str]]:
     return (Path(folder) / str(number) / "report.html").read_text(), output.settled
 
 
-def test_results_begun_side_by_side_are_not_in_each_others_way(tmp_path: Path) -> None:
-    """Each looks for what killed programs have left, and meets what others have just begun."""
+def test_concurrent_results_do_not_interfere(tmp_path: Path) -> None:
+    """Each looks for leftovers of killed programs, and meets what others have just begun."""
     with get_context("fork").Pool(4) as pool:
         made = pool.map(_make, [(str(tmp_path / "scans"), number) for number in range(500)], chunksize=1)
     assert made == [("whole", [])] * 500

@@ -1,4 +1,4 @@
-"""The verdict and the covariance, written into a calibration file and read from it."""
+"""The verdict and the covariance, written to a calibration file and read back."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +43,7 @@ def drawn_covariance() -> Floats:
     return covariance
 
 
-def test_both_are_read_back_and_the_calibration_is_the_same(scene: Scene, tmp_path: Path) -> None:
+def test_verdict_and_covariance_read_back_the_same(scene: Scene, tmp_path: Path) -> None:
     path, calibration = tmp_path / "calibration.yaml", scene.calibration
     given = uncertainty_of(calibration, drawn_covariance())
     write_calibration(path, calibration, confidence_entries(VERDICT, given))
@@ -56,8 +56,8 @@ def test_both_are_read_back_and_the_calibration_is_the_same(scene: Scene, tmp_pa
     assert found.of_points(sample) == pytest.approx(given.of_points(sample), rel=1e-6)
 
 
-def test_the_columns_are_what_the_format_says(scene: Scene, tmp_path: Path) -> None:
-    """A step of one column of the file, made as docs/formats.md describes it, is the model's."""
+def test_covariance_columns_match_the_format(scene: Scene, tmp_path: Path) -> None:
+    """A step of one column of the file, made as docs/formats.md describes, equals the model's."""
     calibration = scene.calibration
     direction = calibration.translation / calibration.baseline
     for column, name in ((CAMERA.start, "camera_log_focal"), (ROTATION.start + 2, "rotation_z_rad")):
@@ -97,8 +97,8 @@ def test_files_of_two_radial_terms_are_read(scene: Scene, tmp_path: Path) -> Non
         read_uncertainty(path, calibration)
 
 
-def test_the_sigma_of_points_is_that_of_calibrations_drawn_from_the_file(scene: Scene, tmp_path: Path) -> None:
-    """Only from what the format says: draw focal lengths, rotations and directions, and triangulate with each."""
+def test_point_sigmas_match_calibrations_drawn_from_the_covariance(scene: Scene, tmp_path: Path) -> None:
+    """By the format alone: draw focal lengths, rotations and directions, and triangulate with each."""
     calibration, sample = scene.calibration, scene.matches[::211]
     covariance = np.diag([1e-6, *[0] * 7, 4e-6, *[0] * 7, 1e-8, 4e-8, 1e-8, 1e-7, 2e-7])
     path = tmp_path / "calibration.yaml"
@@ -132,7 +132,7 @@ def _moved(calibration: Calibration, step: dict[str, float]) -> Calibration:
     )
 
 
-def test_an_older_result_says_neither(scene: Scene, tmp_path: Path) -> None:
+def test_an_older_result_has_neither(scene: Scene, tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     write_calibration(path, scene.calibration)
     assert read_verdict(path) is None
@@ -148,7 +148,7 @@ def test_an_older_result_says_neither(scene: Scene, tmp_path: Path) -> None:
         (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[.nan]]}}", "values"),
     ],
 )
-def test_what_is_malformed_is_refused(scene: Scene, tmp_path: Path, entry: str, message: str) -> None:
+def test_malformed_files_are_refused(scene: Scene, tmp_path: Path, entry: str, message: str) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_text(entry, encoding="utf-8")
     with pytest.raises(InputError, match=message):
@@ -156,7 +156,7 @@ def test_what_is_malformed_is_refused(scene: Scene, tmp_path: Path, entry: str, 
 
 
 @pytest.mark.parametrize("name", ["asymmetric", "negative", "indefinite", "beyond any device"])
-def test_what_is_no_covariance_is_refused(scene: Scene, tmp_path: Path, name: str) -> None:
+def test_an_invalid_covariance_is_refused(scene: Scene, tmp_path: Path, name: str) -> None:
     count = len(COLUMNS)
     values = 1e-6 * np.eye(count)
     match name:

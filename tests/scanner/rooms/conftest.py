@@ -1,4 +1,4 @@
-"""A simulated whole room as matches files: four of its stations, an open chain, in no order."""
+"""A simulated whole room as matches files: four of its stations, an open chain, in random order."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ ORDER = (2, 0, 3, 1)  # nobody has to know the order
 
 @dataclass(frozen=True)
 class SolvedExample:
-    """`true` and `solved` are in the same order; `out` is the result folder, `files` what it was made from."""
+    """`true` and `solved` are in the same order; `out` is the result folder, `files` its input."""
 
     true: Sequence[TrueStation]
     solved: SolvedRoom
@@ -28,7 +28,7 @@ class SolvedExample:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """In one process, which solves the example once."""
+    """Run these tests in one process, which solves the example once."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.xdist_group("rooms"))

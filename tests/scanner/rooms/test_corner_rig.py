@@ -1,4 +1,4 @@
-"""What corners say together of the rig, and what they say where one of them was taken by another."""
+"""The rig from several corners, including a corner by another rig."""
 
 import pytest
 
@@ -14,9 +14,7 @@ _CORNERS = (0, 2)  # stations that look into one
 
 
 @pytest.mark.parametrize("changed", _CORNERS)
-def test_of_two_corners_at_odds_the_one_counts_that_explains_most_stations(
-    example: SolvedExample, changed: int
-) -> None:
+def test_of_two_contradicting_corners_the_better_supported_one_is_used(example: SolvedExample, changed: int) -> None:
     captures = read_stations(example.files, example.config, Terminal(quiet=True))
     station = example.true[changed]
     rig = station.calibration

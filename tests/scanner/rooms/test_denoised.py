@@ -1,4 +1,4 @@
-"""Noise goes, relief stays."""
+"""Noise is reduced, relief is kept."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from scanner.rooms.denoised import denoised
 from tests.scanner.rooms.conftest import SolvedExample
 
 
-def test_points_of_planes_come_nearer_to_what_is_there(example: SolvedExample) -> None:
+def test_denoising_brings_points_closer_to_their_planes(example: SolvedExample) -> None:
     for station, true in zip(example.solved.stations, example.true, strict=True):
         raw, smooth = (
             points.reshape(-1, 3)[true.pixel] for points in (station.cloud.points, denoised(example.solved, station))
@@ -21,7 +21,7 @@ def test_points_of_planes_come_nearer_to_what_is_there(example: SolvedExample) -
         assert np.array_equal(raw[elsewhere], smooth[elsewhere])
 
 
-def test_a_step_on_a_plane_stays(example: SolvedExample) -> None:
+def test_denoising_keeps_a_step(example: SolvedExample) -> None:
     station = example.solved.stations[0]
     plane = int(np.bincount(station.plane[station.plane >= 0]).argmax())
     on = (station.plane == plane) & station.cloud.there

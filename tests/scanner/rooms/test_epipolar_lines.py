@@ -1,4 +1,4 @@
-"""Whether a capture is on the epipolar lines of a rig."""
+"""Whether a capture fits the epipolar lines of a rig."""
 
 from dataclasses import replace
 
@@ -21,14 +21,14 @@ def turned(rig: Calibration, about: str, degrees: float) -> Calibration:
     return replace(rig, rotation=Rotation.from_euler(about, degrees, degrees=True).as_matrix() @ rig.rotation)
 
 
-def test_on_the_lines_only_noise_is_left(two: list[TrueStation]) -> None:
+def test_the_true_rig_leaves_only_noise(two: list[TrueStation]) -> None:
     offsets = line_offsets(two[0].matches, two[0].calibration)
     assert 0.5 < float(np.sqrt(np.mean((offsets.median_px / offsets.error_px) ** 2))) < 1.5
     assert 0.001 < offsets.usual_px < 0.01  # of 0.03 px, in tiles of up to 256 matches
     assert offsets.far_px(offsets.usual_px) is None
 
 
-def test_a_wild_match_here_and_there_moves_no_tile(two: list[TrueStation]) -> None:
+def test_outliers_do_not_move_a_tile(two: list[TrueStation]) -> None:
     matches = two[0].matches
     wild = np.where(np.arange(len(matches)) % 10 == 0, 200.0, 0.0)[:, None]
     offsets = line_offsets(replace(matches, projector_px=matches.projector_px + wild), two[0].calibration)
@@ -36,7 +36,7 @@ def test_a_wild_match_here_and_there_moves_no_tile(two: list[TrueStation]) -> No
 
 
 @pytest.mark.parametrize(("degrees", "least_px"), [(0.05, 0.2), (0.5, 2.0)])
-def test_another_rig_is_told_with_its_size(two: list[TrueStation], degrees: float, least_px: float) -> None:
+def test_another_rig_is_reported_with_its_deviation(two: list[TrueStation], degrees: float, least_px: float) -> None:
     rig = turned(two[0].calibration, "x", degrees)
     offsets = line_offsets(two[1].matches, rig)
     usual_px = line_offsets(two[0].matches, two[0].calibration).usual_px
@@ -46,7 +46,7 @@ def test_another_rig_is_told_with_its_size(two: list[TrueStation], degrees: floa
     assert offsets.far_px(2 * far_px) is None
 
 
-def test_which_of_several_captures_another_rig_took(two: list[TrueStation]) -> None:
+def test_captures_by_another_rig_are_identified(two: list[TrueStation]) -> None:
     rig = two[0].calibration
     same = [each.matches for each in two]
     assert of_another_rig(same, rig) == {}
@@ -60,5 +60,5 @@ def test_which_of_several_captures_another_rig_took(two: list[TrueStation]) -> N
         assert "projector px off the epipolar lines" in why
 
 
-def test_a_capture_without_matches_tells_nothing(two: list[TrueStation]) -> None:
+def test_a_capture_without_matches_gives_no_result(two: list[TrueStation]) -> None:
     assert of_another_rig([two[0].matches, two[1].matches[:0]], two[0].calibration) == {}

@@ -1,4 +1,4 @@
-"""A disk that is full when a room is written: the path is named, and nothing is left that looks like a result."""
+"""A full disk while a room is written: the path is named, and nothing incomplete remains."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tests.scanner.rooms.conftest import SolvedExample
 from tests.support.full_disk import no_file_larger_than
 
 
-def test_a_disk_that_does_not_take_the_room(example: SolvedExample, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_incomplete_room(example: SolvedExample, tmp_path: Path) -> None:
     out = tmp_path / "room"
     with (
         pytest.raises(StorageError) as caught,

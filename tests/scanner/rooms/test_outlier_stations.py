@@ -1,4 +1,4 @@
-"""Why a capture is no station of a room, by what it saw."""
+"""Reasons why a capture is no station of a room, from its surfaces."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,7 +38,7 @@ def said(
 
 
 def all_round(example: SolvedExample) -> list[Station]:
-    """The example's stations, and the same turned about."""
+    """The example's stations, and the same rotated to cover the full circle."""
     half = Motion(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     found = list(example.solved.stations)
     for station in example.solved.stations:
@@ -47,34 +47,36 @@ def all_round(example: SolvedExample) -> list[Station]:
     return found
 
 
-def test_a_rig_that_was_changed_is_named(example: SolvedExample, other: TrueStation) -> None:
-    found = said(example, decoded(other), LeftOut(0, "another rig", "what it saw is off the epipolar lines"))
+def test_changed_extrinsics_are_named(example: SolvedExample, other: TrueStation) -> None:
+    found = said(example, decoded(other), LeftOut(0, "another rig", "its matches are off the epipolar lines"))
     assert found.cause == "changed rig"
-    assert found.reason == "its rig was changed: what it saw is off the epipolar lines"
+    assert found.reason == "its rig was changed: its matches are off the epipolar lines"
 
 
-def test_what_shares_nothing_has_no_overlap(example: SolvedExample, other: TrueStation) -> None:
+def test_a_station_without_common_surfaces_has_no_overlap(example: SolvedExample, other: TrueStation) -> None:
     found = said(example, decoded(other))
     assert found.cause == "no overlap"
     assert found.reason == NOTHING.reason
 
 
-def test_what_was_seen_all_round_shows_every_station_of_the_room(example: SolvedExample, other: TrueStation) -> None:
+def test_after_a_full_circle_a_station_without_overlap_is_of_another_room(
+    example: SolvedExample, other: TrueStation
+) -> None:
     assert 30 < widest_unseen_deg(example.solved.stations) < 250
     assert 0 < widest_unseen_deg(all_round(example)) < 20
     found = said(example, decoded(other), of=all_round(example))
     assert found.cause == "another room"
 
 
-def test_surfaces_that_are_looked_through_are_of_another_room(example: SolvedExample, other: TrueStation) -> None:
-    left = LeftOut(0, "looked through", "there 40% was looked through: another room, or the rig was changed")
+def test_free_space_violations_indicate_another_room(example: SolvedExample, other: TrueStation) -> None:
+    left = LeftOut(0, "free space", "40% of them are in free space: another room, or the rig was changed")
     found = said(example, decoded(other), left)
     assert found.cause == "another room"
     assert "40%" in found.reason
     assert "rig" not in found.reason
 
 
-def test_of_another_group_is_said_with_whom(example: SolvedExample, other: TrueStation) -> None:
+def test_the_members_of_another_group_are_named(example: SolvedExample, other: TrueStation) -> None:
     group = example.solved.group
     second = Group((0, 1), group.places[:2], (), ((), ()), (), np.inf, (1.0, 1.0))
     captures = [decoded(other), decoded(other)]

@@ -1,4 +1,4 @@
-"""`scan room` on a simulated room: where the stations stood, the rig, the walls, and every file of the result."""
+"""`scan room` on a simulated room: poses of the stations, the rig, the walls, and every file of the result."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ def to_world(example: SolvedExample) -> Motion:
     return Motion(rotation, true.translation - rotation @ found.translation)
 
 
-def test_all_stations_are_where_they_stood(example: SolvedExample) -> None:
+def test_all_stations_have_their_true_poses(example: SolvedExample) -> None:
     assert example.solved.group.stations == tuple(range(len(ORDER)))
     assert example.solved.outlier_stations == ()
     world = to_world(example)
@@ -42,7 +42,7 @@ def test_all_stations_are_where_they_stood(example: SolvedExample) -> None:
         assert 1e-5 < np.linalg.norm(found.sigma) < 5e-3
 
 
-def test_the_rig_is_measured_by_the_room(example: SolvedExample) -> None:
+def test_the_room_determines_the_rig(example: SolvedExample) -> None:
     found, true = read_calibration(example.out / "calibration.yaml"), example.true[0].calibration
     for ours, theirs in ((found.camera, true.camera), (found.projector, true.projector)):
         assert 0 < abs(ours.focal_px[0] / theirs.focal_px[0] - 1) < 1e-3
@@ -58,7 +58,7 @@ def test_z_is_up_from_the_floor(example: SolvedExample) -> None:
 
 
 def distances_to_surfaces(example: SolvedExample, points: Floats) -> Floats:
-    """Of points (N, 3) in the room's frame from what the stations really saw."""
+    """Distances of points (N, 3) in the room's frame from the true surfaces."""
     world = to_world(example)
     seen = np.concatenate([true.points @ true.place.rotation.T + true.place.translation for true in example.true])
     distance, _ = cKDTree(seen).query(points @ world.rotation.T + world.translation)
@@ -106,14 +106,14 @@ def test_files_of_the_plan(example: SolvedExample) -> None:
     assert text.count('<circle class="camera"') == len(ORDER)
 
 
-def test_the_page_says_what_it_found(example: SolvedExample) -> None:
+def test_the_page_shows_the_results(example: SolvedExample) -> None:
     page = (example.out / "report.html").read_text()
     assert f"{len(ORDER)} stations are one room" in page
     assert page.count("<figcaption>") >= 4 + len(ORDER)
     assert 'src="http' not in page
 
 
-def test_lenses_that_are_not_as_modelled_are_said(example: SolvedExample) -> None:
+def test_unmodelled_lens_distortion_is_reported(example: SolvedExample) -> None:
     estimate = example.solved.estimate
     assert verdict_on(example.solved).grade == "good"
     bent = replace(example.solved, estimate=replace(estimate, levels=replace(estimate.levels, alike=4.0)))

@@ -1,4 +1,4 @@
-"""What `scan room` and `--stations` say to people: of stations that do not belong, of wrong input, of where to go."""
+"""Messages of `scan room` and `--stations`: foreign stations, wrong input, where to go."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample,
     assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 1, 3)}
 
 
-def test_what_is_left_out_is_tried_again_by_the_rig_that_the_others_measured(
+def test_rejected_stations_are_retried_with_the_estimated_rig(
     example: SolvedExample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     captures = read_stations(example.files, example.config, QUIET)
@@ -77,7 +77,7 @@ def test_what_is_left_out_is_tried_again_by_the_rig_that_the_others_measured(
     assert rigs[-1].camera.focal_px[0] == pytest.approx(known.camera.focal_px[0], rel=2e-3)
 
 
-def test_a_changed_rig_is_left_out_though_its_surfaces_would_fit(example: SolvedExample, tmp_path: Path) -> None:
+def test_a_changed_rig_is_left_out_even_if_its_surfaces_fit(example: SolvedExample, tmp_path: Path) -> None:
     truth = example.true[0].calibration
     write_calibration(tmp_path / "rig.yaml", truth)
     write_matches(tmp_path / "changed.npz", with_turned_projector(example.true[3], (0.1, 0.0, 0.1)).matches)
@@ -100,7 +100,7 @@ def test_a_changed_rig_is_left_out_though_its_surfaces_would_fit(example: Solved
         (["station-0.npz", "station-0.npz"], "given twice"),
     ],
 )
-def test_wrong_input_is_said_in_a_sentence(
+def test_wrong_input_gives_one_sentence(
     example: SolvedExample, tmp_path: Path, capsys: pytest.CaptureFixture[str], stations: Sequence[str], expected: str
 ) -> None:
     config = tmp_path / "rig.yaml"
@@ -111,7 +111,7 @@ def test_wrong_input_is_said_in_a_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_nothing_is_begun_without_open3d(
+def test_without_open3d_nothing_is_started(
     example: SolvedExample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def missing(name: str) -> object:
@@ -124,15 +124,15 @@ def test_nothing_is_begun_without_open3d(
 
 
 @pytest.mark.parametrize(("pair_s", "compared"), [(0.0, 24), (0.1, 24), (0.2, 17), (2.0, 6), (100.0, 2)])
-def test_live_compares_with_all_stations_that_there_is_time_for(pair_s: float, compared: int) -> None:
-    """Of 24; every pair of those that are compared takes its time."""
+def test_live_compares_with_as_many_stations_as_time_allows(pair_s: float, compared: int) -> None:
+    """With 24 stations; every compared pair takes time."""
     comparison = live.Comparison(30.0, pair_s)
     assert comparison.within_patience(24) == compared
     assert comparison.within_patience(2) == 2
     assert comparison.within_patience(1) == 1
 
 
-def test_live_says_what_overlaps_and_where_to_turn(
+def test_live_reports_overlap_and_where_to_turn(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     true = stations(6, 1, camera=CAMERA, furniture_askew_deg=4.0)[2:5]

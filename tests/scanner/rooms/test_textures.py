@@ -1,4 +1,4 @@
-"""The mesh under the stations' pictures: paint whose place in the room is known, lit from a side at each station."""
+"""The mesh with the stations' pictures: the paint is known, and is lit from one side at each station."""
 
 import json
 from dataclasses import replace
@@ -19,12 +19,12 @@ from tests.scanner.rooms.conftest import SolvedExample
 
 
 def painted(points: Floats) -> Floats:
-    """Waves over the room (N, 3) in metres, half a metre long: (N,) from 20 to 180 of 255."""
+    """Waves in the room (N, 3) in metres, half a metre long: (N,) from 20 to 180 of 255."""
     return np.asarray(100 + 80 * np.prod(np.sin(2 * np.pi * points / 0.5 + [0.3, 0.7, 1.1]), axis=1))
 
 
 def lit(station: Station, side: int) -> Station:
-    """With a picture that is brighter towards one side."""
+    """The station with a picture that is brighter towards one side."""
     height, width = station.cloud.there.shape
     points = np.nan_to_num(station.to_room(station.cloud.points.astype(np.float64)))
     light = np.linspace(0.7, 1.3, width)[:: 1 if side else -1]
@@ -46,7 +46,7 @@ def pieces(room: SolvedRoom) -> list[Piece]:
 
 
 def shades(piece: Piece) -> Floats:
-    """What the picture shows at each vertex, (N,)."""
+    """The colour of the picture at each vertex, (N,)."""
     picture = cv2.imdecode(np.frombuffer(piece.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
     height, width = picture.shape
     at = (piece.places * [width, height] - 0.5).astype(np.float32)
@@ -57,7 +57,7 @@ def shades(piece: Piece) -> Floats:
     return np.concatenate(rows).ravel().astype(np.float64)
 
 
-def test_pictures_lie_where_the_paint_is(room: SolvedRoom, pieces: list[Piece]) -> None:
+def test_textures_match_the_painted_walls(room: SolvedRoom, pieces: list[Piece]) -> None:
     under_pictures = [piece for piece in pieces if piece.jpeg]
     assert len(under_pictures) == len(room.stations)
     share = sum(len(piece.mesh.triangles) for piece in under_pictures) / sum(len(p.mesh.triangles) for p in pieces)
@@ -68,8 +68,8 @@ def test_pictures_lie_where_the_paint_is(room: SolvedRoom, pieces: list[Piece]) 
         assert 0.85 < np.corrcoef(shades(piece), paint)[0, 1] < 0.9999
 
 
-def test_pictures_agree_where_they_meet(pieces: list[Piece]) -> None:
-    """Vertices at seams are in two pieces."""
+def test_textures_agree_at_seams(pieces: list[Piece]) -> None:
+    """Vertices at seams are duplicated."""
     at: dict[tuple[float, ...], list[float]] = {}
     for piece in pieces:
         if piece.jpeg:
@@ -80,7 +80,7 @@ def test_pictures_agree_where_they_meet(pieces: list[Piece]) -> None:
     assert 0.5 < np.median(off) < 8  # of 100; the light differs by up to 60
 
 
-def test_files_are_gltf_with_their_pictures_in_them(pieces: list[Piece], tmp_path: Path) -> None:
+def test_files_are_gltf_with_embedded_pictures(pieces: list[Piece], tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     path = tmp_path / "room.glb"
     write_pieces(path, pieces, 1.0)
@@ -99,14 +99,14 @@ def test_files_are_gltf_with_their_pictures_in_them(pieces: list[Piece], tmp_pat
     assert all(view["byteOffset"] % 4 == 0 for view in document["bufferViews"])
 
 
-def test_without_pictures_there_are_the_vertices_colours(example: SolvedExample) -> None:
+def test_without_pictures_vertex_colours_are_used(example: SolvedExample) -> None:
     mesh = fused(example.solved)
     (piece,) = textured(example.solved.stations, example.solved.calibration, mesh)
     assert not piece.jpeg
     assert len(piece.mesh.triangles) == len(mesh.triangles)
 
 
-def test_light_that_differs_is_made_common() -> None:
+def test_different_lighting_is_equalised() -> None:
     rng = np.random.default_rng(0)
     paint = rng.uniform(60, 140, (96, 128))
     light = np.linspace(0.6, 1.5, 128) * np.linspace(1.1, 0.9, 96)[:, None]

@@ -1,4 +1,4 @@
-"""A thing turned by 1.4° on a turntable, given to `scan room`: what is taken for planes must not decide its place."""
+"""A thing rotated by 1.4° on a turntable, given to `scan room`: false planes must not determine its pose."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def solved(stations: list[ThingStation]) -> SolvedRoom:
     return solve_room(decoded(stations, CAMERA), start, config_for(CAMERA), Terminal(quiet=True))
 
 
-def test_surfaces_correct_what_false_planes_say() -> None:
+def test_surfaces_correct_poses_from_false_planes() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     stations = thing_stations([0, 1], CAMERA, seed=2, step_deg=1.4, background=False)
     found = solved(stations)
@@ -31,8 +31,8 @@ def test_surfaces_correct_what_false_planes_say() -> None:
     assert error_deg < 5 * np.linalg.norm(other.sigma_deg)
 
 
-def test_a_thing_that_turned_before_what_rests_is_refused() -> None:
+def test_an_object_turned_in_front_of_a_static_background_is_refused() -> None:
     pytest.importorskip("open3d", exc_type=ImportError)
     stations = thing_stations([0, 1], CAMERA, seed=1, step_deg=1.4, background=True, kind="box")
-    with pytest.raises(RefusalError, match="Station 1, Station 2 do not lie on each other"):
+    with pytest.raises(RefusalError, match="Station 1, Station 2 do not coincide"):
         solved(stations)

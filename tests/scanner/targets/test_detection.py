@@ -1,4 +1,4 @@
-"""Boards of each kind, drawn and photographed: found where they are, counted, and refused where they are not."""
+"""Boards of each kind, drawn and photographed: detected at their places, counted, and refused otherwise."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from tests.support.boards import photographed
         ("acircles", 4, 9, 0.06),
     ],
 )
-def test_points_are_found_where_they_are(kind: str, columns: int, rows: int, most_px: float) -> None:
+def test_points_are_detected_at_their_true_positions(kind: str, columns: int, rows: int, most_px: float) -> None:
     target = Target(kind, columns, rows, 20.0)
     picture, places = photographed(target, seed=3)
     found = detect(picture, target)
@@ -31,7 +31,7 @@ def test_points_are_found_where_they_are(kind: str, columns: int, rows: int, mos
     assert 1e-4 < rms < most_px
 
 
-def test_the_board_is_where_it_is_sure_to_be() -> None:
+def test_the_board_mask_covers_the_points_only() -> None:
     target = Target("chessboard", 9, 7, 20.0)
     picture, places = photographed(target, seed=1)
     mask = on_board(detect(picture, target), target, (800, 640))
@@ -40,7 +40,7 @@ def test_the_board_is_where_it_is_sure_to_be() -> None:
     assert 0.1 < mask.mean() < 0.5
 
 
-def test_a_board_of_other_counts_is_told() -> None:
+def test_a_board_with_other_counts_is_reported() -> None:
     picture, _ = photographed(Target("chessboard", 9, 7, 20.0), seed=3)
     for columns, rows in ((7, 5), (8, 7)):
         with pytest.raises(NotFoundError, match=r"chessboard of (9 × 7|7 × 9) inner corners"):
@@ -54,12 +54,12 @@ def test_two_boards_are_refused() -> None:
         detect(np.hstack([picture, picture]), target)
 
 
-def test_no_board_is_told() -> None:
+def test_a_missing_board_is_reported() -> None:
     with pytest.raises(NotFoundError, match="no circles:7x5 was found"):
         detect(np.full((300, 400), 90, np.uint8), Target("circles", 7, 5, 20.0))
 
 
-def test_ways_round() -> None:
+def test_orientations_of_a_board() -> None:
     turns = {
         ("chessboard", 9, 7): 2,
         ("chessboard", 9, 6): 1,
@@ -74,6 +74,6 @@ def test_ways_round() -> None:
 
 
 @pytest.mark.parametrize("text", ["chessboard", "chessboard:9", "chessboard:9x0", "hexagons:3x4", "charuco:2x5"])
-def test_what_is_no_board_is_refused(text: str) -> None:
+def test_impossible_boards_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="--board"):
         parse_target(text, 10.0)

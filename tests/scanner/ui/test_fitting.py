@@ -1,4 +1,4 @@
-"""Terminals are narrow: lines end between words, and tables lose no digit."""
+"""Narrow terminals: lines break between words, and tables keep every digit."""
 
 import io
 import re
@@ -16,7 +16,7 @@ _numbers = st.floats(-1e4, 1e4).map(lambda value: f"{value:.4f}")
 
 
 @given(st.lists(st.sampled_from(_QUANTITIES + _WORDS), min_size=1, max_size=40), st.integers(24, 100))
-def test_lines_end_between_words_and_never_within_a_quantity(words: list[str], width: int) -> None:
+def test_lines_break_between_words_and_never_within_a_quantity(words: list[str], width: int) -> None:
     text = " ".join(words)
     lines = wrapped(text, width).splitlines()
     assert " ".join(lines) == text
@@ -26,7 +26,7 @@ def test_lines_end_between_words_and_never_within_a_quantity(words: list[str], w
         assert sum(line.count(quantity) for line in lines) == text.count(quantity)
 
 
-def test_lines_are_as_long_as_they_may_be() -> None:
+def test_lines_fill_the_width() -> None:
     assert wrapped("one two three", 9) == "one two\nthree"
     assert wrapped("  indented text goes on indented", 16) == "  indented text\n  goes on\n  indented"
     assert wrapped("first\n\nthird", 80) == "first\n\nthird"
@@ -37,7 +37,7 @@ def test_lines_are_as_long_as_they_may_be() -> None:
     st.integers(20, 120),
     st.booleans(),
 )
-def test_no_digit_is_lost_however_narrow(rows: list[tuple[str, str, str]], width: int, title: bool) -> None:
+def test_narrow_tables_keep_every_digit(rows: list[tuple[str, str, str]], width: int, title: bool) -> None:
     table = Table(title="Numbers" if title else None)
     for heading in ("", "value", "sigma", "truth"):
         table.add_column(heading, no_wrap=True)
@@ -52,7 +52,7 @@ def test_no_digit_is_lost_however_narrow(rows: list[tuple[str, str, str]], width
     assert ("Numbers" in shown) == title
 
 
-def test_a_table_that_fits_stays_one() -> None:
+def test_a_table_that_fits_is_unchanged() -> None:
     table = Table("", "value")
     table.add_row("a", "1" * 30)
     for column in table.columns:
@@ -61,7 +61,7 @@ def test_a_table_that_fits_stays_one() -> None:
     assert fitted(table, Console(file=io.StringIO(), width=30)) == f"a\n  value\n  {'1' * 30}"
 
 
-def test_text_that_may_be_wrapped_stays_in_its_table() -> None:
+def test_wrappable_text_stays_in_its_table() -> None:
     table = Table("", "advice")
     table.add_row("a", "turn the lamp off " * 5)
     console = Console(file=io.StringIO(), width=30)

@@ -1,4 +1,4 @@
-"""A part of a cloud: what is in it, and the file of it."""
+"""A part of a cloud: its points, and its file."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def whole(frame: Frame) -> np.ndarray:
     return np.stack([frame.low, frame.high], axis=1)
 
 
-def test_a_box_is_along_the_faces(cloud: CaptureCloud) -> None:
+def test_the_box_is_aligned_with_the_faces(cloud: CaptureCloud) -> None:
     frame = frame_of(cloud)
     assert frame.names == ("From face A", "From face B", "From face C")
     ranges = whole(frame)
@@ -35,7 +35,7 @@ def test_without_walls_it_holds_everything(cloud: CaptureCloud) -> None:
     assert sorted(lengths) == pytest.approx(sorted(np.repeat(frame.high - frame.low, 4)))
 
 
-def test_the_file_holds_what_is_in_the_box(cloud: CaptureCloud, tmp_path: Path) -> None:
+def test_the_file_holds_the_points_in_the_box(cloud: CaptureCloud, tmp_path: Path) -> None:
     frame = frame_of(cloud)
     ranges = whole(frame)
     ranges[2, 1] = (ranges[2, 0] + ranges[2, 1]) / 2

@@ -1,4 +1,4 @@
-"""Fewer points than there are."""
+"""Clouds shown with fewer points."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from scanner.viewing.decimation import many, shuffled, statement
 
 
 @given(st.integers(0, 5000))
-def test_every_point_comes_once_and_always_in_the_same_order(count: int) -> None:
+def test_the_order_is_a_fixed_permutation(count: int) -> None:
     order = shuffled(count)
     assert np.array_equal(np.sort(order), np.arange(count))
     assert np.array_equal(order, shuffled(count))
 
 
-def test_every_beginning_is_spread_evenly() -> None:
+def test_every_prefix_is_evenly_spread() -> None:
     first = shuffled(1_000_000)[:10_000]
     per_tenth = np.bincount(first // 100_000, minlength=10)
     assert per_tenth.min() > 850
@@ -32,14 +32,14 @@ def test_every_beginning_is_spread_evenly() -> None:
         (0, 7, "showing none of 7 points"),
     ],
 )
-def test_it_is_said(shown: int, total: int, text: str) -> None:
+def test_the_decimation_is_stated(shown: int, total: int, text: str) -> None:
     assert statement(shown, total) == text
 
 
-def test_more_than_all_is_a_mistake() -> None:
+def test_more_points_than_all_is_an_error() -> None:
     with pytest.raises(ValueError, match="0 to 5"):
         statement(6, 5)
 
 
-def test_numbers_for_reading() -> None:
+def test_large_numbers_are_formatted() -> None:
     assert (many(999_999), many(4_912_345)) == ("999,999", "4.9 million")

@@ -1,4 +1,4 @@
-"""Where the page is served, and the verdict that it shows."""
+"""The address of the page, and its verdict."""
 
 import re
 import socket
@@ -26,7 +26,7 @@ def test_without_viser_it_says_what_to_install(
         assert CONSOLE.install_command() in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -36,7 +36,7 @@ def test_a_port_that_is_taken() -> None:
     assert free_port("127.0.0.1", port) == port
 
 
-def test_without_a_wanted_port_the_next_is_taken() -> None:
+def test_without_a_given_port_the_next_free_one_is_used() -> None:
     first = free_port("127.0.0.1", None)
     with socket.socket() as other:
         other.setsockopt(
@@ -48,17 +48,17 @@ def test_without_a_wanted_port_the_next_is_taken() -> None:
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536])
-def test_ports_that_do_not_exist(port: int) -> None:
+def test_impossible_ports_are_refused(port: int) -> None:
     with pytest.raises(InputError, match="1 to 65535"):
         free_port("127.0.0.1", port)
 
 
-def test_addresses_that_are_not_ours() -> None:
+def test_foreign_addresses_are_refused() -> None:
     with pytest.raises(InputError, match="cannot be served at"):
         free_port("192.0.2.1", 8080)  # RFC 5737: nobody's
 
 
-def test_only_strangers_are_warned_of() -> None:
+def test_only_remote_access_gives_a_warning() -> None:
     for host in ("127.0.0.1", "::1", "localhost", "127.8.8.8"):
         assert is_local(host)
         assert warning(host) == ""
@@ -67,20 +67,20 @@ def test_only_strangers_are_warned_of() -> None:
         assert "token" in warning(host)
 
 
-def test_what_to_open() -> None:
+def test_the_address_to_open() -> None:
     assert address("127.0.0.1", 80) == "http://127.0.0.1:80"
     assert address("::1", 81) == "http://[::1]:81"
     assert address("rig.local", 82) == "http://rig.local:82"
     assert address("0.0.0.0", 83) == f"http://{socket.gethostname()}:83"
 
 
-def test_the_verdict_in_words() -> None:
+def test_the_verdict_is_shown_in_words() -> None:
     text = verdict_text(Verdict("fair", "Calibrated <b>", ("Known to ± 3 %", "Second"), "Capture it again."))
     assert text.startswith("**◐ Calibrated \\<b\\>**")
     assert "- Known to ± 3 %" in text.replace("\N{NO-BREAK SPACE}", " ")
     assert text.endswith("Capture it again.")
-    assert "does not say" in verdict_text(None)
+    assert "does not state" in verdict_text(None)
 
 
-def test_texts_from_files_do_not_become_markup() -> None:
+def test_text_from_files_is_escaped() -> None:
     assert escaped("<img src=x> [a](b) *c*") == r"\<img src=x\> \[a\](b) \*c\*"

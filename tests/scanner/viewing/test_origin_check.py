@@ -1,4 +1,4 @@
-"""Who may talk to the page: over real sockets, with what a browser would send from elsewhere."""
+"""Access control of the page, over real sockets, with requests as a foreign site would make a browser send them."""
 
 import http.client
 import os
@@ -54,7 +54,7 @@ def ask(where: str, path: str = "/", **headers: str) -> Answer:
 
 
 def cookie(where: str) -> str:
-    """What the printed address gives to a browser."""
+    """The cookie that a browser gets from the printed address."""
     parts = urlsplit(where)
     response = ask(where, f"{parts.path}?{parts.query}")
     assert response.status == 200
@@ -78,18 +78,18 @@ def test_without_the_token_there_is_no_page(where: str, path: str) -> None:
     assert "token" in response.text
 
 
-def test_a_name_from_a_strangers_dns_is_refused(where: str) -> None:
+def test_a_foreign_host_name_is_refused(where: str) -> None:
     assert ask(where, Host="evil.example:8080", Cookie=cookie(where)).status == 403
 
 
 @pytest.mark.parametrize("path", ["/" + "a" * 5000, "/results/1-x/" + "a" * 5000, "/%00", "/..%2f..%2fetc%2fpasswd"])
-def test_what_is_no_file_of_the_page_is_answered(where: str, path: str) -> None:
+def test_unknown_paths_are_answered(where: str, path: str) -> None:
     answer = ask(where, path, Cookie=cookie(where))
     assert answer.status in (400, 404)
     assert "/" not in answer.text  # nor is it said what there is
 
 
-def test_a_host_that_is_named_twice_is_refused(where: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_duplicate_host_header_is_refused(where: str, capfd: pytest.CaptureFixture[str]) -> None:
     with closing(http.client.HTTPConnection(urlsplit(where).netloc, timeout=20)) as connection:
         connection.putrequest("GET", "/")
         connection.putheader("Host", "evil.example")
@@ -104,7 +104,7 @@ def hear_out(page: websockets.sync.connection.Connection) -> None:
 
 
 @pytest.mark.parametrize("message", [b"\xc1", b"\x91" * 100_000, "text"])
-def test_a_message_that_is_none_closes_its_connection_only(
+def test_a_malformed_message_closes_only_its_connection(
     where: str, message: str | bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     place, headers = f"ws://{urlsplit(where).netloc}/", {"Cookie": cookie(where)}
@@ -136,7 +136,7 @@ def test_a_websocket_has_to_come_from_the_page_itself(where: str, own: bool) -> 
 
 @pytest.fixture(scope="module")
 def report(served: Serving, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of a report in a folder beside others."""
+    """The address of a report in a folder with other files."""
     folder = tmp_path_factory.mktemp("results") / "a room & more"
     (folder / "captures/1").mkdir(parents=True)
     (folder / "report.html").write_text("<script>alert(1)</script>")
@@ -161,7 +161,7 @@ def test_a_report_is_shown_without_foreign_scripts_and_its_files_are_downloaded(
     assert file.headers["X-Content-Type-Options"] == "nosniff"
 
 
-def test_files_want_the_token_too(where: str, report: str) -> None:
+def test_files_require_the_token(where: str, report: str) -> None:
     assert ask(where, report).status == 403
     assert ask(where, report, Cookie=cookie(where), Host="evil.example").status == 403
 
@@ -180,7 +180,7 @@ def test_files_want_the_token_too(where: str, report: str) -> None:
         "nothing",
     ],
 )
-def test_only_files_of_offered_folders_are_answered(where: str, report: str, name: str) -> None:
+def test_only_files_of_offered_folders_are_served(where: str, report: str, name: str) -> None:
     for path in (report.replace("report.html", name), f"/results/2-results/{name}"):
         answer = ask(where, path, Cookie=cookie(where))
         assert answer.status == 404
@@ -188,7 +188,7 @@ def test_only_files_of_offered_folders_are_answered(where: str, report: str, nam
 
 
 @given(st.text(max_size=40), st.text(max_size=40), st.text(max_size=40))
-def test_nothing_that_is_sent_breaks_it_or_guesses_the_token(asked: str, query: str, cookies: str) -> None:
+def test_random_requests_neither_crash_the_server_nor_pass(asked: str, query: str, cookies: str) -> None:
     origin_check = OriginCheck("127.0.0.1")
     refused = origin_check.answer(f"/?token={query}", {"Host": asked, "Cookie": cookies})
     assert refused is not None

@@ -1,4 +1,4 @@
-"""What is clicked on, and what it measures, against the scene that the cloud was made from."""
+"""Picking points and measuring, compared with the scene of the cloud."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scanner.viewing.result import CaptureCloud
 from tests.support.result_folder import Written
 
 
-def test_a_ray_through_a_point_finds_it_from_anywhere(cloud: CaptureCloud) -> None:
+def test_a_ray_through_a_point_picks_it(cloud: CaptureCloud) -> None:
     random = np.random.default_rng(0)
     eye = np.array([0.3, -0.2, -0.5])
     for number in random.integers(0, len(cloud.points), 50):
@@ -21,7 +21,7 @@ def test_a_ray_through_a_point_finds_it_from_anywhere(cloud: CaptureCloud) -> No
         assert found == number or depth < 0.99
 
 
-def test_a_ray_beside_everything_finds_nothing(cloud: CaptureCloud) -> None:
+def test_a_ray_past_all_points_picks_nothing(cloud: CaptureCloud) -> None:
     assert point_at(cloud.points, np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
     assert point_at(cloud.points[:0], np.zeros(3), np.array([0.0, 0.0, 1.0])) is None
 
@@ -34,12 +34,12 @@ def _true_points(written: Written, cloud: CaptureCloud) -> np.ndarray:
 
 
 def _some(cloud: CaptureCloud, count: int) -> np.ndarray:
-    """Points of faces, by number, spread widely."""
+    """Widely spread points of faces, by number."""
     on_faces = np.flatnonzero(np.asarray(cloud.matches.face) >= 0)
     return np.random.default_rng(1).choice(on_faces, (100, count))
 
 
-def test_angles_err_by_their_sigma(written: Written, cloud: CaptureCloud) -> None:
+def test_angle_errors_match_their_sigmas(written: Written, cloud: CaptureCloud) -> None:
     true = _true_points(written, cloud)
     errors = []
     for first, second, third in _some(cloud, 3):
@@ -53,7 +53,7 @@ def test_angles_err_by_their_sigma(written: Written, cloud: CaptureCloud) -> Non
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-def test_two_points_are_a_distance_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
+def test_two_points_give_a_distance_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
     true = _true_points(written, cloud)
     errors = []
     for first, second in _some(cloud, 2):
@@ -64,8 +64,8 @@ def test_two_points_are_a_distance_with_its_sigma(written: Written, cloud: Captu
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-def test_a_known_distance_tells_the_baseline_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
-    """Whatever the scale that the result has now: it is the baseline in the scene's metres that comes out."""
+def test_a_known_distance_gives_the_baseline_with_its_sigma(written: Written, cloud: CaptureCloud) -> None:
+    """For any current scale of the result: the baseline is in the scene's metres."""
     true, baseline_m = _true_points(written, cloud), written.scene.calibration.baseline
     sigmas = []
     for first, second in _some(cloud, 2):
@@ -86,7 +86,7 @@ def test_a_known_distance_tells_the_baseline_with_its_sigma(written: Written, cl
     assert picked.scale(1.0, 0.3) is None
 
 
-def test_after_three_points_it_begins_anew(cloud: CaptureCloud) -> None:
+def test_a_fourth_point_starts_a_new_measurement(cloud: CaptureCloud) -> None:
     picked = Picked(cloud)
     assert picked.text().startswith("Click on a point")
     assert picked.places.shape == (0, 3)

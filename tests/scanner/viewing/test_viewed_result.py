@@ -1,4 +1,4 @@
-"""A result folder as something to look at, against the scene that it was made from."""
+"""A result folder for display, compared with its scene."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def cloud(written: Written) -> CaptureCloud:
     return shown
 
 
-def test_the_corner_is_where_it_is(written: Written, cloud: CaptureCloud) -> None:
+def test_the_corner_has_its_true_pose(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.corner is not None
     found, true = cloud.corner.corner, written.scene.corner
     assert 1e-7 < np.linalg.norm(found.vertex - true.vertex) < 0.001
@@ -53,7 +53,7 @@ def test_the_corner_is_where_it_is(written: Written, cloud: CaptureCloud) -> Non
         assert 1e-6 < abs(angle.angle_deg - 90) < 0.05
 
 
-def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cloud: CaptureCloud) -> None:
+def test_outlines_start_at_the_vertex_and_enclose_their_points(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.corner is not None
     for face, outline in enumerate(cloud.corner.outlines):
         origin, first, _, second = outline
@@ -64,11 +64,11 @@ def test_outlines_begin_at_the_vertex_and_hold_their_points(written: Written, cl
         assert 0.98 < np.mean(np.all((share > -0.02) & (share <= 1), axis=0)) < 1
 
 
-def test_up_is_up(written: Written, cloud: CaptureCloud) -> None:
+def test_the_up_direction_is_vertical(written: Written, cloud: CaptureCloud) -> None:
     assert cloud.up @ written.scene.corner.legs[2] > 0.9999  # the scene's z axis, and its camera is upright
 
 
-def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: CaptureCloud) -> None:
+def test_the_initial_view_shows_cloud_and_devices_from_behind_the_camera(cloud: CaptureCloud) -> None:
     view = viewpoint(cloud)
     (rig,) = cloud.rigs
     forward = (view.target - view.position) / np.linalg.norm(view.target - view.position)
@@ -83,7 +83,7 @@ def test_the_first_view_shows_cloud_and_devices_from_behind_the_camera(cloud: Ca
     assert (view.position - rig.position) @ view.up > 0, "above it"
 
 
-def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: CaptureCloud) -> None:
+def test_points_can_be_coloured_by_every_known_quantity(written: Written, cloud: CaptureCloud) -> None:
     assert possible_colourings(cloud) == tuple(Colouring)
     chosen = cloud.order[:1000]
     for colouring in Colouring:
@@ -97,7 +97,7 @@ def test_points_can_be_coloured_by_what_is_known(written: Written, cloud: Captur
     assert len({tuple(colour) for colour in colours}) == len(np.unique(face))
 
 
-def test_distances_from_the_faces_are_those_that_their_flatness_is_of(cloud: CaptureCloud) -> None:
+def test_distances_from_the_faces_match_the_flatness(cloud: CaptureCloud) -> None:
     off = cloud.from_faces(np.arange(len(cloud.points)))
     assert np.array_equal(np.isfinite(off), np.isin(cloud.matches.face, (0, 1, 2)))
     for label, face in enumerate(cloud.scene.faces):
@@ -113,7 +113,7 @@ def test_distances_from_the_faces_are_those_that_their_flatness_is_of(cloud: Cap
     assert np.array_equal(np.sign(signs[strong]), np.sign(off[strong]))
 
 
-def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: CaptureCloud) -> None:
+def test_depth_sigmas_match_the_errors(written: Written, cloud: CaptureCloud) -> None:
     chosen = cloud.order[:5000]
     true = {
         tuple(pixel): point for pixel, point in zip(written.scene.matches.camera_px, written.scene.points, strict=True)
@@ -124,8 +124,8 @@ def test_the_sigma_of_depth_is_that_of_the_errors(written: Written, cloud: Captu
     assert 0.9 < np.sqrt(np.mean(errors**2)) < 1.1
 
 
-def test_the_sigma_of_depth_contains_the_calibrations(tmp_path: Path) -> None:
-    """Of a result that knows its covariance, here an uncertain focal length of the camera alone."""
+def test_depth_sigmas_include_the_calibration(tmp_path: Path) -> None:
+    """For a result with a covariance, here of the camera's focal length alone."""
     written = write_result(tmp_path / "room", noise_px=0.005)
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
@@ -179,7 +179,7 @@ def edit_matches() -> Callable[..., None]:
 
 @pytest.mark.parametrize(("turn", "known"), [(0, True), (1, True), (2, False)])
 def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known: bool) -> None:
-    """By their poses, which older results did not hold."""
+    """By their poses, which older results lack."""
     written = write_result(tmp_path / "room")
     scene = room()
     calibration = replace(scene.calibration, unit="m")
@@ -203,14 +203,14 @@ def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known:
         coloured(found, found.order[:5], Colouring.FACES)
 
 
-def test_older_captures_are_found(tmp_path: Path) -> None:
+def test_earlier_captures_are_found(tmp_path: Path) -> None:
     folder = write_result(tmp_path / "room").folder
     for number in ("1", "2"):
         write_result(folder / "captures" / number)
     assert ViewedResult(folder).names == ("Capture 3", "Capture 2", "Capture 1")
 
 
-def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_result_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected a result folder"):
         ViewedResult(tmp_path / "nothing")
     folder = write_result(tmp_path / "room").folder
@@ -220,7 +220,7 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
         ViewedResult(folder).cloud("The capture")
 
 
-def test_frusta_end_where_the_picture_is_seen() -> None:
+def test_frusta_end_at_the_scene() -> None:
     camera = room().calibration.camera
     corners = picture_corners(replace(camera, distortion=(0.0, 0.0, 0.0, 0.0, 0.0)), 2.0)
     assert np.all(corners[:, 2] == 2.0)

@@ -1,6 +1,6 @@
-"""The whole real path on this machine: Xvfb, a pyglet window, GigE Vision on 127.0.0.1, a simulated room in between.
+"""The complete real path on this machine: Xvfb, a pyglet window, GigE Vision on 127.0.0.1, and a simulated room.
 
-There is one camera port per machine, so all these tests run in one process, one after the other.
+Each machine has one camera port, so all these tests run in one process, in sequence.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loop
 
 
 def missing_packages() -> str:
-    """What the loopback rig lacks, or nothing."""
+    """The missing packages of the loopback rig, or nothing."""
     missing = [name for name in ("gi", "pyglet") if importlib.util.find_spec(name) is None]
     missing += [] if shutil.which("Xvfb") else ["Xvfb"]
     try:
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def room() -> SimulatedRoom:
-    """The room that the loopback camera looks at."""
+    """The room seen by the loopback camera."""
     return SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR)
 
 
@@ -52,7 +52,7 @@ def keeper() -> Iterator[Keeper]:
 
 @pytest.fixture
 def rig(keeper: Keeper) -> Loopback:
-    """A rig under usual conditions."""
+    """A rig in normal conditions."""
     rig = keeper.rig()
     rig.camera.change(Conditions())
     return rig
@@ -67,6 +67,6 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def capture_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scan ends with its capture and decoding: what comes after is the same for every rig, and takes long."""
+    """End scans after decoding: the rest is slow and does not depend on the rig."""
     monkeypatch.setattr(pipeline, "reconstruct", lambda found, *_, **__: found)
     monkeypatch.setattr(scan_command, "show_outcome", lambda *_: None)

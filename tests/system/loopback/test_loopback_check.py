@@ -1,4 +1,4 @@
-"""`scan check` through the real path: the camera's exposure is tried, and what was found is written."""
+"""`scan check` through the real path: the camera's exposure is optimised and written."""
 
 from pathlib import Path
 
@@ -13,7 +13,9 @@ pytestmark = pytest.mark.xdist_group("loopback")
 PERIOD_US = 1e6 / 60
 
 
-def test_a_check_finds_and_writes_the_exposure(config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_measures_and_writes_the_exposure(
+    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = config.read_text().replace("33333", "150000")
     config.write_text(text)
     assert main(["check", "--config", str(config), "--write"]) in (0, 4)
@@ -26,7 +28,7 @@ def test_a_check_finds_and_writes_the_exposure(config: Path, rig: Loopback, caps
     assert config.with_name("room.yaml.bak").read_text() == text
 
 
-def test_a_camera_that_dies_is_a_row_and_exit_code_3(
+def test_a_camera_failure_gives_a_row_and_exit_code_3(
     config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig.camera.process.kill()

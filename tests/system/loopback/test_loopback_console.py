@@ -1,4 +1,4 @@
-"""What the console's page does, through the real path: live image, exposure and gain, a scan, cancel."""
+"""The console's page through the real path: live image, exposure and gain, a scan, cancel."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -64,7 +64,7 @@ def test_a_scan_leaves_a_result(worker: Worker, page: Notebook, room: SimulatedR
     assert 0.9 < found.camera.focal_px[0] / truth.camera.focal_px[0] < 1.1
 
 
-def test_a_scan_that_is_cancelled_keeps_whole_frames(
+def test_a_cancelled_scan_keeps_complete_frames(
     worker: Worker, page: Notebook, config: Path, room: SimulatedRoom
 ) -> None:
     assert worker.request(Activity.SCANNING)

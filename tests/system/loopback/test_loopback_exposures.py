@@ -72,7 +72,7 @@ def pattern_image(pattern: Pattern) -> Image:
     return draw(pattern, PROJECTOR)
 
 
-def test_exposures_that_come_to_the_same_are_refused_before_the_first_frame(
+def test_exposures_that_round_to_one_are_refused_before_the_first_frame(
     config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, folder = scan(config, "--set", "sequence.exposures_us=[16000, 18000]")

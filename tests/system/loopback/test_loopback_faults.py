@@ -1,7 +1,7 @@
-"""What can go wrong with real devices, done to the loopback rig while it scans.
+"""Faults of real devices, injected into the loopback rig during scans.
 
-A scan completes, every frame of its own pattern, or stops with exit code 3, a message that names the device and says
-what to do, and every frame captured so far on disk.
+A scan completes with every frame of its own pattern. Or it stops with exit code 3, a message that names the device and
+the remedy, and every captured frame on disk.
 """
 
 import os
@@ -42,7 +42,7 @@ FRAMES = 28  # of the sequence in CONFIG
 
 
 def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) -> Path:
-    """Scan, and expect exit code 3 with these words and advice; the folder of what was captured."""
+    """Expect a scan to stop with exit code 3 and these words; returns the folder of the capture."""
     code, folder = scan(config)
     message = capsys.readouterr().err
     assert code == 3, message
@@ -54,9 +54,7 @@ def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) 
 
 
 @pytest.mark.parametrize("latency_ms", [0, 50, 120])
-def test_the_latency_is_measured_whatever_it_is(
-    config: Path, rig: Loopback, room: SimulatedRoom, latency_ms: float
-) -> None:
+def test_any_latency_is_measured(config: Path, rig: Loopback, room: SimulatedRoom, latency_ms: float) -> None:
     rig.camera.change(Conditions(latency_ms=latency_ms))
     code, folder = scan(config)
     assert code == 0
@@ -66,7 +64,7 @@ def test_the_latency_is_measured_whatever_it_is(
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05])
-def test_lost_packets(
+def test_lost_packets_are_recovered(
     config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], share: float
 ) -> None:
     rig.camera.change(Conditions(lost_packets=share))
@@ -82,9 +80,7 @@ def test_lost_packets(
         assert not folder.exists() or check_frames(folder, room) > 0
 
 
-def test_a_network_that_loses_almost_everything(
-    config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_heavy_packet_loss_stops_the_scan(config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]) -> None:
     rig.camera.change(Conditions(lost_packets=0.9))
     folder = stopped_scan(config, capsys, "its frames do not arrive", "(packet_size)")
     assert not folder.exists()
@@ -158,7 +154,7 @@ def test_ctrl_c(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
         (("camera: 127.0.0.1", "camera: nobody"), ("'nobody'", "Found: Aravis Fake loopback at 127.0.0.1")),
     ],
 )
-def test_what_the_devices_cannot_do_is_refused(
+def test_settings_beyond_the_devices_are_refused(
     config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str], change: tuple[str, str], words: tuple[str, ...]
 ) -> None:
     config.write_text(CONFIG.replace(*change))
@@ -184,7 +180,7 @@ def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopb
 
 
 def resources() -> tuple[float, int, int]:
-    """Megabytes of memory, open files, threads of this process."""
+    """Memory in MB, open files and threads of this process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return (
         pages * os.sysconf("SC_PAGE_SIZE") / 1e6,
@@ -194,7 +190,7 @@ def resources() -> tuple[float, int, int]:
 
 
 @pytest.mark.parametrize("moved", [False, True])
-def test_what_is_missing_is_taken(
+def test_a_resumed_scan_takes_the_missing_frames(
     config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], moved: bool
 ) -> None:
     code, message = broken_off(config, signal.SIGTERM)  # killed, it would leave the camera to its heartbeat's time-out

@@ -1,4 +1,4 @@
-"""Which frames a camera takes for those of earlier exposures."""
+"""Which frames a camera attributes to earlier exposures."""
 
 import time
 from collections import deque
@@ -14,7 +14,7 @@ TOLD_S = 0.02
 
 
 class Buffer:
-    """A frame whose first packet comes now."""
+    """A frame whose first packet arrives now."""
 
     def __init__(self) -> None:
         self.came_ns = time.time_ns()
@@ -24,7 +24,7 @@ class Buffer:
 
 
 class Stream:
-    """Frames that are there at their moments (monotonic clock)."""
+    """Frames that arrive at given times (monotonic clock)."""
 
     def __init__(self, moments: list[float]) -> None:
         self._moments = deque(moments)
@@ -47,8 +47,8 @@ class Stream:
 @pytest.mark.parametrize(
     ("after_s", "theirs"), [([EXPOSURE_S + 0.002], 0), ([0.03, EXPOSURE_S + 0.002], 1), ([EXPOSURE_S + 0.04], 0)]
 )
-def test_a_frame_that_is_there_before_the_trigger_was_confirmed_late_is_kept(after_s: list[float], theirs: int) -> None:
-    """A camera that confirms a trigger late may have obeyed at once: its frame may be there before that is known."""
+def test_a_frame_before_a_late_trigger_confirmation_is_kept(after_s: list[float], theirs: int) -> None:
+    """A camera that confirms a trigger late may have obeyed at once: its frame may arrive before the confirmation."""
     camera = object.__new__(aravis.load().AravisCamera)
     camera._disturbed = camera._free_running = False
     camera._arrived = None

@@ -1,4 +1,4 @@
-"""Live clouds through the real path: pictures in the pipeline, triggers, packets."""
+"""Live clouds through the real path: pipelined pictures, triggers, packets."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tests.support.loopback_bench import Loopback
 pytestmark = pytest.mark.xdist_group("loopback")
 
 
-def test_live_clouds_are_as_true_as_their_sigmas(
+def test_errors_of_live_clouds_match_their_sigmas(
     tmp_path: Path, config: Path, rig: Loopback, room: SimulatedRoom
 ) -> None:
     assert room.calibration is not None

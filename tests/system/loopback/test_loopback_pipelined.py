@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capt
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Processors that have other things to do."""
+    """Keep this many processors busy."""
     command = [sys.executable, "-c", "while True: sum(range(100000))"]
     processes = [subprocess.Popen(command) for _ in range(3)]
     yield
@@ -46,7 +46,7 @@ def test_no_frame_of_a_wrong_picture_is_accepted_on_a_busy_computer(
     ],
     ids=["late and lossy", "slow panel"],
 )
-def test_every_frame_is_of_its_own_picture(
+def test_every_frame_shows_its_own_picture(
     config: Path, rig: Loopback, room: SimulatedRoom, conditions: Conditions
 ) -> None:
     rig.camera.change(conditions)

@@ -1,4 +1,4 @@
-"""Whole scans through the real path."""
+"""Complete scans through the real path."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def mean_error_percent(result: Path, room: SimulatedRoom) -> float:
     return float(np.abs(intrinsic_errors_percent(found, room.calibration)).mean())
 
 
-def test_a_scan_is_as_good_as_on_the_simulated_rig(
+def test_a_scan_is_as_accurate_as_on_the_simulated_rig(
     tmp_path: Path, config: Path, rig: Loopback, room: SimulatedRoom
 ) -> None:
     point = list(room.calibration.camera.principal_point_px)
@@ -63,7 +63,7 @@ def test_a_scan_is_as_good_as_on_the_simulated_rig(
         ("pixel_format: Mono8, trigger: free-run", np.uint8, 1),
     ],
 )
-def test_other_settings_act(
+def test_other_settings_take_effect(
     config: Path, rig: Loopback, settings: str, kind: type[np.uint8] | type[np.uint16], channels: int
 ) -> None:
     config.write_text(CONFIG.replace("packet_size: 8000", f"packet_size: 8000, {settings}"))

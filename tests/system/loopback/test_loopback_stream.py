@@ -91,7 +91,7 @@ def test_a_webcam_scans_a_room(config: Path, truth: Calibration) -> None:
 @pytest.mark.skipif(not _LOOPBACK_DEVICES, reason="the kernel has no V4L2 loopback device (modprobe v4l2loopback)")
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg, which would feed the V4L2 device, is missing")
 @pytest.mark.usefixtures("capture_only", "webcam")
-def test_a_webcam_of_the_kernel(config: Path, port: int) -> None:
+def test_a_v4l2_webcam_scans(config: Path, port: int) -> None:
     number = int(_LOOPBACK_DEVICES[0].removeprefix("video"))
     command = ["ffmpeg", "-loglevel", "error", "-i", f"http://127.0.0.1:{port}/video"]
     with subprocess.Popen([*command, "-f", "v4l2", "-pix_fmt", "yuv420p", f"/dev/video{number}"]) as feeding:

@@ -1,4 +1,4 @@
-"""Light that comes a little late, or a little soon: how much of a neighbour a frame can hold that counts."""
+"""Light slightly late or early: the share of a neighbouring picture in a frame that matters."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def pictures() -> list[np.ndarray]:
 
 
 def held(shown: list[np.ndarray], frame: np.ndarray, number: int) -> float:
-    """The largest share of the picture before or after its own in a frame, by ground truth."""
+    """The largest share of the previous or next picture in a frame, by ground truth."""
     own = shown[number].astype(float)
     off = ((frame - 10.0) / 12.0 - own)[:, _LIT]
     towards = [shown[other][:, _LIT] - own[:, _LIT] for other in (number - 1, number + 1) if 0 <= other <= LAST]
@@ -31,11 +31,11 @@ def held(shown: list[np.ndarray], frame: np.ndarray, number: int) -> float:
 @pytest.mark.parametrize(
     ("number", "late_ms"), [(3, 1.85), (LAST - 11, -5.2), (LAST - 5, -5.2), (LAST - 1, -5.2), (LAST, 1.85)]
 )
-def test_more_than_two_per_cent_of_a_neighbour_are_found(
+def test_more_than_two_per_cent_of_a_neighbouring_picture_is_detected(
     monkeypatch: pytest.MonkeyPatch, number: int, late_ms: float
 ) -> None:
-    """Of the picture before, which stays too long, or of the next, which comes too soon: in bits, in the steps of a
-    fringe that is fainter than the one before it, and in the last frame. A per cent or less passes.
+    """The previous picture stays too long, or the next comes too soon: in bits, in the steps of a fringe that is
+    fainter than the previous one, and in the last frame. One per cent or less passes.
     """
     shown, most = pictures(), []
     for less_ms in (0.0, 0.6):

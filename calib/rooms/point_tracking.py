@@ -23,16 +23,16 @@ from calib.rooms.room import Room
 from calib.rooms.tracks import Track
 
 _MOST, _FEWEST = 200, 8
-_LARGEST_PX = 1000  # along a side of a drawing
-_SAMPLED = 150  # pixels along a row by which a plane's extent is told
-_LEAST_COMMON = 900  # pixels of both drawings
+_LARGEST_PX = 1000  # pixels along a side of a drawing
+_SAMPLED = 150  # samples per row that determine a plane's extent
+_LEAST_COMMON = 900  # common pixels of both drawings
 _WINDOW_PX, _LEVELS = 21, 3
-_QUALITY, _APART_PX = 0.02, 7
-_BACK_PX = 0.3  # of a point that is followed forth and back
-_LIKE = 0.8  # correlation of what is around a point in both drawings
+_QUALITY, _SPACING_PX = 0.02, 7
+_FORWARD_BACKWARD_PX = 0.3  # largest forward-backward error of a tracked point
+_LEAST_CORRELATION = 0.8  # least correlation of the surroundings of a point in both drawings
 _SHADING_PX = 12.0
 _OUTLIER_SIGMAS = 4.0
-_STATED_PX = 0.1  # of the camera: no point is found better than that
+_LEAST_SIGMA_PX = 0.1  # camera pixels: smallest stated sigma of a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +105,16 @@ def _followed(
 def _forth_and_back(
     one: NDArray[np.uint8], other: NDArray[np.uint8], inside: NDArray[np.uint8]
 ) -> tuple[Floats, Floats]:
-    """Points (N, 2) of a drawing, and where they are in the other."""
-    corners: Any = cv2.goodFeaturesToTrack(one, _MOST, _QUALITY, _APART_PX, mask=inside)
+    """Points (N, 2) of a drawing, and their positions in the other one, checked by tracking back."""
+    corners: Any = cv2.goodFeaturesToTrack(one, _MOST, _QUALITY, _SPACING_PX, mask=inside)
     if corners is None:
         return np.zeros((0, 2)), np.zeros((0, 2))
     follow: Any = partial(cv2.calcOpticalFlowPyrLK, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_LEVELS)
     moved, found, _ = follow(one, other, corners, None)
     back, again, _ = follow(other, one, moved, None)
     here, there, returned = (each.reshape(-1, 2).astype(np.float64) for each in (corners, moved, back))
-    good = (found.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(returned - here, axis=1) < _BACK_PX)
-    good[good] = _correlation((one, other), here[good], there[good]) > _LIKE
+    good = (found.ravel() > 0) & (again.ravel() > 0) & (np.linalg.norm(returned - here, axis=1) < _FORWARD_BACKWARD_PX)
+    good[good] = _correlation((one, other), here[good], there[good]) > _LEAST_CORRELATION
     return here[good], there[good]
 
 
@@ -177,7 +177,7 @@ def _correlation(flat: Sequence[NDArray[np.uint8]], here: Floats, there: Floats)
 def _without_outliers(track: Track, room: Room) -> Track | None:
     """With variances by how the points scatter about their common shift, and without those that are far off it."""
     off, _, by_pixels = track.differences(room)
-    track = replace(track, variance=_STATED_PX**2 * np.sum(by_pixels**2, axis=(1, 2)) / 2)
+    track = replace(track, variance=_LEAST_SIGMA_PX**2 * np.sum(by_pixels**2, axis=(1, 2)) / 2)
     left = off - np.median(off, axis=0)
     size = np.linalg.norm(left, axis=1) / np.sqrt(track.variance)
     larger = max(1.0, median(size) / MEDIAN_LENGTH)
