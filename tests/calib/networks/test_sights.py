@@ -11,8 +11,9 @@ from calib.rooms.planes import RoomPlane
 def test_the_jacobian_matches_the_prediction() -> None:
     rng = np.random.default_rng(0)
     lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
-    camera = Device(lens, Motion(rotation_about(np.array([0.1, 0.2, -0.1])), np.array([0.2, 0.1, -0.3])))
-    projector = Device(1.1 * lens, Motion(rotation_about(np.array([0.0, -0.3, 0.1])), np.array([1.0, 0.1, 0.2])))
+    at, light = (Motion(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
+    camera = Device(lens, at, np.array([0.1, -0.2, 0.15, -0.1]))
+    projector = Device(1.1 * lens, light, np.array([-0.1, 0.2, 0.1, 0.2]))
     plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
     network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
     pixels = rng.uniform((100, 100), (900, 700), (20, 2))
