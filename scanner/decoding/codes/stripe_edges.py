@@ -1,4 +1,4 @@
-"""Locate the stripe edges of a Gray code between camera pixels, as its frames arrive.
+"""Locate the stripe edges of a Gray code between camera pixels.
 
 An edge is where pattern and inverse are equally bright (Trobina, Error model of a coded-light range sensor, ETH Zürich,
 1995). Symmetric blur and the camera's response curve leave it in place. The difference of the two is interpolated
@@ -7,6 +7,7 @@ move the edge. Each edge of a Gray code belongs to one bit, and to one projector
 either side determine.
 """
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.sequence_plan import GrayCode
 
 Packed = NDArray[np.uint16]
 
@@ -46,6 +48,29 @@ class StripeEdges:
         by = np.float32(0.5 if threshold is None else 1.0)
         for packed, contrast, down, across in zip(self.packed, self.contrast, (0, 1), (1, 0), strict=True):
             _note_edges(bright, dark, *sums, number, by, largest, packed, contrast, down, across)
+
+
+def edges_of(
+    code: GrayCode, frames: Iterable[tuple[int, Image]], thresholds: Mapping[int, Image], like: Image
+) -> StripeEdges:
+    """Find the edges in the frames (H, W) of a capture, by index, of which the code's count; `thresholds` (H, W): as in
+    `Accumulators`. `like` (H, W): an image of the same shape and type.
+    """
+    found = StripeEdges((like.shape[0], like.shape[1]), like.dtype)
+    of_pairs = {frame: (bit, pair) for bit, pair in code.pairs.items() for frame in pair}
+    alone = {frame: bit for bit, frame in code.unpaired.items()}
+    waiting: dict[int, Image] = {}
+    for index, image in frames:
+        if index in alone:
+            images = {True: image, False: thresholds[index]}
+            is_inverse = alone[index] in code.inverse
+            found.fold(alone[index], images[not is_inverse], images[is_inverse], thresholds[index])
+        elif index in of_pairs:
+            waiting[index] = image
+            bit, (normal, inverse) = of_pairs[index]
+            if normal in waiting and inverse in waiting:
+                found.fold(bit, waiting.pop(normal), waiting.pop(inverse))
+    return found
 
 
 def unpacked(packed: Packed) -> tuple[NDArray[np.int32], Floats32]:

@@ -80,9 +80,10 @@ class Gains:
         """Return the gains at given rows, (frames, P), or (frames, 1) if uniform."""
         return self.of_rows[:, rows] if self.are_banded else self.of_rows
 
-    def equalised(self, frame: int, image: Image) -> Image:
-        """Scale one of the frames (H, W) to the darkest of the group, keeping its type."""
-        factors = self.of_rows.min(axis=0) / self.of_rows[frame]
+    def equalised(self, frame: int, image: Image, rows: slice) -> Image:
+        """Scale these rows (H, W) of one of the frames to the darkest of the group, keeping its type."""
+        of_rows = self.of_rows[:, rows] if self.are_banded else self.of_rows
+        factors = of_rows.min(axis=0) / of_rows[frame]
         result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
         return result
 
