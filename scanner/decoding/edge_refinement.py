@@ -3,13 +3,12 @@
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Ints, compiled
+from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.accumulators import Accumulators, Frames
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
-from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate
-from scanner.decoding.codes.stripe_edges import StripeEdges, edges_of
+from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
 from scanner.decoding.light.noise_model import NoiseModel
@@ -54,9 +53,10 @@ def refine_by_edges(
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
     variance = np.full(value.shape, np.inf, np.float32)
     for fold, *into in zip(folds, value, variance, strict=True):
-        edges = edges_of(fold.code, frames(part), accumulators.thresholds_in(part), accumulators.middle[part])
-        images = (fold.words, accumulators.middle, accumulators.brightest)
-        _interpolate(fold.code, noise, edges, [usable, *(image[part] for image in images), *into])
+        shown = {index: image for index, image in frames(part) if index in fold.code.frames}
+        levels = levels_of_bits(fold.code, shown, accumulators.thresholds_in(part))
+        images = (image[part] for image in (fold.words, accumulators.middle, accumulators.brightest))
+        _interpolate(fold.code, noise, levels, [usable, *images, *into])
     between = np.isfinite(variance).all(axis=0)
     if np.count_nonzero(between & kept) < max(1.0, _MOSTLY * np.count_nonzero(kept)):
         return False
@@ -97,25 +97,33 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
     np.copyto(maps.reason, _ISOLATED, where=kept & broken)
 
 
-def _interpolate(code: GrayCode, noise: NoiseModel, edges: StripeEdges, images: list[np.ndarray]) -> None:
-    """Write the coordinates (H, W) from a code's edges, NaN where unknown, and their variance.
+def _interpolate(
+    code: GrayCode, noise: NoiseModel, levels: tuple[list[Image], list[Image]], images: list[np.ndarray]
+) -> None:
+    """Write the coordinates (H, W) between a code's edges, NaN where unknown, and their variance.
 
     `images` (H, W): which pixels are usable, the code's words, the levels half-way and when lit; coordinates, variance.
     """
-    for direction, turned in enumerate((False, True)):
-        all_images = [edges.packed[direction], edges.contrast[direction], *images]
-        lines = [image.T if turned else image for image in all_images]
+    for turned in (False, True):
 
-        def along(some: slice, lines: list[np.ndarray] = lines) -> None:
-            packed, contrast, lit, words, middle, brightest, *into = (image[some] for image in lines)
-            least, _ = least_contrasts(noise, middle)
-            interpolate(code, noise, Lines(words, lit, least, middle, brightest, packed, contrast), *into)
+        def along(some: slice, turned: bool = turned) -> None:
+            part = (slice(None), some) if turned else (some, slice(None))
+            lit, words, middle, brightest, *into = (_lines(image[part], turned) for image in images)
+            if lit.any():
+                of_bits = np.stack([np.stack([image[part] for image in each]) for each in levels])
+                least, _ = least_contrasts(noise, middle)
+                interpolate(code, noise, Lines(words, lit, least, middle, brightest, _lines(of_bits, turned)), *into)
 
-        in_strips(len(lines[0]), _STRIP, along)
+        in_strips(images[0].shape[turned], _STRIP, along)
     *_, value, variance = images
     value *= np.float32(code.cell)
     value -= np.float32(code.offset + 0.5)
     variance *= np.float32(code.cell**2)
+
+
+def _lines(image: np.ndarray, turned: bool) -> np.ndarray:
+    """Return the rows of an image (…, H, W), or its columns."""
+    return image.swapaxes(-2, -1) if turned else image
 
 
 def _apart(value: Floats32, cell: int) -> float:
