@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import hypot
-from typing import Literal, cast, overload
+from typing import Literal, overload
 
 import cv2
 import numpy as np
@@ -134,11 +134,12 @@ class Decoder:
             self._fold(merged)
 
     def _fold(self, image: Image) -> None:
-        grey = _grey(image)
-        if self._stack is None or self._folded is None:
-            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
+        if self._stack is None:
+            self._stack = Stack(len(self._plan.shown), image, codes_alone=not self._plan.fringes)
+        grey = self._stack.keep(image)
+        if self._folded is None:
             self._folded = Folded(self._plan, grey)
-        self._folded.add(self._stack.keep(grey))
+        self._folded.add(grey)
         number = self._plan.shown[self._count]
         if number not in self._plan.shown[: self._count]:
             self._note_texture(image, number)
@@ -273,10 +274,6 @@ class Decoder:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
-
-
-def _grey(image: Image) -> Image:
-    return cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
 
 
 def _form(image: Image) -> str:

@@ -139,10 +139,7 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
     height, width, _ = projector_px.shape
     known = _known(projector_px)
-    # Relative to the middle of the image, to limit rounding errors.
-    x = np.broadcast_to(np.arange(width, dtype=np.float32) - width / 2, known.shape)
-    y = np.broadcast_to((np.arange(height, dtype=np.float32) - height / 2)[:, None], known.shape)
-    moments = moments_of_tiles([np.ones_like(x), x, y, projector_px[..., 0], projector_px[..., 1]], known)
+    moments = moments_of_tiles(projector_px, known)
     around = cv2.boxFilter(
         moments.reshape(*moments.shape[:2], -1),
         -1,

@@ -119,10 +119,13 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
         staying = 2 if len(ties) else size
         mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
         harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, found)
+        before = found
+        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, before)
         differ = float(np.mean(np.ptp(np.log(found.of_rows), axis=0)))
         if mistaken > np.clip(_MOST_MISTAKEN_OF * differ, *_MOST_MISTAKEN):
             return Gains(np.ones((count, 1)))
+        if np.array_equal(found.of_rows, before.of_rows):
+            break  # mostly without gains: further passes repeat this one
         alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
     return Gains(found.of_rows[back])
 
