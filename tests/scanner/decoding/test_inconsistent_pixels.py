@@ -9,7 +9,7 @@ import pytest
 from calib.numerics import Bools, Image
 from scanner.decoding import Decoding
 from scanner.decoding.checks.contradictions import Anomaly
-from scanner.decoding.learning import _passed_over
+from scanner.decoding.learning import _explained
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import CoarseFrames, find_inconsistent_pixels
@@ -213,14 +213,14 @@ def test_a_grid_mask_is_enlarged_to_the_pixels_it_was_taken_from(shape: tuple[in
     assert np.array_equal(coarse.rows, coarse.of(row)[:, 0])
 
 
-@pytest.mark.parametrize(("first_moved", "is_passed_over"), [(2, False), (3, False), (5, True), (9, True), (11, False)])
-def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved: int, is_passed_over: bool) -> None:
+@pytest.mark.parametrize(("first_moved", "is_explained"), [(2, False), (3, False), (5, True), (9, True), (11, False)])
+def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved: int, is_explained: bool) -> None:
     plan = plan_sequence(PRESETS["quick"].patterns(SCENE.projector), SCENE.projector)
     nowhere = np.zeros((1, 1), np.bool_)
     inconsistent = InconsistentPixels(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
     anomaly = Anomaly("cells are not neighbours", (7, 8))
-    if is_passed_over:
-        assert [*_passed_over(plan, [anomaly], [], inconsistent)] == [anomaly]
+    if is_explained:
+        assert [*_explained(plan, [anomaly], [], inconsistent)] == [anomaly]
     else:
         with pytest.raises(InputError, match="not neighbours"):
-            _passed_over(plan, [anomaly], [], inconsistent)
+            _explained(plan, [anomaly], [], inconsistent)
