@@ -101,7 +101,7 @@ def resume(
     masks: Bools | None = None,
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
-    """Take what is missing of a capture that was broken off, then reconstruct. Raises InputError, DeviceError too."""
+    """Take the missing frames of an interrupted capture, then reconstruct. Raises InputError, DeviceError too."""
     name = f"Capture {len(earlier) + 1}"
     found = take(config.required_rig, config, folder, terminal, name, begun)
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
@@ -203,7 +203,7 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
 
 
 def _as_recorded(found: Decoded, metadata: Mapping[str, object], account: Mapping[str, object]) -> Decoded:
-    """With what was recorded of the projector's pixels, and the camera's account of the capture."""
+    """The capture with the metadata about the projector's pixels, and the camera's account."""
     if shows_single_pixels(metadata):
         found = replace(found, panel=AS_SHOWN)
     return found.noting(*remarks_on_lines(metadata), *remarks_on_camera(account))
@@ -218,7 +218,7 @@ def _resumption(recording: Recording) -> str:
 
 @contextmanager
 def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
-    """A capture that comes to nothing may do so because it was broken off."""
+    """If a capture fails, say that it was interrupted, which may be the cause."""
     try:
         yield
     except (InputError, RefusalError) as error:

@@ -44,7 +44,7 @@ _SURPRISING = 1.3  # ratio of prediction errors to the expected ones
 
 @dataclass(frozen=True)
 class Board:
-    """`reach`: half its longer side, in the unit of its corners; `turns`: how many ways round look the same."""
+    """`reach`: half its longer side, in the unit of its corners; `turns`: number of symmetric orientations."""
 
     reach: float
     turns: int
@@ -64,9 +64,9 @@ class OddView:
 class BoardCalibration:
     """A calibration from boards, in their unit.
 
-    `estimate`: its covariance is that of the answer. `predictions`: each board by the others; `halves`: half of them
-    against the others, None if too few. `enlarged`: by what factor the sigmas were, because errors of prediction, or a
-    flat valley, showed them too small; 1 where there was no need. `left_out`: odd views. `calibration` has the sigmas.
+    `estimate`: with the final covariance. `predictions`: each board by the others; `halves`: half of them compared with
+    the others, None if too few. `enlarged`: factor on the sigmas, if prediction errors, or a flat minimum, showed them
+    too small; otherwise 1. `left_out`: outlier views. `calibration` includes the sigmas.
     """
 
     calibration: Calibration
@@ -87,10 +87,10 @@ def calibrate_boards(
     *,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
 ) -> BoardCalibration:
-    """Calibrate one unchanged rig from views of one board, by maximum likelihood. `lenses`: what is known of those of
-    camera and projector.
+    """Calibrate one unchanged rig from views of one board, by maximum likelihood. `lenses`: priors on those of camera
+    and projector.
 
-    Raises RefusalError where no trustworthy answer can be had.
+    Raises RefusalError without a trustworthy calibration.
     """
     if len(views) < FEWEST_VIEWS:
         raise too_few(len(views))

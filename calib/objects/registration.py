@@ -31,7 +31,7 @@ _AS_GOOD = 0.93  # relative to the best pose
 
 @dataclass(frozen=True, eq=False)
 class Supposed:
-    """X_first = R X_second + t of a pair, and what it is worth."""
+    """X_first = R X_second + t of a pair, and its evidence."""
 
     pose: Motion
     worth: float
@@ -39,7 +39,7 @@ class Supposed:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another place of a view that is almost as good: how far it is turned from the first one, and its worth."""
+    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence."""
 
     view: int
     turn_deg: float
@@ -177,7 +177,7 @@ def _tried(
 
 
 def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
-    """What all members say of a place; None if what they say against it outweighs."""
+    """Evidence of all members for a pose; None if the evidence against it prevails."""
     evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()

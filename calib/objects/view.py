@@ -83,10 +83,10 @@ class View:
 
     @cached_property
     def inner(self) -> Bools:
-        """Which pixels (H·W,) have the thing all around them.
+        """Mask (H·W,) of pixels surrounded by the thing.
 
-        Windows that end at the rim are one-sided: their normals are those of a place farther in, and because the
-        surface turns away there, they all err towards the camera.
+        Windows at the rim are one-sided: their normals are those of a place farther inside, and because the surface
+        curves away there, they are biased towards the camera.
         """
         there = np.isfinite(self.points[..., 2]).astype(np.uint8)
         square = np.ones((_WINDOW, _WINDOW), np.uint8)

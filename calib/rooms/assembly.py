@@ -26,8 +26,10 @@ Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
 
 @dataclass(frozen=True)
 class Assembly:
-    """`places` by station, in the order in which they came, the frame being that of the one with the least number; and
-    what they are worth in nats. `whole`: with the stations that fitted there, too, but were held by too little.
+    """`places` by station, in the order of addition, in the frame of the one with the smallest number; and their
+    evidence in nats.
+
+    `whole`: with further stations that fit, but with weak evidence.
     """
 
     places: dict[int, Motion]

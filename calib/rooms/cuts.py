@@ -67,7 +67,7 @@ def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreeme
 
 
 def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Iterator[tuple[int, ...]]:
-    """Each station alone, and what each edge of the spanning tree holds."""
+    """Each single station, and the part on one side of each edge of the spanning tree."""
     names = np.array(list(places))
     yield from ((int(k),) for k in names)
     worth: Floats = np.zeros((len(names), len(names)))

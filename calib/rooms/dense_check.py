@@ -30,9 +30,10 @@ _FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Stations `first` and `second`, whose surfaces are apart. `turn_deg`, `shift`: by how much the second would have
-    to move, in degrees and baselines (of the middle of what both saw), which is `sigmas` of what the estimate allows;
-    `apart`: share of what both saw that is off all the same, because part of the scene moved.
+    """Stations `first` and `second` with displaced surfaces. `turn_deg`, `shift`: the displacement of the second, in
+    degrees and baselines (of the middle of the common view), which is `sigmas` of the estimate.
+
+    `apart`: share of the common surface that is displaced differently, because part of the scene moved.
     """
 
     first: int

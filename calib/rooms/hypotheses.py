@@ -36,7 +36,7 @@ _HOLDING_PATCHES = 20
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """X_first = R X_second + t, what the overlap is then worth in nats, and the share that contradicts."""
+    """X_first = R X_second + t, the evidence of the overlap in nats, and the contradicting share."""
 
     pose: Motion
     nats: float
@@ -140,7 +140,7 @@ def _supposed(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
 
 
 def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
-    """Rotations that turn normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
+    """Rotations from normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
     frames_a, cosine_a = _frames(a, list(combinations(range(len(a)), 2)))
     frames_b, cosine_b = _frames(b, [(i, j) for i in range(len(b)) for j in range(len(b)) if i != j])
     if len(frames_a) == 0 or len(frames_b) == 0:
@@ -173,7 +173,7 @@ def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floa
 
 
 def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
-    """The rotation nearest to one that turns matching normals into each other, large planes first (Kabsch 1976)."""
+    """The closest rotation that aligns matching normals, large planes first (Kabsch 1976)."""
     weight = np.where(a @ rotation @ b.T > _LIKE_NORMALS, np.sqrt(area), 0.0)
     u, _, vt = np.linalg.svd(a.T @ weight @ b)
     turned: Floats = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt

@@ -162,7 +162,7 @@ def _without_shading(drawing: NDArray[np.uint8], inside: NDArray[np.uint8]) -> N
 
 
 def _correlation(flat: Sequence[NDArray[np.uint8]], here: Floats, there: Floats) -> Floats:
-    """Of what is around points (N, 2) of two drawings, (N,)."""
+    """Correlation (N,) of the surroundings of points (N, 2) in two drawings."""
     found = np.zeros(len(here))
     for i, both in enumerate(zip(here, there, strict=True)):
         one, other = (

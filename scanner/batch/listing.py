@@ -1,4 +1,4 @@
-"""Which captures a batch consists of, and what is asked of each."""
+"""The captures of a batch, and the options of each."""
 
 import csv
 import hashlib

@@ -91,7 +91,7 @@ class _Bench:
 
 
 class Checking:
-    """The state of a check: what is known so far."""
+    """The state of a check: the findings so far."""
 
     def __init__(self, on_row: OnRow | None) -> None:
         self.rows: list[CheckRow] = []

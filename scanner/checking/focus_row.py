@@ -92,7 +92,7 @@ def _blurred(lenses: Lenses, period_px: float, *, doubted: bool) -> list[str]:
 
 
 def _told_apart(lenses: Lenses) -> bool:
-    """Whether the doubt about the split is smaller than what is split."""
+    """Whether the uncertainty of the separation is smaller than the blur."""
     doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
     return doubt < max(lenses.total_px**2, lenses.projector2, lenses.camera2)
 

@@ -43,7 +43,7 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A layout that does not fit, and why not; `lacking`: it may, if what it says were given; `certain`: it would."""
+    """A layout that does not fit, and the reason; `lacking`: it may fit with further options; `certain`: it would."""
 
     layout: Layout
     why: str
@@ -144,7 +144,7 @@ class _Judge:
         self._lines: dict[tuple[tuple[Path, ...], Axis], Samples] = {}
 
     def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
-        """Whether the frames decode in this order, and of which projector they are."""
+        """Whether the frames decode in this order, and the projector."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
             return Rejected(

@@ -32,7 +32,7 @@ def scan_object(
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
 ) -> tuple[SolvedObject, Surface | None]:
-    """Put `stations` of a thing together, in any order; or take `number` of them, between which it is turned.
+    """Join `stations` of a thing, in any order; or capture `number` of them, between which it is turned.
 
     Raises InputError, DeviceError, RefusalError.
     """

@@ -1,7 +1,6 @@
-"""Photos from top to bottom: features → matches → faces → calibration → cloud → files.
+"""Photos: features → matches → faces → calibration → cloud → files.
 
-As with captures, what was found is written also when RefusalError is raised: the matches are worth keeping, and the
-report says why.
+As with captures, a RefusalError keeps the matches, and the report gives the reason.
 """
 
 from collections.abc import Sequence
@@ -100,7 +99,7 @@ def _exif_prior(photo: Photo) -> tuple[float, float]:
 
 
 def _pairs(photos: Sequence[Photo], matches: Matches) -> list[Decoded]:
-    """The first photo with each of the others, the second one last: a result is about what comes last."""
+    """The first photo with each of the others, the second one last, because the result concerns the last pair."""
     first = photos[0]
     exif = "not stated" if first.focal_px is None else f"{first.focal_px:.0f} px"
     return [

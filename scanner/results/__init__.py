@@ -1,4 +1,4 @@
-"""A result: its folder, its verdict, what it states about itself."""
+"""A result: its folder, its verdict, its metadata."""
 
 from scanner.results.finished_room import FinishedRoom, PlacedScan, read_finished_room
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan

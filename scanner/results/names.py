@@ -74,7 +74,7 @@ def beside(result: Path, ending: str) -> Path:
 
 
 def unused(path: Path) -> Path:
-    """The path, or with -2, -3 … added what is neither there nor being made."""
+    """The path, or with -2, -3 … added one that neither exists nor is being made."""
     candidate, number = path, 1
     while candidate.exists() or is_held(candidate):
         number += 1

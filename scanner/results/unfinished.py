@@ -112,7 +112,7 @@ class Claim:
 
 
 def publish(partial: Path, out: Path) -> None:
-    """Let a whole folder take its place, and what is there go. Raises OSError."""
+    """Move a complete folder into its place, and remove an earlier one. Raises OSError."""
     if not out.exists() or not exchange(partial, out):
         if out.exists():
             out.rename(_older(out))
@@ -121,7 +121,7 @@ def publish(partial: Path, out: Path) -> None:
 
 
 def finish_publishing(out: Path) -> None:
-    """Finish what a killed process had left to do when its result was in its place. Raises HeldError, OSError."""
+    """Finish the publication of a killed process whose result was in its place. Raises HeldError, OSError."""
     if (out / STATE).is_file() and not out.is_symlink():
         claim = Claim(out / STATE)
         try:

@@ -117,7 +117,7 @@ class Comparison:
     compare: Callable[[Sequence[Decoded], Calibration], list[str]] = field(default_factory=lambda: _guidance)
 
     def guidance(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
-        """What the newest stations say of each other: of a room, what the last overlaps, and where to stand next."""
+        """Sentences about the newest stations: in a room, their overlap, and where to go next."""
         began = time.monotonic()
         chosen = captures[len(captures) - self.within_patience(len(captures)) :]
         sentences = self.compare(chosen, calibration)

@@ -27,8 +27,9 @@ class Failure:
 
 
 def failure_of(error: BaseException) -> Failure:
-    """Return the message and exit code of an error that ended a command. A bug's traceback goes to a file, which the
-    message names.
+    """Return the message and exit code of an error that ended a command.
+
+    A bug's traceback goes to a file, which the message names.
     """
     match error:
         case _ if is_of_the_disk(error):
