@@ -15,7 +15,7 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.refusal import RefusalError
-from hw.ahead import beside
+from hw.ahead import in_background
 from hw.backends import RigSettings
 from hw.open_rig import OpenedRig, open_rig
 from scanner.capture import (
@@ -107,7 +107,7 @@ def resume(
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
-def _truth_beside(opened: OpenedRig) -> dict[str, Any]:
+def _additional_truth(opened: OpenedRig) -> dict[str, Any]:
     """Additional entries of truth.yaml: the pose of the rig, and the thing's volume and area, in metres."""
     entries: dict[str, Any] = {}
     if opened.place is not None:
@@ -141,7 +141,7 @@ def take(
             opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
             lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
         if opened.truth:
-            write_calibration(folder / TRUTH_FILE, opened.truth, _truth_beside(opened))
+            write_calibration(folder / TRUTH_FILE, opened.truth, _additional_truth(opened))
         how = patterns, config.sequence.exposures_us, config.projector.known_response
         live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
         live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
@@ -160,7 +160,7 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    with _saying_what_is_missing(recording):
+    with _noting_missing_frames(recording):
         found = decode_recording(recording, terminal)
         return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
@@ -177,7 +177,7 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    with _saying_what_is_missing(recording):
+    with _noting_missing_frames(recording):
         found = decode_recording(recording, terminal, calibration)
     with MatchesAhead(folder) as matches:
         matches.begin([found])
@@ -217,7 +217,7 @@ def _resumption(recording: Recording) -> str:
 
 
 @contextmanager
-def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
+def _noting_missing_frames(recording: Recording) -> Iterator[None]:
     """If a capture fails, say that it was interrupted, which may be the cause."""
     try:
         yield
@@ -237,7 +237,7 @@ def decode(
     """Frames as they come → matches. With a calibration one axis is enough. Raises InputError."""
     decoder = Decoder(stream.patterns, stream.projector_size, calibration)
     exposures_us = []
-    with beside(decoder.add) as add:
+    with in_background(decoder.add) as add:
         for _, frame in progress.track(stream.frames, len(stream.patterns), what):
             add(frame.image, frame.exposure_us)
             exposures_us += [frame.exposure_us] if frame.exposure_us else []
@@ -281,7 +281,7 @@ def _finished(
     matches: MatchesAhead,
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    with progress.step("Writing the result"), beside(on_cloud or _nobody) as tell:
+    with progress.step("Writing the result"), in_background(on_cloud or _nobody) as tell:
         tell(result)
         save(result, folder, config, matches)
     return result

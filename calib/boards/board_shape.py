@@ -20,7 +20,7 @@ _FLEXES = (3e-4, 1e-3, 3e-3)  # of half the board's length
 _EVIDENT = 3.0  # nats
 
 
-def turned_alike(
+def oriented_consistently(
     views: Sequence[View], state: State, prior: Prior, levels: Levels, turns: int
 ) -> tuple[tuple[View, ...], State]:
     """Views and state with each board oriented like the first one, among this many symmetric orientations."""

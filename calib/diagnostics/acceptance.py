@@ -65,7 +65,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words))
                 + _if_centred(refinement),
-                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)]) + what_else_helps(knowledge),
+                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)]) + missing_knowledge(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     others = [other for other in refinement.others if not _absurd_focals(other, knowledge)]
@@ -111,7 +111,7 @@ def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
     return absurd
 
 
-def what_else_helps(knowledge: Knowledge) -> str:
+def missing_knowledge(knowledge: Knowledge) -> str:
     """Advice on prior knowledge that was not given, as a sentence; empty if there is none."""
     unsaid = [
         what

@@ -156,10 +156,10 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
     variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    return variance * alike_in_blocks(contact.matches[0].camera_px, relative)
+    return variance * block_inflation(contact.matches[0].camera_px, relative)
 
 
-def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
+def block_inflation(pixel: Floats, relative: Floats) -> float:
     """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
     block = blocks_of(pixel)
     count, total = np.bincount(block), np.bincount(block, relative)

@@ -28,7 +28,7 @@ class Cut:
     nats: float
 
 
-def held_together(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
     """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
     left = dict(places)
     while len(left) > 1:

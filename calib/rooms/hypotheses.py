@@ -49,7 +49,7 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     Marks of the pictures suggest some. Features of the surfaces are asked where planes are too few to fix a pose; and
     the rig may hardly have been moved at all.
     """
-    rotations, translations = _supposed(first, second)
+    rotations, translations = _suggested(first, second)
     others = [Motion(np.eye(3), np.zeros(3)), *marked_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
         others += feature_poses(first, second)
@@ -124,7 +124,7 @@ def _angles(rotations: Floats, other: Floats) -> Floats:
     return angle
 
 
-def _supposed(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
+def _suggested(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
     """Rotations (K, 3, 3) and translations (K, 3) from planes."""
     largest = [np.argsort(-each.plane_area, kind="stable")[:_MOST_PLANES] for each in (first, second)]
     a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))

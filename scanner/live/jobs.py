@@ -9,7 +9,7 @@ from threading import Event
 
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
-from hw.ahead import beside
+from hw.ahead import in_background
 from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.moving import at_place, at_place_or_last, moves_by_itself, turns_by_itself
@@ -175,7 +175,7 @@ def _look_on(
     first: tuple[FirstLook, LiveSequence] | None = None
     by_itself = _goes_on_by_itself(config.required_rig, wishes)
     joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
-    with joined as join, beside(_keeping(folder, found, join, watcher)) as begin:
+    with joined as join, in_background(_keeping(folder, found, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
         while not keeper.has_ended:
             begun = keeper.begun

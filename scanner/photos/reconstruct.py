@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Matches, Size
 from calib.numerics import Bools
-from calib.plane_segmentation import find_alike, find_sparse_faces
+from calib.plane_segmentation import find_same_faces, find_sparse_faces
 from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
 from scanner.capture import CaptureMetadata
@@ -147,7 +147,7 @@ def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Dec
     if masks is not None:
         return pair.with_matches(label_by_masks(matches, masks), pair.plane)
     if newest is not None:
-        faces = find_alike(newest.matches, matches, size)
+        faces = find_same_faces(newest.matches, matches, size)
     elif matches.face is None:
         faces = find_sparse_faces(matches, size)
     else:

@@ -103,7 +103,7 @@ def refusal_saved(
     try:
         yield reached
     except RefusalError as refusal:
-        named = _for_want_of_light(refusal, [decoded_of(stage) for stage in reached])
+        named = _refused_for_darkness(refusal, [decoded_of(stage) for stage in reached])
         _log(remarks_on(reached[-1]))
         _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
         if named is refusal:
@@ -111,7 +111,7 @@ def refusal_saved(
         raise named from refusal
 
 
-def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
+def _refused_for_darkness(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
     """The refusal; if a capture is nearly black, a refusal for that, because it may cause any other."""
     for capture in captures:
         if capture.decoding is not None and capture.decoding.darkness is not None:

@@ -25,9 +25,9 @@ from scanner.results.names import (
     ROOM_FILE,
     ROOM_MESH_FILE,
     TRUTH_FILE,
-    beside,
     default_out,
     folder_of,
+    path_beside,
     refuse_occupied,
     unused,
 )

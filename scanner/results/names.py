@@ -66,7 +66,7 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
     return out if overwrite else unused(out)
 
 
-def beside(result: Path, ending: str) -> Path:
+def path_beside(result: Path, ending: str) -> Path:
     """A path beside a result, derived from its name: the result folder itself is not changed."""
     folder = result.resolve()
     name = f"{folder.name}{ending}"

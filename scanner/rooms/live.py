@@ -82,7 +82,9 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     return captures, rig_of(corners, captures)
 
 
-def take_turned(config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool) -> list[Decoded]:
+def take_object_stations(
+    config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool
+) -> list[Decoded]:
     """Capture a thing this many times, or fewer if the operator ends, with the rig at rest. Raises DeviceError."""
     captures: list[Decoded] = []
     for step in range(number):

@@ -84,7 +84,7 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
         registered = again
         start = start if start.given else replace(start, calibration=rig)
         estimate = _estimate(registered, start, config, progress)
-    estimate, by_surfaces = _held_against_surfaces(registered, estimate, start, progress)
+    estimate, by_surfaces = _checked_against_surfaces(registered, estimate, start, progress)
     return _finished(registered, estimate, start, config, by_surfaces)
 
 
@@ -148,7 +148,7 @@ def _estimate(registered: _Registered, start: RigStart, config: Config, progress
         return _estimated(registered.members, registered.registration.groups[0], start, config)
 
 
-def _held_against_surfaces(
+def _checked_against_surfaces(
     registered: _Registered, estimate: RoomEstimate, start: RigStart, progress: Progress
 ) -> tuple[RoomEstimate, bool]:
     """The estimate, or one from the surfaces alone if the stations' surfaces contradict it, and whether it is that.
