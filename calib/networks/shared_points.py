@@ -17,7 +17,7 @@ from calib.networks.raster import Raster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly
 from calib.refinement import PER_DEVICE
 from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.contacts import alike_in_blocks
+from calib.rooms.contacts import block_inflation
 
 _MOST, _FEWEST = 2000, 30
 _STEPS = 4
@@ -179,4 +179,4 @@ def shared_points(
     relative, across = found.relative(network)
     larger = max(1.0, float(np.median(relative)))
     across = np.clip(across / np.sqrt(larger), -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    return replace(found, variance=found.variance * larger * alike_in_blocks(found.pixels, across))
+    return replace(found, variance=found.variance * larger * block_inflation(found.pixels, across))

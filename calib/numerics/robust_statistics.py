@@ -44,10 +44,10 @@ def biweight(residual: Floats) -> Floats:
 
 
 def influence_on(jacobian: Floats, residual: Floats) -> Floats:
-    """How the parameters of a fit with Tukey's weights follow the points, (P, N): by each one's signed distance.
+    """Derivatives of the parameters of a fit with Tukey's weights by the points, (P, N): by each one's signed distance.
 
-    `jacobian` (N, P): of the distance that the fit explains by the parameters; `residual` (N,): what it does not. From
-    the estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
+    `jacobian` (N, P): of the explained distance by the parameters; `residual` (N,): the unexplained one. From the
+    estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
     """
     scores = (biweight_slope(residual)[:, None] * jacobian).T
     influence: Floats = np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores

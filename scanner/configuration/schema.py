@@ -120,7 +120,7 @@ class Config(Section):
         return _required_size("projector", self.projector.size)
 
     def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
-        """Raise InputError if what was read from `path` is of devices of other sizes than these."""
+        """Raise InputError if the content of `path` belongs to devices of other sizes."""
         for name, size, expected in (
             ("camera", camera, self.camera_size),
             ("projector", projector, self.projector_size),

@@ -60,7 +60,7 @@ class PrincipalPointSettings(Section):
 
 
 class CameraSettings(_DeviceSettings):
-    """The camera's image, and what is known of its optics."""
+    """The camera's image, and prior knowledge of its optics."""
 
     principal_point: PrincipalPointSettings = Field(
         default=PrincipalPointSettings(), description="{known: [x, y]}, or {prior: centre, sigma_px: …}."

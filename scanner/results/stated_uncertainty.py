@@ -79,7 +79,7 @@ def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
 
 
 def verdict_entries(verdict: Verdict) -> dict[str, Any]:
-    """A key for a calibration file, or for what stands in its place after a refusal."""
+    """A key for a calibration file, or for the file that replaces it after a refusal."""
     stated = {
         "grade": verdict.grade,
         "headline": verdict.headline,

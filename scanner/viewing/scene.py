@@ -277,7 +277,7 @@ def _pyramid(apex: Floats, corners: Floats) -> Floats:
 
 
 def _end_of_common_edge(first: Floats, second: Floats) -> Floats:
-    """Two thirds along the edge that two outlines (4, 3) share; its ends are their corners next to the vertex."""
+    """Two thirds along the common edge of two outlines (4, 3), between their corners next to the vertex."""
     pairs = [(a, b) for a in (first[1], first[3]) for b in (second[1], second[3])]
     near = min(pairs, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
     place: Floats = first[0] + 2 / 3 * ((near[0] + near[1]) / 2 - first[0])

@@ -23,12 +23,12 @@ def test_the_jacobian_matches_the_prediction() -> None:
     _, jacobian, depths = sight.predict(network)
 
     assert (depths > 1).all()
-    for at, column in enumerate(sight.columns(network)):
+    for place, column in enumerate(sight.columns(network)):
         step = np.zeros(network.size)
         step[column] = 1e-6
         after, before = (sight.predict(network.moved(sign * step))[0] for sign in (1, -1))
         slope = (after - before) / 2e-6
-        assert np.abs(jacobian[:, :, at] - slope).max() < 1e-4 * max(1.0, np.abs(slope).max())
+        assert np.abs(jacobian[:, :, place] - slope).max() < 1e-4 * max(1.0, np.abs(slope).max())
 
 
 def test_a_device_is_placed_by_points_on_two_planes_and_not_by_one() -> None:

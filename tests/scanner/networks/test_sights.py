@@ -11,7 +11,7 @@ from scanner.capture import CaptureMetadata
 from scanner.networks.sights import Sight, Watched, frames_in
 from scanner.patterns import Black, White, pattern_to_dict
 from scanner.results import Decoded
-from scanner.results.leftovers import kept_words
+from scanner.results.leftovers import kept_text
 from scanner.results.stages import GivenMatches
 from scanner.ui import Terminal
 from tests.support.small_capture import PATTERNS, read_listing, write_capture, write_listing
@@ -67,4 +67,4 @@ def test_what_is_kept_of_a_network_says_what_takes_it(tmp_path: Path) -> None:
         sequence = {"sequence": [pattern_to_dict(each) for each in PATTERNS]}
         write_listing(folder, read_listing(folder) | sequence)
     told = f"What was captured so far is kept in {kept / 'captures'}: 2 of 3 captures are whole, "
-    assert kept_words(kept) == f"{told}and scan network takes those."
+    assert kept_text(kept) == f"{told}and scan network takes those."
