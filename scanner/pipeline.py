@@ -15,7 +15,7 @@ from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.refusal import RefusalError
-from hw.ahead import beside
+from hw.ahead import in_background
 from hw.backends import RigSettings
 from hw.open_rig import OpenedRig, open_rig
 from scanner.capture import (
@@ -101,13 +101,13 @@ def resume(
     masks: Bools | None = None,
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
-    """Take what is missing of a capture that was broken off, then reconstruct. Raises InputError, DeviceError too."""
+    """Take the missing frames of an interrupted capture, then reconstruct. Raises InputError, DeviceError too."""
     name = f"Capture {len(earlier) + 1}"
     found = take(config.required_rig, config, folder, terminal, name, begun)
     return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
 
-def _truth_beside(opened: OpenedRig) -> dict[str, Any]:
+def _additional_truth(opened: OpenedRig) -> dict[str, Any]:
     """Additional entries of truth.yaml: the pose of the rig, and the thing's volume and area, in metres."""
     entries: dict[str, Any] = {}
     if opened.place is not None:
@@ -177,7 +177,7 @@ def take_together(
             lines = measure_lines(opened.rig) if begun is None else [known_of_lines(begun.metadata)]
         for each, plan in zip(opened.all, planned, strict=True):
             if each.truth:
-                write_calibration(plan.folder / TRUTH_FILE, each.truth, _truth_beside(each))
+                write_calibration(plan.folder / TRUTH_FILE, each.truth, _additional_truth(each))
         patterns = first.sequence.patterns(first.projector_size)
         how = patterns, first.sequence.exposures_us, first.projector.known_response
         live = capture_together(opened.rig, *how) if begun is None else (take_up(begun, opened.rig, *how),)
@@ -206,7 +206,7 @@ def replay(
     earlier: Sequence[Decoded] = (),
 ) -> Scan:
     """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    with _saying_what_is_missing(recording):
+    with _noting_missing_frames(recording):
         found = decode_recording(recording, terminal)
         return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
 
@@ -223,7 +223,7 @@ def replay_calibrated(
 
     Raises InputError, RefusalError.
     """
-    with _saying_what_is_missing(recording):
+    with _noting_missing_frames(recording):
         found = decode_recording(recording, terminal, calibration)
     with MatchesAhead(folder) as matches:
         matches.begin([found])
@@ -249,7 +249,7 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
 
 
 def _as_recorded(found: Decoded, metadata: Mapping[str, object], account: Mapping[str, object]) -> Decoded:
-    """With what was recorded of the projector's pixels, and the camera's account of the capture."""
+    """The capture with the metadata about the projector's pixels, and the camera's account."""
     if shows_single_pixels(metadata):
         found = replace(found, panel=AS_SHOWN)
     return found.noting(*remarks_on_lines(metadata), *remarks_on_camera(account))
@@ -263,8 +263,8 @@ def _resumption(recording: Recording) -> str:
 
 
 @contextmanager
-def _saying_what_is_missing(recording: Recording) -> Iterator[None]:
-    """A capture that comes to nothing may do so because it was broken off."""
+def _noting_missing_frames(recording: Recording) -> Iterator[None]:
+    """If a capture fails, say that it was interrupted, which may be the cause."""
     try:
         yield
     except (InputError, RefusalError) as error:
@@ -295,7 +295,7 @@ def _decode_together(
     decoders = [Decoder(stream.patterns, stream.projector_size, calibration) for stream in streams]
     exposures_us: list[list[float]] = [[] for _ in streams]
     with ExitStack() as running:
-        adding = [running.enter_context(beside(decoder.add)) for decoder in decoders]
+        adding = [running.enter_context(in_background(decoder.add)) for decoder in decoders]
         frames = zip(*(stream.frames for stream in streams), strict=True)
         for taken in progress.track(frames, len(streams[0].patterns), what):
             for (_, frame), add, exposures in zip(taken, adding, exposures_us, strict=True):
@@ -348,7 +348,7 @@ def _finished(
     matches: MatchesAhead,
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    with progress.step("Writing the result"), beside(on_cloud or _nobody) as tell:
+    with progress.step("Writing the result"), in_background(on_cloud or _nobody) as tell:
         tell(result)
         save(result, folder, config, matches)
     return result

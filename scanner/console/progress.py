@@ -12,6 +12,7 @@ from threading import Event
 from typing import TypeVar
 
 from hw.rig import Frame
+from scanner.networks.sights import frames_in
 
 T = TypeVar("T")
 
@@ -84,7 +85,7 @@ class StagedProgress:
         usual_s = self._durations_s.get(what)
         self._tell(Stage(what, 0, total, began_s, usual_s))
         for done, item in enumerate(items, start=1):
-            for frame in _frames_in(item):
+            for frame in frames_in(item)[:1]:
                 self._on_frame(frame)
                 frames = True
             yield item
@@ -106,16 +107,6 @@ class StagedProgress:
         if self._cancelled.is_set():
             raise CancelledError("cancelled")
         self._on_stage(stage)
-
-
-def _frames_in(item: object) -> Iterator[Frame]:
-    """That of (pattern, frame), or those of one such tuple for each camera."""
-    if isinstance(item, tuple):
-        for part in item:
-            if isinstance(part, Frame):
-                yield part
-            else:
-                yield from _frames_in(part)
 
 
 def durations_in(path: Path) -> Mapping[str, float]:

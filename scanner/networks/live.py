@@ -9,9 +9,10 @@ from hw.open_rig import OpenedNetwork, PairSettings, open_network
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
+from scanner.networks.sights import OnSight, Sight, Watched, nobody
 from scanner.pipeline import PlannedCapture, take_together
 from scanner.results import CAPTURES_FOLDER, Decoded
-from scanner.ui import Terminal
+from scanner.ui import Progress
 
 
 def pairs_to_take(config: Config) -> dict[Pair, Config]:
@@ -35,16 +36,18 @@ def pairs_to_take(config: Config) -> dict[Pair, Config]:
     return pairs
 
 
-def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -> Captures:
+def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, on_sight: OnSight = nobody) -> Captures:
     """Capture all pairs, each recorded in a folder of its own: projector by projector, while all others show black.
 
     Raises DeviceError, StorageError; what was captured before stays.
     """
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
+    for pair in pairs:
+        on_sight(Sight(*pair), None)
     wanted = {pair: PairSettings(own.required_rig, own.camera_size, own.projector_size) for pair, own in pairs.items()}
     with ExitStack() as devices:
-        with terminal.step("Opening all devices"):
+        with progress.step("Opening all devices"):
             network = devices.enter_context(open_network(wanted))
         for together in _shown_once(pairs, network):
             planned: list[PlannedCapture] = []
@@ -55,9 +58,10 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -
                 planned.append(PlannedCapture(name, config, place))
                 sizes |= {camera: config.camera_size, projector: config.projector_size}
             rig = network.rig(together[0][1], [camera for camera, _ in together])
-            taken = take_together(rig, planned, terminal)
-            for pair, each in zip(together, taken, strict=True):
-                decoded[pair] = labelled(each, pairs[pair])
+            with Watched(together, progress, on_sight) as watched:
+                for pair, each in zip(together, take_together(rig, planned, watched), strict=True):
+                    decoded[pair] = labelled(each, pairs[pair])
+                    watched.decoded(pair, each)
     return Captures(decoded, sizes)
 
 
