@@ -25,7 +25,7 @@ from statistics import median
 from typing import cast
 from urllib.parse import urlsplit
 
-from hw.ahead import beside
+from hw.ahead import in_background
 from hw.errors import DeviceError
 from hw.loopback.launcher import loopback_rig
 from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
@@ -49,7 +49,7 @@ def decode(rig: Rig, config: Config, folder: Path) -> None:
     patterns = config.sequence.patterns(config.projector_size)
     stream = record(capture(rig, patterns), folder)
     decoder = Decoder(patterns, config.projector_size)
-    with beside(decoder.add) as add:
+    with in_background(decoder.add) as add:
         for _, frame in stream.frames:
             add(frame.image)
 

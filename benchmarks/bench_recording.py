@@ -24,7 +24,7 @@ from rich.table import Table
 
 from calib.geometry import Size
 from calib.numerics import Image
-from hw.ahead import Ahead, beside
+from hw.ahead import Ahead, in_background
 from hw.rig import Frame
 from hw.timing.timed_rig import MOST_AHEAD
 from scanner.capture import Stream, record
@@ -79,7 +79,7 @@ def capture(folder: Path, images: list[Image], size: Size, period_s: float) -> t
     stream = record(Stream(PATTERNS, PROJECTOR, size, iter(ahead)), folder)
     decoder = Decoder(PATTERNS, PROJECTOR)
     begin_s = time.monotonic()
-    with beside(decoder.add) as add:
+    with in_background(decoder.add) as add:
         for _, frame in stream.frames:
             add(frame.image)
     elapsed_s = time.monotonic() - begin_s

@@ -1,4 +1,4 @@
-"""Background threads with bounded queues: `Ahead` prefetches an iterator, `beside` runs calls in the background."""
+"""Background threads with bounded queues: `Ahead` prefetches an iterator, `in_background` runs calls."""
 
 import sys
 import time
@@ -83,7 +83,7 @@ class Ahead(Generic[T]):
 
 
 @contextmanager
-def beside(work: Callable[P, object], most: int = 2) -> Iterator[Callable[P, None]]:
+def in_background(work: Callable[P, object], most: int = 2) -> Iterator[Callable[P, None]]:
     """Run calls of `work` in one background thread, in order. The caller waits when `most` calls are pending.
 
     All are done when the context ends. An exception is raised by a later call, or at the end.
@@ -95,7 +95,7 @@ def beside(work: Callable[P, object], most: int = 2) -> Iterator[Callable[P, Non
             pending.popleft().result()
         pending.append(pool.submit(work, *arguments, **named))
 
-    with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
+    with ThreadPoolExecutor(1, thread_name_prefix="background") as pool:
         try:
             yield begin
         except BaseException:

@@ -298,8 +298,8 @@ class CameraRigSettings(BaseModel):
     gain: float | None = None
     screen: int | str | None = Field(
         None,
-        description="Number, name or geometry (`1920x1080+1920+0`) of the projector's screen; default: the only one "
-        "of the projector's size.",
+        description="Number, name or geometry (`1920x1080+1920+0`) of the projector's screen, or its own X display "
+        "(`:0.1`); default: the only one of the projector's size.",
     )
     refresh_hz: float | None = Field(
         None, ge=10.0, le=1000.0, description="Refresh rate of the projector; default: the screen mode's."

@@ -15,7 +15,9 @@ _FULL = "make room there, or choose another --out"
 
 
 class InputError(Exception):
-    """A wrong argument, configuration or input file. The message says what was expected, what was found, what to do."""
+    """A wrong argument, configuration or input file. The message says what was expected, what was found, and what to
+    do.
+    """
 
 
 class StorageError(Exception):

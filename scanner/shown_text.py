@@ -29,7 +29,7 @@ def shortened(text: str, most: int = _MOST_CHARACTERS) -> str:
 
 
 def shown(value: object) -> str:
-    """A value as it stands in a message: on one line, and never all of a long one."""
+    """A value for a message: on one line, and shortened."""
     return shortened(harmless(_REPR.repr(value)))
 
 

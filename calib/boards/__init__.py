@@ -2,7 +2,7 @@
 
 from calib.boards.acceptance import FEWEST_VIEWS, Coverage, ray_sigmas
 from calib.boards.as_rig import rig_uncertainty
-from calib.boards.calibrate import Board, BoardCalibration, OddView, calibrate_boards
+from calib.boards.calibrate import Board, BoardCalibration, OutlierView, calibrate_boards
 from calib.boards.cross_validation import Halves, Prediction
 from calib.boards.estimate import Estimate
 from calib.boards.likelihood import View

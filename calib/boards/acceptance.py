@@ -151,7 +151,7 @@ def rays_seen(state: State, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
 
 
 def _seen_by_both(state: State, pixels: tuple[Floats, Floats], sizes: tuple[Size, Size]) -> tuple[Bools, Bools]:
-    """Which pixels of either device see, at the boards' distance, what the other one sees as well."""
+    """Mask of the pixels of either device that see, at the boards' distance, what the other one sees as well."""
     rotation, translation = state.motion.rotation, state.motion.translation
     depth = float(np.median([board.middle[2] for board in state.boards]))
     ahead = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))

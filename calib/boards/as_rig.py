@@ -78,7 +78,7 @@ def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
 
 
 def _in_place_of_aspect(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """What a step of a device (9,) is in the rig's columns for it (8, 9), and as a turn (3, 9)."""
+    """Derivatives of the rig's columns for a device by a step (9,) of it, (8, 9), and of a rotation (3, 9)."""
     count = len(_OWN)
     own, turn = np.zeros((count, PER_DEVICE)), np.zeros((3, PER_DEVICE))
     own[:, _OWN] = np.eye(count)

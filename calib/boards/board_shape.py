@@ -1,7 +1,7 @@
-"""What the board itself is like: which way round each view shows it, and whether it bends from pose to pose.
+"""The board itself: its orientation in each view, and whether its bend varies between poses.
 
-A chessboard of odd by odd corners looks the same after half a turn, and one of as many rows as columns after a quarter.
-A bend, or a print that is not quite regular, does not.
+A chessboard with odd numbers of corners is symmetric under half a turn, one with as many rows as columns under a
+quarter. A bend, or an irregular print, is not.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _FLEXES = (3e-4, 1e-3, 3e-3)  # of half the board's length
 _EVIDENT = 3.0  # nats
 
 
-def turned_alike(
+def oriented_consistently(
     views: Sequence[View], state: State, prior: Prior, levels: Levels, turns: int
 ) -> tuple[tuple[View, ...], State]:
     """Views and state with each board oriented like the first one, among this many symmetric orientations."""
@@ -39,7 +39,7 @@ def turned_alike(
 
 
 def _turned(views: list[View], state: State, which: int, turn: float) -> tuple[list[View], State]:
-    """With one board turned about its normal."""
+    """The views with one board rotated about its normal."""
     angle = 2 * np.pi * turn
     about = np.round(np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]))
     board = state.boards[which]

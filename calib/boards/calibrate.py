@@ -14,7 +14,7 @@ from calib.boards.acceptance import (
     straightness,
     too_few,
 )
-from calib.boards.board_shape import flex_of, turned_alike
+from calib.boards.board_shape import flex_of, oriented_consistently
 from calib.boards.cross_validation import Halves, Prediction, halves, leave_one_out
 from calib.boards.estimate import Estimate, estimate
 from calib.boards.likelihood import Fit, Prior, View, device_prior, minimise
@@ -36,15 +36,15 @@ from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
 
 _BEND_TERMS = 7
-_ODD_SIGMAS, _ODD_TIMES, _ODD_PX = 4.0, 4.0, 0.2
-_MOST_ODD = 0.34  # largest share of the views that are left out
+_OUTLIER_SIGMAS, _OUTLIER_RATIO, _OUTLIER_PX = 4.0, 4.0, 0.2
+_MOST_OUTLIERS = 0.34  # largest share of the views that are left out
 _STEPS = 20
 _SURPRISING = 1.3  # ratio of prediction errors to the expected ones
 
 
 @dataclass(frozen=True)
 class Board:
-    """`reach`: half its longer side, in the unit of its corners; `turns`: how many ways round look the same."""
+    """`reach`: half its longer side, in the unit of its corners; `turns`: number of symmetric orientations."""
 
     reach: float
     turns: int
@@ -52,7 +52,7 @@ class Board:
 
 
 @dataclass(frozen=True)
-class OddView:
+class OutlierView:
     """A view that was left out, and by how much the others mispredict its matches."""
 
     name: str
@@ -64,9 +64,9 @@ class OddView:
 class BoardCalibration:
     """A calibration from boards, in their unit.
 
-    `estimate`: its covariance is that of the answer. `predictions`: each board by the others; `halves`: half of them
-    against the others, None if too few. `enlarged`: by what factor the sigmas were, because errors of prediction, or a
-    flat valley, showed them too small; 1 where there was no need. `left_out`: odd views. `calibration` has the sigmas.
+    `estimate`: with the final covariance. `predictions`: each board by the others; `halves`: half of them compared with
+    the others, None if too few. `enlarged`: factor on the sigmas, if prediction errors, or a flat minimum, showed them
+    too small; otherwise 1. `left_out`: outlier views. `calibration` includes the sigmas.
     """
 
     calibration: Calibration
@@ -74,7 +74,7 @@ class BoardCalibration:
     predictions: tuple[Prediction, ...]
     halves: Halves | None
     enlarged: float
-    left_out: tuple[OddView, ...]
+    left_out: tuple[OutlierView, ...]
     coverage: Coverage
     notes: tuple[str, ...]
 
@@ -87,10 +87,10 @@ def calibrate_boards(
     *,
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
 ) -> BoardCalibration:
-    """Calibrate one unchanged rig from views of one board, by maximum likelihood. `lenses`: what is known of those of
-    camera and projector.
+    """Calibrate one unchanged rig from views of one board, by maximum likelihood. `lenses`: priors on those of camera
+    and projector.
 
-    Raises RefusalError where no trustworthy answer can be had.
+    Raises RefusalError without a trustworthy calibration.
     """
     if len(views) < FEWEST_VIEWS:
         raise too_few(len(views))
@@ -109,7 +109,7 @@ def calibrate_boards(
     sizes = camera_size, projector_size
     # Parameters that all boards together do not determine stay undetermined without one of them.
     refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
-    found, predictions, left_out = _without_odd(found, anew)
+    found, predictions, left_out = _without_outliers(found, anew)
     coverage = coverage_of(found.views, found.state, *sizes)
     surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
@@ -132,24 +132,24 @@ def calibrate_boards(
 def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -> Estimate:
     rough = estimate(views, start, prior, rough_levels(views))
     if board.turns > 1:
-        views, start = turned_alike(views, rough.state, prior, rough.levels, board.turns)
+        views, start = oriented_consistently(views, rough.state, prior, rough.levels, board.turns)
         rough = estimate(views, start, prior, rough.levels)
     flex = flex_of(views, rough.state, rough.prior, rough.levels)
     return estimate(views, rough.state, replace(prior, flex=flex), rough.levels) if flex else rough
 
 
-def _without_odd(
+def _without_outliers(
     found: Estimate, anew: Callable[[Sequence[View]], Estimate]
-) -> tuple[Estimate, tuple[Prediction, ...], tuple[OddView, ...]]:
+) -> tuple[Estimate, tuple[Prediction, ...], tuple[OutlierView, ...]]:
     """The estimate without views that the others predict badly: a board that moved, or another board."""
-    left_out: list[OddView] = []
-    most = int(_MOST_ODD * len(found.views))
+    left_out: list[OutlierView] = []
+    most = int(_MOST_OUTLIERS * len(found.views))
     while True:
         predictions = leave_one_out(found, anew)
         errors = np.array([prediction.error_px for prediction in predictions])
         worst = int(np.argmax(errors))
         usual = float(np.median(np.delete(errors, worst)))
-        odd = errors[worst] > max(_ODD_TIMES * usual, _ODD_PX) and predictions[worst].sigmas > _ODD_SIGMAS
+        odd = errors[worst] > max(_OUTLIER_RATIO * usual, _OUTLIER_PX) and predictions[worst].sigmas > _OUTLIER_SIGMAS
         if not odd:
             return found, predictions, tuple(left_out)
         if len(left_out) == most or len(errors) == FEWEST_VIEWS:
@@ -159,7 +159,7 @@ def _without_odd(
                 "The rig, its zoom or its focus may have changed between the captures, or the board may have moved "
                 "during one.",
             )
-        left_out.append(OddView(predictions[worst].name, float(errors[worst]), usual))
+        left_out.append(OutlierView(predictions[worst].name, float(errors[worst]), usual))
         found = anew([*found.views[:worst], *found.views[worst + 1 :]])
 
 
@@ -210,7 +210,7 @@ def _device_sigmas(found: Estimate, columns: slice) -> DeviceSigmas:
     )
 
 
-def _notes(found: Estimate, left_out: Sequence[OddView], enlarged: float, tested: Halves | None) -> list[str]:
+def _notes(found: Estimate, left_out: Sequence[OutlierView], enlarged: float, tested: Halves | None) -> list[str]:
     notes = [
         f"{odd.name} was left out: its matches are {odd.error_px:.2g} projector px from where the other boards predict "
         f"them, {odd.usual_px:.2g} px is usual. The board may have moved during that capture."

@@ -1,7 +1,7 @@
-"""What the boards say of each other: each predicted by the others, and one half of them against the other half.
+"""Cross-validation of boards: each predicted by the others, and one half compared with the other.
 
-Reprojection error is small wherever there are parameters enough; these are errors of prediction. Both are compared with
-what the covariance promises, so that they test it too.
+Reprojection errors are small with enough parameters; these are prediction errors. Both are compared with the
+covariance, and so test it, too.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,10 +30,10 @@ _USEFUL_HALF = 0.15  # sigma of a log focal length beyond which a half by itself
 
 @dataclass(frozen=True)
 class Prediction:
-    """A view that was left out, predicted by the others: where its corners put it, its matches should fall.
+    """A left out view, predicted by the others: its matches should be where its corners put it.
 
-    `error_px`: root mean square distance in the projector; `expected_px`: what the covariance and the noise promise;
-    `moved` (SHARED,): by how much the estimate moves without it.
+    `error_px`: root mean square distance in the projector; `expected_px`: from the covariance and the noise; `moved`
+    (SHARED,): displacement of the estimate without it.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Prediction:
 
     @property
     def sigmas(self) -> float:
-        """The error over what was promised."""
+        """The error over the expected one."""
         return self.error_px / self.expected_px
 
 

@@ -15,10 +15,10 @@ _SETTLED = 0.01  # relative change of a variance between rounds
 
 @dataclass(frozen=True)
 class Estimate:
-    """The fit of some views, with the noise that its residuals show.
+    """The fit of some views, with the noise of its residuals.
 
     `corner_px`: for each view, the standard deviation of each coordinate of its corners. `noise`: of its matches.
-    `covariance` (SHARED, SHARED) of what all views share.
+    `covariance` (SHARED, SHARED) of the common parameters.
     """
 
     views: tuple[View, ...]
@@ -36,9 +36,9 @@ class Estimate:
 
 
 def estimate(views: Sequence[View], start: State, prior: Prior, levels: Levels) -> Estimate:
-    """From a start near the minimum; `levels` are a first guess of the noise.
+    """Estimate from a start near the minimum; `levels` are an initial guess of the noise.
 
-    State and noise are estimated in turn until neither moves: what the noise is does not depend on the guess.
+    State and noise are estimated alternately until both converge; the result does not depend on the guess.
     """
     fit = minimise(views, start, prior, levels)
     for _ in range(_ROUNDS):

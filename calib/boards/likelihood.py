@@ -1,4 +1,4 @@
-"""The likelihood of all views of a board for a state, with derivatives; and what is known of any lens and board.
+"""The likelihood of all views of a board for a state, with derivatives; and priors on lenses and boards.
 
 Corners deviate in camera pixels, cells of matches in projector pixels, both under Huber's loss.
 """
@@ -76,7 +76,7 @@ class Prior:
 
     @cached_property
     def root_precision(self) -> Floats:
-        """1 / σ of what is not known, 0 elsewhere."""
+        """1 / σ of unknown parameters, 0 elsewhere."""
         unknown = self.sigma > 0
         return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
 

@@ -36,9 +36,9 @@ _SPARE = 3.0  # in units of the board's reach: farther out, a bend has no meanin
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a board is in the camera's frame: `rotation` (3, 3) from its own axes, `middle` (3,).
+    """A board in the camera's frame: `rotation` (3, 3) from its axes, `middle` (3,).
 
-    `flex` (3,): what is added to the first terms of its bend.
+    `flex` (3,): deviation of the first terms of its bend.
     """
 
     rotation: Floats
@@ -206,7 +206,7 @@ def rays_of(device: Floats, pixels: Floats) -> Floats:
 
 
 def points_along(device: Floats, pixels: Floats, depth: float) -> Floats:
-    """Points (N, 3) so deep on the rays of a device's pixels (N, 2), in its frame; NaN where there is no ray."""
+    """Points (N, 3) at these depths on the rays of a device's pixels (N, 2), in its frame; NaN without a ray."""
     return depth * np.concatenate([rays_of(device, pixels), np.ones((len(pixels), 1))], axis=1)
 
 
@@ -223,7 +223,7 @@ def is_seen(device: Floats, points: Floats, size: tuple[int, int]) -> Bools:
 
 
 def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """How the pixels of rays (N, 2) move with a turn of a device (N, 2, 3) and with its columns (N, 2, 9)."""
+    """Derivatives of the pixels of rays (N, 2) by a rotation of the device (N, 2, 3) and by its columns (N, 2, 9)."""
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     _, by_point, by_device = _project(device, points)
     return -by_point @ _cross_matrices(points), by_device

@@ -67,7 +67,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 + _because(_reasons(refinement, words))
                 + _if_centred(refinement),
                 " ".join([*on_repeats(refinement), *on_picture_scale(refinement), _where_to_go(refinement, knowledge)])
-                + what_else_helps(knowledge),
+                + missing_knowledge(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     others = [other for other in refinement.others if not _absurd_focals(other, knowledge)]
@@ -113,7 +113,7 @@ def _absurd_focals(fit: Fit, knowledge: Knowledge) -> dict[str, float]:
     return absurd
 
 
-def what_else_helps(knowledge: Knowledge) -> str:
+def missing_knowledge(knowledge: Knowledge) -> str:
     """Advice on prior knowledge that was not given, as a sentence; empty if there is none."""
     unsaid = [
         what

@@ -21,6 +21,17 @@ def median(values: NDArray[np.floating[Any]]) -> float:
     return float((lower + ordered[half]) / 2)
 
 
+def quantile(values: NDArray[np.floating[Any]], share: float) -> float:
+    """Of values (N,), N > 0, interpolated linearly, as by NumPy, in a fraction of the time for some thousands."""
+    place = share * (len(values) - 1)
+    below = int(place)
+    ordered = np.partition(values, below)
+    lower = float(ordered[below])
+    return (
+        lower + (place - below) * (float(ordered[below + 1 :].min(initial=np.inf)) - lower) if place > below else lower
+    )
+
+
 def robust_sigma(residual: Floats) -> float:
     """Standard deviation of residuals (N,) around zero, without outliers; 0 for none."""
     return SIGMA_PER_MEDIAN * median(np.abs(residual)) if len(residual) else 0.0
@@ -33,10 +44,10 @@ def biweight(residual: Floats) -> Floats:
 
 
 def influence_on(jacobian: Floats, residual: Floats) -> Floats:
-    """How the parameters of a fit with Tukey's weights follow the points, (P, N): by each one's signed distance.
+    """Derivatives of the parameters of a fit with Tukey's weights by the points, (P, N): by each one's signed distance.
 
-    `jacobian` (N, P): of the distance that the fit explains by the parameters; `residual` (N,): what it does not. From
-    the estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
+    `jacobian` (N, P): of the explained distance by the parameters; `residual` (N,): the unexplained one. From the
+    estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
     """
     scores = (biweight_slope(residual)[:, None] * jacobian).T
     influence: Floats = np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores

@@ -1,4 +1,4 @@
-"""Samples that are spread evenly over what they are taken from."""
+"""Evenly spread samples."""
 
 import numpy as np
 

@@ -20,9 +20,10 @@ _LEAST_TURN = np.radians(0.3)
 
 @dataclass(frozen=True, eq=False)
 class Turntable:
-    """`direction` (3,), unit, and a `point` (3,) on the axis, in the common frame; `angles_deg` (n,) of the places;
-    `places` and `covariance` (6 n, 6 n), as of `JointEstimate`, of turns about it; `deviation`: of the places from
-    being that, squared, over what the covariance allows.
+    """`direction` (3,), unit, and a `point` (3,) on the axis, in the common frame; `angles_deg` (n,) of the poses.
+
+    `places` and `covariance` (6 n, 6 n): poses constrained to rotations about it, as of `JointEstimate`; `deviation`:
+    squared deviation of the original poses over its expectation.
     """
 
     direction: Floats
@@ -36,9 +37,10 @@ class Turntable:
 def find_turntable(
     places: Sequence[Motion], covariance: Floats, information: Floats, middle: Floats
 ) -> Turntable | None:
-    """Of places the first of which is the common frame's; None if their covariance does not allow for one axis.
+    """The turntable of poses, the first of which is the common frame's; None if their covariance excludes a single
+    axis.
 
-    `information` weighs them; the covariance, which is estimated from few parts of pictures, is not inverted.
+    `information` weights them; the covariance, which is estimated from few parts of pictures, is not inverted.
     """
     count = len(places)
     vectors = np.array([Rotation.from_matrix(place.rotation).as_rotvec() for place in places])

@@ -10,7 +10,7 @@ from calib.geometry import Motion
 from calib.numerics import Bools
 from calib.objects.joint import NARROW
 from calib.objects.meeting import LOOKED_THROUGH, meet_points
-from calib.objects.view import View, without_crumbs
+from calib.objects.view import View, without_small_pieces
 from calib.rooms.alignment import composed, inverse
 
 _FEWEST = 4  # number of views from which a point must be seen by another view as well
@@ -46,7 +46,7 @@ def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Confirmat
                 through += fate == LOOKED_THROUGH
         kept = there.copy()
         kept[there] = (seen >= through) & (seen >= (1 if len(views) >= _FEWEST else 0))
-        of_thing = without_crumbs(kept)
+        of_thing = without_small_pieces(kept)
         apart = np.full(there.shape, np.nan, np.float32)
         with np.errstate(invalid="ignore"):
             apart[there] = total / seen

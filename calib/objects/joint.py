@@ -31,8 +31,10 @@ _CONVERGED = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Of the views `first` < `second`: `off` (N,) along normals or axes, its `sigma` (N,); by a twist of either about
-    the frame's origin, `by_first` (N, 6), which is that of the second turned round; `parts` (N, 2): of the pictures.
+    """Of the views `first` < `second`: distances `off` (N,) along normals or axes, their `sigma` (N,).
+
+    `by_first` (N, 6): derivatives by a twist of the first view about the frame's origin; those of the second are its
+    negative. `parts` (N, 2): of the pictures.
     """
 
     first: int
@@ -53,10 +55,11 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class JointEstimate:
-    """`places`: X_common = R X_view + t, the first view's being held. `covariance` (6 n, 6 n) of all: turn about
-    the common axes in radians, then shift of `middle`, a point (3,) of the thing. `information` (6 n, 6 n): by what the
-    residuals weigh them, which is its inverse only if residuals are independent. `overlap`: by pair, share of patches
-    that met; `residual`: by pair, robust root mean square along the normals, in the points' unit.
+    """`places`: X_common = R X_view + t, with the first view's fixed. `covariance` (6 n, 6 n): rotation about the
+    common axes in radians, then shift of `middle`, a point (3,) of the thing.
+
+    `information` (6 n, 6 n): of the residuals, the inverse covariance only if they are independent. `overlap`: by pair,
+    share of matching patches; `residual`: by pair, robust root mean square along the normals, in the points' unit.
     """
 
     places: tuple[Motion, ...]
@@ -142,7 +145,7 @@ def _carried(view: View, place: Motion, flat: Ints) -> tuple[Floats, Floats]:
 
 
 def _with_marks(surface: Residuals, first: View, second: View, here: Motion, there: Motion) -> Residuals:
-    """With what the pictures show: along the surface, too."""
+    """The residuals with those of the marks, which also act along the surface."""
     own, other = mark_pairs(first, second)
     points = first.marks.points[own] @ here.rotation.T + here.translation
     others = second.marks.points[other] @ there.rotation.T + there.translation

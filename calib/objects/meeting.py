@@ -115,7 +115,7 @@ _MARK_GRAINS = 1.0
 
 
 def tolerance(first: View, second: View) -> float:
-    """How far surfaces may be from each other that are one: noise, and a little of what a calibration bends."""
+    """Largest distance of coinciding surfaces: noise, and a small calibration error."""
     one, other = (float(np.median(view.sigma(view.patches))) for view in (first, second))
     return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
 

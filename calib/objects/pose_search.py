@@ -1,8 +1,10 @@
-"""Poses of one view on another from everywhere: descents from turns that are spread evenly, judged by what they meet.
+"""Poses of one view on another from all rotations: descents from evenly spread rotations, judged by the patches that
+match.
 
 Descriptors of the surface's shape (FPFH) need detail that smooth things lack. A descent costs some tens of
-microseconds, so that it may start from every turn: even turns are those of Alexa, "Super-Fibonacci spirals: fast,
-low-discrepancy sampling of SO(3)", 2022. The shift is that of the points where the normals of each view come closest.
+microseconds, so it can start from every rotation. Even rotations are those of Alexa, "Super-Fibonacci spirals: fast,
+low-discrepancy sampling of SO(3)", 2022. The initial translation aligns the points where the normals of each view
+converge.
 """
 
 from collections.abc import Sequence
@@ -44,7 +46,7 @@ def searched_poses(first: View, second: View, most: int, followed: int = _DISTIN
 
 
 def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats) -> list[Motion]:
-    """The poses after descending, the best first."""
+    """The poses after the descents, best first."""
     worth = np.zeros(len(turns))
     _descend(
         turns,
@@ -74,7 +76,7 @@ def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
 
 
 def _near(turns: Floats, shifts: Floats, pose: Motion, grain: float) -> Bools:
-    """Which of K poses are about the same as one, (K,)."""
+    """Which of K poses are nearly equal to one, (K,)."""
     cosine = (np.einsum("kij,ij->k", turns, pose.rotation) - 1) / 2
     near: Bools = (cosine > _SAME_TURN) & (np.linalg.norm(shifts - pose.translation, axis=1) < _SAME_GRAINS * grain)
     return near
@@ -124,7 +126,7 @@ def _descend(
     withins: Floats,
     worth: Floats,
 ) -> None:
-    """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): patches that meet, less those looked through."""
+    """Move all poses (K, 3, 3), (K, 3) point to plane; `worth` (K,): matching patches minus free space violations."""
     height, width = near.shape
     row = np.empty(6)
     for k in range(len(turns)):

@@ -30,8 +30,8 @@ _AS_GOOD = 0.93  # relative to the best pose
 
 
 @dataclass(frozen=True, eq=False)
-class Supposed:
-    """X_first = R X_second + t of a pair, and what it is worth."""
+class Suggestion:
+    """X_first = R X_second + t of a pair, and its evidence."""
 
     pose: Motion
     worth: float
@@ -39,7 +39,7 @@ class Supposed:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another place of a view that is almost as good: how far it is turned from the first one, and its worth."""
+    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence."""
 
     view: int
     turn_deg: float
@@ -67,7 +67,7 @@ class Registered:
 def register_views(views: Sequence[View | None]) -> Registered:
     """Of one thing by one rig; in any order."""
     seen = {k: view for k, view in enumerate(views) if view is not None}
-    edges = {(i, j): _supposed(seen[i], seen[j]) for i, j in combinations(seen, 2)}
+    edges = {(i, j): _suggested(seen[i], seen[j]) for i, j in combinations(seen, 2)}
     sure = {pair: found for pair, found in edges.items() if found}
     left_out = [
         LeftOut(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
@@ -78,7 +78,7 @@ def register_views(views: Sequence[View | None]) -> Registered:
     places, alternatives = _largest_group(seen, sure)
     if missing := [k for k in seen if k not in places]:
         for i, j in combinations(seen, 2):
-            if (i in missing or j in missing) and (found := _supposed(seen[i], seen[j], thorough=True)):
+            if (i in missing or j in missing) and (found := _suggested(seen[i], seen[j], thorough=True)):
                 sure[i, j] = found
         places, alternatives = _largest_group(seen, sure)
         missing = [k for k in seen if k not in places]
@@ -94,7 +94,7 @@ def register_views(views: Sequence[View | None]) -> Registered:
 
 
 def _largest_group(
-    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
+    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
 ) -> tuple[dict[int, Motion], list[Alternative]]:
     """Places of the largest group of views that judge each other, and what makes them ambiguous."""
     largest: tuple[dict[int, Motion], list[Alternative]] = {}, []
@@ -109,7 +109,7 @@ def _largest_group(
 
 
 def _grown(
-    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Supposed]]
+    views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
 ) -> tuple[dict[int, Motion], list[Alternative]]:
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
@@ -127,7 +127,7 @@ def _grown(
     return places, alternatives
 
 
-def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supposed]:
+def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
     """The places of a pair that are worth following up, best first.
 
     Of the many of a `thorough` search, the right one is not the one that meets most, but that which little speaks
@@ -137,14 +137,14 @@ def _supposed(first: View, second: View, *, thorough: bool = False) -> list[Supp
     roughly = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
     value = [_meets_closely(each) if thorough else each.worth for each in roughly]
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
-    found: list[Supposed] = []
+    found: list[Suggestion] = []
     for _, k in rated[:_SETTLED]:
         if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
         closely = evidence(first, second, pose, tolerance(first, second), _MORE)
         if _holds(closely, 2 * _MORE, _SURE_SHARE if thorough else _LEAST_SHARE):
-            found.append(Supposed(pose, closely.worth))
+            found.append(Suggestion(pose, closely.worth))
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
@@ -159,12 +159,12 @@ def _holds(found: Evidence, patches: int, least_share: float) -> bool:
 
 def _tried(
     views: Mapping[int, View],
-    edges: Mapping[tuple[int, int], Sequence[Supposed]],
+    edges: Mapping[tuple[int, int], Sequence[Suggestion]],
     places: Mapping[int, Motion],
     k: int,
-) -> list[Supposed]:
+) -> list[Suggestion]:
     """Possible poses of a view relative to the members, best first. Empty if there are none."""
-    found: list[Supposed] = []
+    found: list[Suggestion] = []
     for member, place in places.items():
         for each in edges.get((min(member, k), max(member, k)), ()):
             pose = composed(place, each.pose if member < k else inverse(each.pose))
@@ -172,12 +172,12 @@ def _tried(
                 continue
             worth = _worth(views, places, k, pose)
             if worth is not None:
-                found.append(Supposed(pose, worth))
+                found.append(Suggestion(pose, worth))
     return sorted(found, key=lambda each: -each.worth)
 
 
 def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
-    """What all members say of a place; None if what they say against it outweighs."""
+    """Evidence of all members for a pose; None if the evidence against it prevails."""
     evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()
@@ -188,7 +188,7 @@ def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose
     return sum(each.worth for each in evidences)
 
 
-def _rivals(k: int, tried: Sequence[Supposed], grain: float) -> list[Alternative]:
+def _rivals(k: int, tried: Sequence[Suggestion], grain: float) -> list[Alternative]:
     best = tried[0]
     return [
         Alternative(k, _turn_deg(best.pose, each.pose), each.worth / best.worth)

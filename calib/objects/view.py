@@ -83,10 +83,10 @@ class View:
 
     @cached_property
     def inner(self) -> Bools:
-        """Which pixels (H·W,) have the thing all around them.
+        """Mask (H·W,) of pixels surrounded by the thing.
 
-        Windows that end at the rim are one-sided: their normals are those of a place farther in, and because the
-        surface turns away there, they all err towards the camera.
+        Windows at the rim are one-sided: their normals are those of a place farther inside, and because the surface
+        curves away there, they are biased towards the camera.
         """
         there = np.isfinite(self.points[..., 2]).astype(np.uint8)
         square = np.ones((_WINDOW, _WINDOW), np.uint8)
@@ -122,7 +122,7 @@ def view_of(
     if resting is not None:
         there &= ~(resting > 0)
         depth = np.maximum(depth, resting)
-    there = without_crumbs(there)
+    there = without_small_pieces(there)
     if np.count_nonzero(there) < _AROUND**4:
         return None
     own = np.where(there[..., None], points, np.float32(np.nan))
@@ -136,7 +136,7 @@ def view_of(
     return View(own, turned, depth, near, camera, patches, noise, _OF_SIZE * size, marks)
 
 
-def without_crumbs(there: Bools) -> Bools:
+def without_small_pieces(there: Bools) -> Bools:
     """The pieces (H, W) that are not small compared with the largest."""
     count, label, statistics, _ = cv2.connectedComponentsWithStats(there.astype(np.uint8), connectivity=4)
     if count < 2:

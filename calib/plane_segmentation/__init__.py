@@ -2,4 +2,4 @@
 
 from calib.plane_segmentation.faces import Faces, find_faces
 from calib.plane_segmentation.plane_extraction import NO_PLANE
-from calib.plane_segmentation.sparse_faces import find_alike, find_sparse_faces
+from calib.plane_segmentation.sparse_faces import find_same_faces, find_sparse_faces

@@ -54,7 +54,7 @@ def find_sparse_faces(matches: Matches, size: tuple[int, int]) -> SparseFaces:
 
 
 @singular_refused(PHOTOS)
-def find_alike(labelled: Matches, matches: Matches, size: tuple[int, int]) -> SparseFaces:
+def find_same_faces(labelled: Matches, matches: Matches, size: tuple[int, int]) -> SparseFaces:
     """Find the planes among matches of the same first photo with another one, numbered like the faces in `labelled`.
 
     A plane gets the face of most labelled matches near its own in the first photo. Raises RefusalError if a face is not

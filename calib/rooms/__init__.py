@@ -1,4 +1,4 @@
-"""Whole rooms: where several stations of one rig stood, the planes that they share, and one estimate of all of it."""
+"""Whole rooms: the poses of several stations of one rig, their common planes, and one joint estimate."""
 
 from calib.rooms.changed_extrinsics import TurnedRig, changed_extrinsics
 from calib.rooms.dense_check import Disagreement, disagreements

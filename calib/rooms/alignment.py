@@ -63,7 +63,7 @@ def normal_equations(
     tolerance: float,
     patches: int | None = None,
 ) -> NormalEquations:
-    """For the twist of `moving`, from the patches of both; that of `still` has the same with the gradient turned round.
+    """Normal equations for the twist of `moving`, from the patches of both; for `still`, the gradient changes its sign.
 
     `tolerance`: relative to the depth, beyond the noise.
     """
@@ -167,7 +167,7 @@ def settled_together(
 
 
 def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
-    """The damped Gauss–Newton twist, the damping being that of turns about a centre (3,) and of shifts."""
+    """The damped Gauss–Newton twist; damping applies to rotations about a centre (3,) and translations."""
     if not matrix.any():
         return np.zeros(6)
     about = np.eye(6)  # twist about the centre → twist of the frame

@@ -12,7 +12,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import composed, inverse, settled, settled_together
-from calib.rooms.cuts import held_together
+from calib.rooms.cuts import firmly_connected
 from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces
 
@@ -26,8 +26,10 @@ Edges = Mapping[tuple[int, int], Sequence[Hypothesis]]
 
 @dataclass(frozen=True)
 class Assembly:
-    """`places` by station, in the order in which they came, the frame being that of the one with the least number; and
-    what they are worth in nats. `whole`: with the stations that fitted there, too, but were held by too little.
+    """`places` by station, in the order of addition, in the frame of the one with the smallest number; and their
+    evidence in nats.
+
+    `whole`: with further stations that fit, but with weak evidence.
     """
 
     places: dict[int, Motion]
@@ -177,7 +179,7 @@ def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
 
 def _without_loose(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
     """What of a group is held together."""
-    held = held_together(surfaces, group.places)
+    held = firmly_connected(surfaces, group.places)
     if len(held) == len(group.places):
         return group
     first = inverse(held[min(held)])

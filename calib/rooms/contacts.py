@@ -1,7 +1,7 @@
-"""Surfaces that are no planes tie stations, too: points of two of them that are next to each other, along the normal.
+"""Non-planar surfaces also connect stations: by neighbouring points of two of them, along the normal.
 
-The normal is the mean of both stations', with which the curvature between the two points cancels (Rusinkiewicz, "A
-symmetric objective function for ICP", 2019). The points are triangulated with the rig that is estimated.
+The normal is the mean of both stations', which cancels the curvature between the two points (Rusinkiewicz, "A symmetric
+objective function for ICP", 2019). The points are triangulated with the estimated rig.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ _FEWEST_IN_BLOCK = 5
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Points of the stations `first` and `second` that are next to each other, by their matches, N of each.
+    """Neighbouring points of the stations `first` and `second`, as their matches, N of each.
 
     `normals` (N, 3): of the surface there, the mean of both stations', in the room's frame. `variance` (N,): of the
     distance along them.
@@ -156,10 +156,10 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
     variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    return variance * alike_in_blocks(contact.matches[0].camera_px, relative)
+    return variance * block_inflation(contact.matches[0].camera_px, relative)
 
 
-def alike_in_blocks(pixel: Floats, relative: Floats) -> float:
+def block_inflation(pixel: Floats, relative: Floats) -> float:
     """Factor on variances for errors (N,), in sigmas, that correlate within blocks of pixels (N, 2)."""
     block = blocks_of(pixel)
     count, total = np.bincount(block), np.bincount(block, relative)

@@ -28,7 +28,7 @@ class Cut:
     nats: float
 
 
-def held_together(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
     """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
     left = dict(places)
     while len(left) > 1:
@@ -67,7 +67,7 @@ def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreeme
 
 
 def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Iterator[tuple[int, ...]]:
-    """Each station alone, and what each edge of the spanning tree holds."""
+    """Each single station, and the part on one side of each edge of the spanning tree."""
     names = np.array(list(places))
     yield from ((int(k),) for k in names)
     worth: Floats = np.zeros((len(names), len(names)))

@@ -15,7 +15,7 @@ from calib.geometry import Matches
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
 from calib.refinement import SHARED
 from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.contacts import SMOOTH, Contact, alike_in_blocks, blocks_of, find_contacts
+from calib.rooms.contacts import SMOOTH, Contact, block_inflation, blocks_of, find_contacts
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.room import PER_PLACE
 
@@ -30,9 +30,10 @@ _FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Stations `first` and `second`, whose surfaces are apart. `turn_deg`, `shift`: by how much the second would have
-    to move, in degrees and baselines (of the middle of what both saw), which is `sigmas` of what the estimate allows;
-    `apart`: share of what both saw that is off all the same, because part of the scene moved.
+    """Stations `first` and `second` with displaced surfaces. `turn_deg`, `shift`: the displacement of the second, in
+    degrees and baselines (of the middle of the common view), which is `sigmas` of the estimate.
+
+    `apart`: share of the common surface that is displaced differently, because part of the scene moved.
     """
 
     first: int
@@ -72,7 +73,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     left = distances + by_twist @ twist
     pixels = contact.matches[0].camera_px
     relative = left / np.sqrt(variance)
-    many = alike_in_blocks(pixels, np.clip(relative, -ROBUST_SIGMAS, ROBUST_SIGMAS))
+    many = block_inflation(pixels, np.clip(relative, -ROBUST_SIGMAS, ROBUST_SIGMAS))
     weighted = (by_twist * (weight / many)[:, None]).T
     pull, allowed = weighted @ distances, weighted @ by_room
     at = contact.columns(estimate.room)

@@ -42,8 +42,10 @@ _SAME_PLACE = 0.01  # relative to the reach, and radians
 
 @dataclass(frozen=True, eq=False)
 class Undetermined:
-    """A direction that the planes leave a station's place open in: `direction` (3,), unit, in the room's frame, is
-    one that it may slide along, or that it may turn about; `sigma` in baselines or radians.
+    """A direction of a station's pose that the planes leave undetermined.
+
+    `direction` (3,): unit vector in the room's frame, along which it can slide, or about which it can rotate; `sigma`
+    in baselines or radians.
     """
 
     station: int
@@ -102,7 +104,7 @@ class RoomEstimate:
         return self.covariance[:SHARED, :SHARED]
 
     def place_covariance(self, station: int) -> Floats:
-        """(6, 6): turn about the room's axes in radians, translation in baselines; against the first station."""
+        """(6, 6): rotation about the room's axes in radians, translation in baselines, against the first station."""
         columns = self.room.place_columns(station)
         return self.covariance[columns, columns]
 
@@ -183,7 +185,7 @@ def estimate_room(
 
 
 def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]]) -> list[list[int]]:
-    """As `plane_of`, for the planes that the patches turned out to be on; −1 for labels without cells."""
+    """Like `plane_of`, for the final planes of the patches; −1 for labels without cells."""
     found = [[-1] * len(labels) for labels in plane_of]
     for patch in patches:
         found[patch.station][int(patch.cells.plane[0])] = patch.plane

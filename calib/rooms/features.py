@@ -1,6 +1,6 @@
-"""Supposed relative poses from features, where there are no planes: Open3D's FPFH with RANSAC.
+"""Suggested relative poses from features, without planes: Open3D's FPFH with RANSAC.
 
-Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", 2009. Plain walls have no features; things do.
+Rusu et al., "Fast point feature histograms (FPFH) for 3D registration", 2009. Plain walls have no features; objects do.
 """
 
 from typing import Any

@@ -36,7 +36,7 @@ _HOLDING_PATCHES = 20
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """X_first = R X_second + t, what the overlap is then worth in nats, and the share that contradicts."""
+    """X_first = R X_second + t, the evidence of the overlap in nats, and the contradicting share."""
 
     pose: Motion
     nats: float
@@ -49,7 +49,7 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     Marks of the pictures suggest some. Features of the surfaces are asked where planes are too few to fix a pose; and
     the rig may hardly have been moved at all.
     """
-    rotations, translations = _supposed(first, second)
+    rotations, translations = _suggested(first, second)
     others = [Motion(np.eye(3), np.zeros(3)), *marked_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
         others += feature_poses(first, second)
@@ -124,7 +124,7 @@ def _angles(rotations: Floats, other: Floats) -> Floats:
     return angle
 
 
-def _supposed(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
+def _suggested(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
     """Rotations (K, 3, 3) and translations (K, 3) from planes."""
     largest = [np.argsort(-each.plane_area, kind="stable")[:_MOST_PLANES] for each in (first, second)]
     a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))
@@ -140,7 +140,7 @@ def _supposed(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
 
 
 def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
-    """Rotations that turn normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
+    """Rotations from normals b (Q, 3) to normals a (P, 3), those that match most surface first."""
     frames_a, cosine_a = _frames(a, list(combinations(range(len(a)), 2)))
     frames_b, cosine_b = _frames(b, [(i, j) for i in range(len(b)) for j in range(len(b)) if i != j])
     if len(frames_a) == 0 or len(frames_b) == 0:
@@ -173,7 +173,7 @@ def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floa
 
 
 def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
-    """The rotation nearest to one that turns matching normals into each other, large planes first (Kabsch 1976)."""
+    """The closest rotation that aligns matching normals, large planes first (Kabsch 1976)."""
     weight = np.where(a @ rotation @ b.T > _LIKE_NORMALS, np.sqrt(area), 0.0)
     u, _, vt = np.linalg.svd(a.T @ weight @ b)
     turned: Floats = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt

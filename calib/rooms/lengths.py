@@ -51,9 +51,9 @@ def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
 
 
 def gap(estimate: RoomEstimate, first: int, second: int) -> Measured:
-    """Distance between two planes that face each other: from one, square to it, to the other.
+    """Distance between two facing planes, perpendicular to the first.
 
-    Taken midway between the middles of what was seen of each, as planes are never quite parallel.
+    It is taken midway between the middles of their visible parts, because planes are never exactly parallel.
     """
     room = estimate.room
     one, other = room.planes[first], room.planes[second]
@@ -137,7 +137,7 @@ def sigmas_of_point(estimate: RoomEstimate, point: RoomPoint) -> Floats:
 
 
 def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
-    """The middle (3,) of what the stations saw of a plane, by cells; NaN where none did."""
+    """The middle (3,) of the visible part of a plane, by cells; NaN without any."""
     points = [patch.points(estimate.room) for patch in estimate.patches if patch.plane == plane]
     centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
     return centre

@@ -1,4 +1,4 @@
-"""The likelihood of what was seen of planes, with derivatives: of a room's stations, or of a network's pairs.
+"""The likelihood of observed planes, with derivatives: of a room's stations, or of a network's pairs.
 
 Cells deviate in projector pixels under Huber's loss, as in `calib.refinement.likelihood`.
 """

@@ -100,10 +100,10 @@ def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: fl
 
 
 def _coherence(patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], stations: Sequence[Noise]) -> float:
-    """From 0 to 1, how far smooth errors across the epipolar lines are the same at all stations, all over the image.
+    """From 0 to 1, how far smooth errors across the epipolar lines are equal at all stations.
 
-    Across them no plane's place can hide an error, and none that is not flat makes one. The share of what polynomials
-    of each station explain that common ones do, less what is chance; 0 where all of it is.
+    Across them, no plane can absorb an error, and no uneven plane causes one. The value is the share of the variance
+    explained by polynomials of each station that common polynomials explain, corrected for chance.
     """
     scale = normalisation(np.concatenate([patch.cells.camera_px for patch in patches]))
     information, pull = np.zeros((len(stations), TERMS, TERMS)), np.zeros((len(stations), TERMS))

@@ -69,10 +69,10 @@ class Patch:
         )
 
     def carried(self, room: Room) -> Floats:
-        """How its own columns follow `columns`, (24, 30).
+        """Derivatives of its own columns by `columns`, (24, 30).
 
-        Before the camera the plane n · X = d is Rᵀn · X = d − n · t. A turn ω of the place tilts it by eₖ · (n × ω)
-        along each eₖ of the normal's tangent basis, a tilt a of the plane moves it by −a eₖ · t, too.
+        In the camera's frame the plane n · X = d is Rᵀn · X = d − n · t. A rotation ω of the pose tilts it by eₖ · (n ×
+        ω) along each eₖ of the normal's tangent basis; a tilt a of the plane also moves it by −a eₖ · t.
         """
         place, plane = room.places[self.station], room.planes[self.plane]
         basis = tangent_basis(plane.normal).T

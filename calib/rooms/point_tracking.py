@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
 from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.contacts import alike_in_blocks
+from calib.rooms.contacts import block_inflation
 from calib.rooms.drawings import drawn, logarithmic
 from calib.rooms.room import Room
 from calib.rooms.tracks import Track
@@ -92,7 +92,7 @@ def _followed(
     if np.count_nonzero(inside) < _LEAST_COMMON:
         return None
     flat = [_without_shading(*each) for each in drawings]
-    here, there = _forth_and_back(flat[0], flat[1], inside)
+    here, there = _forward_backward(flat[0], flat[1], inside)
     if len(here) < _FEWEST:
         return None
     one, other = (
@@ -102,7 +102,7 @@ def _followed(
     return _without_outliers(Track(*stations, plane, (one, other), np.ones(len(here))), room)
 
 
-def _forth_and_back(
+def _forward_backward(
     one: NDArray[np.uint8], other: NDArray[np.uint8], inside: NDArray[np.uint8]
 ) -> tuple[Floats, Floats]:
     """Points (N, 2) of a drawing, and their positions in the other one, checked by tracking back."""
@@ -162,7 +162,7 @@ def _without_shading(drawing: NDArray[np.uint8], inside: NDArray[np.uint8]) -> N
 
 
 def _correlation(flat: Sequence[NDArray[np.uint8]], here: Floats, there: Floats) -> Floats:
-    """Of what is around points (N, 2) of two drawings, (N,)."""
+    """Correlation (N,) of the surroundings of points (N, 2) in two drawings."""
     found = np.zeros(len(here))
     for i, both in enumerate(zip(here, there, strict=True)):
         one, other = (
@@ -186,5 +186,5 @@ def _without_outliers(track: Track, room: Room) -> Track | None:
         return None
     kept = replace(track, variance=larger**2 * track.variance)[good]
     relative = np.clip(left[good] / np.sqrt(kept.variance)[:, None], -ROBUST_SIGMAS, ROBUST_SIGMAS)
-    alike = np.mean([alike_in_blocks(kept.pixels[0], column) for column in relative.T])
+    alike = np.mean([block_inflation(kept.pixels[0], column) for column in relative.T])
     return replace(kept, variance=float(alike) * kept.variance)

@@ -83,18 +83,18 @@ def rig_of(state: State) -> State:
 
 
 def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
-    """The step (21,) to the mean of what has a prior; nothing else moves."""
+    """The step (21,) to the mean of parameters with a prior; zero for others."""
     has_prior = np.isfinite(sigma) & (sigma > 0)
     return np.where(has_prior, mean - rig_of(start).additive(), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class RoomPrior:
-    """What is known of a room before its matches are seen.
+    """Prior knowledge of a room.
 
-    `square`: pairs of planes that are perpendicular, with a standard deviation of `square_sigma` radians each. `start`:
-    stations are where it has them but for `place_sigma`, of a turn in radians and of a shift in baselines, which holds
-    what no plane determines.
+    `square`: pairs of perpendicular planes, with a standard deviation of `square_sigma` radians each. `start`: prior
+    mean of the poses, with `place_sigma` of a rotation in radians and of a translation in baselines, for directions
+    that no plane determines.
     """
 
     rig: RigPrior
@@ -117,7 +117,9 @@ class RoomPrior:
         return cls(rig, pairs, float(np.radians(max(squareness_deg, _EXACTLY_SQUARE))), start, place_sigma)
 
     def free(self, seen: Bools) -> Bools:
-        """Which columns are estimated, (size,): not what is known of the rig, the first place, planes not `seen`."""
+        """Mask of the estimated columns, (size,): without known parameters of the rig, the first pose, and planes not
+        `seen`.
+        """
         free = np.ones(self.start.size, np.bool_)
         free[:SHARED] = ~self.rig.known
         free[self.start.place_columns(0)] = False

@@ -1,4 +1,4 @@
-"""Registration of stations without a guess: from what each saw alone to where all of them stood."""
+"""Registration of stations without an initial guess: from each station's view to the poses of all."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -60,13 +60,12 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two stations of one group, `first` < `second`, that overlap.
+    """Two overlapping stations of one group, `first` < `second`.
 
-    `overlap`: share of their surfaces that both saw. `pose`: X_first = R X_second + t, with all stations taken
-    together. `nats`: what the overlap is worth as evidence. `contradiction`: share of what one could see of the other
-    that it looked through. `residual`: root mean square distance of the surfaces, of their depth. `closure`: by how
-    far the second station would move if only the first one held it, in the unit of the points; large where the two
-    share too little to hold each other.
+    `overlap`: common share of their surfaces. `pose`: X_first = R X_second + t, from all stations together. `nats`:
+    evidence of the overlap. `contradiction`: share of the other's surface that violates free space. `residual`: root
+    mean square distance of the surfaces, relative to their depth. `closure`: displacement of the second station if only
+    the first one determined it, in the unit of the points; large if the two share too little.
     """
 
     first: int
@@ -98,10 +97,10 @@ class Registration:
 
 
 def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] | None = None) -> Registration:
-    """Where stations of one rig stood, their lengths being in one unit; in any order.
+    """Register stations of one rig, whose lengths have one unit, in any order.
 
-    `of_another_rig`: stations that are known not to belong, by number, and what shows it: such a one may fit another
-    nearly, and would draw it away from those with which it belongs.
+    `of_another_rig`: stations known not to belong, by number, with the reason: such a station may nearly fit another,
+    and would draw it away from the others.
     """
     reasons = {k: LeftOut(k, "another rig", why) for k, why in (of_another_rig or {}).items()}
     seen = {k: view for k, view in enumerate(stations) if k not in reasons}

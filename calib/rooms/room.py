@@ -64,7 +64,7 @@ class Room:
 
 
 def moved_place(place: Motion, step: Floats) -> Motion:
-    """A pose after a step (6,): a turn about the axes that it leads to, and a shift."""
+    """A pose after a step (6,): a rotation about the axes of the common frame, and a translation."""
     return Motion(rotation_about(step[:3]) @ place.rotation, place.translation + step[3:])
 
 

@@ -1,4 +1,4 @@
-"""Rao's score: what a fit would gain if something that it shares were free for some of the patches, without fitting it.
+"""Rao's score: the gain of a fit if a common parameter were free for some of the patches, without fitting it.
 
 C. R. Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
 """
@@ -56,8 +56,9 @@ def reweighted(
     used: Sequence[Floats],
     now: Sequence[Floats],
 ) -> tuple[Floats, Floats, list[PatchSums]]:
-    """Half the gradient (size,) and the information (size, size) of a fit, and what the `chosen` patches add to them,
-    if variances (M,) of their cells are those of `now` instead of those that were `used`.
+    """Half the gradient (size,) and the information (size, size) of a fit, and their change by the `chosen` patches.
+
+    Variances (M,) of their cells are those of `now` instead of the `used` ones.
     """
     gradient, information, sums = fit.gradient.copy(), fit.information.copy(), list[PatchSums]()
     for i in chosen:

@@ -85,8 +85,10 @@ def surfaces_of(view: StationView) -> Surfaces:
 
 
 def _pinhole_grid(view: StationView) -> tuple[float, tuple[float, float], Ints, Ints]:
-    """An ideal camera that sees where a view has points, on few pixels: focal length, centre, and for each of its
-    pixels the row and column (h, w) of the nearest pixel in the view; −1 where there is none.
+    """An ideal camera with few pixels that covers the points of a view.
+
+    Returns focal length, centre, and for each of its pixels the row and column (h, w) of the nearest pixel in the view;
+    −1 for none.
     """
     camera, there = view.camera, np.isfinite(view.points[..., 2])
     rows, columns = np.flatnonzero(there.any(axis=1)), np.flatnonzero(there.any(axis=0))

@@ -39,10 +39,10 @@ def plane_scores(
     free: Bools,
     flat: Sequence[Floats],
 ) -> tuple[Floats, Floats]:
-    """The same of each plane of the room, for as many planes as there are patches on it, (planes,) each.
+    """Scores and degrees of freedom of each plane of the room, for separate planes of all its patches, (planes,) each.
 
-    `flat`: variances of cells on planes that are flat, of which each plane is taken to be one, where the fit under its
-    `variances` follows to the first order: a plane that was given less weight must not be tested with less.
+    `flat`: variances of cells on flat planes. Each plane is assumed to be flat, and the fit under its `variances`
+    follows to first order: a plane with reduced weight must be tested with full weight.
     """
     scores, freedom = np.zeros(len(fit.layout.planes)), np.zeros(len(fit.layout.planes))
     planes = np.array([patch.plane for patch in patches])

@@ -35,9 +35,10 @@ class Track:
         return np.concatenate([every[:SHARED], *places, every[room.plane_columns(self.plane)]])
 
     def differences(self, room: Room) -> tuple[Floats, Floats, Floats]:
-        """Of the first's places on the plane from the second's (N, 2); derivatives (N, 2, 36), and by pixels (N, 2, 4).
+        """Positions of the first on the plane minus the second's (N, 2); derivatives (N, 2, 36), and by pixels (N, 2,
+        4).
 
-        The axes turn with the plane, and both points with them: that changes their difference where there is one.
+        The axes rotate with the plane, and both points with them, which changes a nonzero difference.
         """
         plane = room.planes[self.plane]
         axes = tangent_basis(plane.normal)

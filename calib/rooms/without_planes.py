@@ -52,7 +52,7 @@ def estimate_without_planes(
 
 
 def _reach(loose: Sequence[Matches], rig: State) -> float:
-    """Median distance of what was seen from the camera, in baselines."""
+    """Median distance of the points from the camera, in baselines."""
     found: list[Floats] = []
     for matches in loose:
         some = matches[np.arange(0, len(matches), max(1, len(matches) // 1000))]

@@ -114,7 +114,7 @@ def inside(pixels: Floats, device: Intrinsics) -> Bools:
 
 
 def random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
-    """Unit rows (3, 3) along the axes, each turned by a normal angle."""
+    """Unit rows (3, 3) along the axes, each rotated by a normal angle."""
     legs = np.eye(3) + np.radians(walls_off_deg) * np.array(
         [[0, rng.normal(), 0], [0, 0, rng.normal()], [rng.normal(), 0, 0]]
     )

@@ -24,8 +24,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 class SyntheticNetwork:
     """`captures`: matches of each (camera, projector), labelled 0, 1, 2 on the corner's faces, 3 and up on others.
 
-    `devices`, `poses`: what is true of each by name, X_room = rotation X_device + translation, in metres. `scene`: what
-    they see.
+    `devices`, `poses`: ground truth by name, X_room = rotation X_device + translation, in metres. `scene`: the room.
     """
 
     captures: Mapping[tuple[str, str], Matches]

@@ -26,9 +26,9 @@ _WAVES, _WAVELENGTHS = 4, (1.5, 4.0)
 class RoomOptions:
     """Parameters: lengths in metres, angles in degrees, noise as a standard deviation of each coordinate.
 
-    `size`: of the room, x, y, z; each of its six planes is turned by a normal angle of `walls_off_deg` about both
+    `size`: of the room, x, y, z; each of its six planes is rotated by a normal angle of `walls_off_deg` about both
     directions in it, and has waves of 1.5 to 4 m with a standard deviation of `wavy`. `boxes`: pieces of furniture on
-    the floor; `balls`: in the air, their matches have no label. `stations` stand in a ring and look across the room;
+    the floor; `balls`: in the air, their matches have no label. `stations` form a ring and face across the room;
     `count`: number of sampled projector pixels. A plane is labelled if it has `least_share` of them.
     """
 

@@ -22,7 +22,7 @@ CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0,
 
 @dataclass(frozen=True)
 class Furniture:
-    """A box: `centre`, `size` (3,), turned by `yaw` (radians) about the vertical."""
+    """A box: `centre`, `size` (3,), rotated by `yaw` (radians) about the vertical."""
 
     centre: Floats
     size: Floats
@@ -65,7 +65,7 @@ class Room:
 
 @dataclass(frozen=True)
 class Station:
-    """`points` (H, W, 3) in the camera's frame, as measured, NaN where there is none; `place`: X_world = R X + t.
+    """`points` (H, W, 3) in the camera's frame, as measured, NaN for none; `place`: X_world = R X + t.
 
     `picture` (H, W): the lit scene; None for a room without paint.
     """

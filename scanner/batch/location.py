@@ -117,9 +117,9 @@ class Location:
 
     @contextmanager
     def delivered(self) -> Iterator[Path]:
-        """A folder of this machine to make; what is in it when the context ends is put in this place.
+        """A local folder to fill; when the context ends, its content is moved to this location.
 
-        Also if it ends with an error: a refusal leaves a result, too. Raises OSError.
+        Also after an error, because a refusal has a result, too. Raises OSError.
         """
         if (local := self.local) is not None:
             yield local
@@ -134,7 +134,7 @@ class Location:
                     system.put(f"{made}/", path.rstrip("/") + "/", recursive=True)
 
     def remove(self) -> None:
-        """Take away a folder, far away, with what is in it. Raises OSError."""
+        """Remove a remote folder with its content. Raises OSError."""
         system, path = self._resolved()
         system.rm(path, recursive=True)
 

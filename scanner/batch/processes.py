@@ -133,7 +133,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _all_memory() -> float:
-    """Bytes of this machine, of which the system may leave a program less (a container)."""
+    """Bytes of memory of this machine, or the limit of a container."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     with contextlib.suppress(OSError, ValueError):  # no such limit, or the value "max"
         limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))

@@ -68,9 +68,9 @@ def run_batch(
     *,
     retry: bool = False,
 ) -> Batch:
-    """Work on what no earlier run has finished, and write the table of all. `workers` are asked for if there is work.
+    """Work on jobs that no earlier run has finished, and write the table of all. `workers` are started only if needed.
 
-    Raises InputError, StorageError, OSError; what a capture does is in its row.
+    Raises InputError, StorageError, OSError; the outcome of a capture is in its row.
     """
     began_s = time.monotonic()
     delivery = Delivery(out)

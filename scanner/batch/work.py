@@ -42,7 +42,7 @@ class Delivery:
         return Location(self.out) / ROWS / f"{name}{ENDING}"
 
     def thumbnail(self, name: str) -> Location:
-        """A small picture of what the camera saw; not there if nothing can be read."""
+        """A small camera image; missing if nothing can be read."""
         return Location(self.out) / THUMBNAILS / f"{name}.jpg"
 
 
@@ -99,7 +99,9 @@ def _replay(job: Job, capture: Path, out: Path) -> Scan:
 
 
 def _make_room(place: Location) -> None:
-    """Far away nothing replaces a folder at once: what is there was asked otherwise, or was not finished, and goes."""
+    """Remove an earlier folder in remote storage, which cannot be replaced at once: its request differs, or it is
+    unfinished.
+    """
     if not place.exists:
         return
     if not (place / LOG_FILE).exists:

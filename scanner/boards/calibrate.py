@@ -69,8 +69,9 @@ class FromBoards:
 def calibrate_captures(
     recordings: Sequence[Recording], target: Target, progress: Progress, config: Config | None = None
 ) -> FromBoards:
-    """Decode, find the board, calibrate; `config` says what is known of the lenses. Raises InputError if no capture has
-    the board, RefusalError.
+    """Decode, find the board, calibrate; `config` gives priors on the lenses.
+
+    Raises InputError if no capture shows the board, RefusalError.
     """
     looked = [
         _look_into(recording, name, target, progress)
@@ -140,7 +141,7 @@ def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing
 
 
 def view_of(name: str, detected: Detected, matches: Matches, target: Target, size: Size) -> View:
-    """The board with the matches on it. Raises NotFoundError where there are too few of them."""
+    """The board with the matches on it. Raises NotFoundError for too few of them."""
     column, row = np.rint(matches.camera_px).astype(np.int64).clip(0, np.array(size) - 1).T
     lit = matches[on_board(detected, target, size)[row, column]]
     if len(lit) < _FEWEST_MATCHES:

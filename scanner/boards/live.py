@@ -1,4 +1,4 @@
-"""Calibrate a live rig from boards: after each capture the operator learns what it added, and moves the board."""
+"""Calibrate a live rig from boards: after each capture, the operator sees its contribution and moves the board."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -80,7 +80,7 @@ def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettin
 
 
 def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal: Terminal) -> None:
-    """Show what the last capture added, and how to hold the board next."""
+    """Show the contribution of the last capture, and how to hold the board next."""
     last = looked[-1]
     if isinstance(last, Missing):
         terminal.show(f"{last.name} does not count: {last.why}.")

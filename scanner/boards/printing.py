@@ -49,7 +49,7 @@ def write_pdf(path: Path, target: Target, sheet: str) -> None:
 
 
 def _page(board: Picture, sheet_mm: tuple[float, float], per_mm: float) -> Image.Image | None:
-    """The sheet, upright or lying, with the board in the middle of what the ruler leaves."""
+    """The sheet, portrait or landscape, with the board centred above the ruler."""
     for width, height in (sheet_mm, sheet_mm[::-1]):
         free = np.array([width - 2 * _EDGE_MM, height - 2 * _EDGE_MM - _FOOT_MM]) * per_mm
         if np.all(np.array(board.shape[::-1]) <= free):
@@ -61,7 +61,7 @@ def _page(board: Picture, sheet_mm: tuple[float, float], per_mm: float) -> Image
 
 
 def _caption(page: Image.Image, target: Target, sheet: str, per_mm: float) -> None:
-    """A ruler along the lower edge, and what the board is called."""
+    """A ruler along the lower edge, and the name of the board."""
     draw, bottom = ImageDraw.Draw(page), page.height - _EDGE_MM * per_mm
     font = ImageFont.load_default(2.6 * per_mm)
     left, line = 2 * _EDGE_MM * per_mm, max(1, round(0.1 * per_mm))

@@ -14,7 +14,7 @@ from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.devices import device_rows, opened, transfer_rows
 from scanner.checking.exposure import exposure_row, propose_exposure
-from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, tell_apart
+from scanner.checking.focus import LONG_PERIOD_PX, period_for, sample_blur, separate_lenses
 from scanner.checking.focus_row import finest_period_px, focus_row
 from scanner.checking.fringes import STEPS, FringeMeter
 from scanner.checking.light import Light, light_rows, photograph_light
@@ -23,7 +23,7 @@ from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, Pixels, State
 from scanner.checking.response import measure_ramp, response_row
 from scanner.checking.settled import settled
-from scanner.checking.steadiness import Before, Levels, levels_of, patterns, steadiness_row
+from scanner.checking.steadiness import InitialState, Levels, levels_of, patterns, steadiness_row
 from scanner.configuration import Config
 from scanner.decoding import MaskReason
 from scanner.patterns import Pattern, phase_sequence
@@ -91,7 +91,7 @@ class _Bench:
 
 
 class Checking:
-    """The state of a check: what is known so far."""
+    """The state of a check: the findings so far."""
 
     def __init__(self, on_row: OnRow | None) -> None:
         self.rows: list[CheckRow] = []
@@ -147,7 +147,7 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     """Check the view from a quick capture. If that is refused or patchy, take the configured one, which is slower."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
-    before = Before(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))
+    before = InitialState(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))
     quick = view.take_quick(rig, config, meter, terminal)
     checking.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
@@ -164,7 +164,7 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
     checking.failure = failure
 
 
-def _check_steadiness(bench: _Bench, before: Before, quick: view.Capture, checking: Checking) -> None:
+def _check_steadiness(bench: _Bench, before: InitialState, quick: view.Capture, checking: Checking) -> None:
     if not quick.decoding:
         return
     with bench.terminal.step("Waiting to see whether anything drifts"):
@@ -189,7 +189,7 @@ def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: Fri
         usable = matched & ~light.clipped
         samples = sample_blur(meter.fringes, usable, view.projector_map(decoded.decoding))
         finest_px = finest_period_px(bench.config.sequence.patterns(size))
-        checking.add(focus_row(samples, tell_apart(samples), finest_px))
+        checking.add(focus_row(samples, separate_lenses(samples), finest_px))
     checking.pictures["contrast"] = contrast_picture(meter.fringes, usable)
 
 

@@ -150,7 +150,7 @@ class Lenses:
     span: float
 
 
-def tell_apart(samples: BlurSamples) -> Lenses | None:
+def separate_lenses(samples: BlurSamples) -> Lenses | None:
     """Split the blur by least squares, with a jackknife over blocks of the image; None if there are too few samples."""
     if len(samples.blur2) < _FEWEST_CELLS:
         return None

@@ -59,7 +59,7 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
 
 
 def _advice(sure: list[str], lenses: Lenses, period_px: float) -> str:
-    if not sure and not _told_apart(lenses):
+    if not sure and not _are_separated(lenses):
         return (
             "This view does not show which lens it is. Focus the projector until single pixels can be distinguished on "
             f"the wall, then the camera; check again after each.{_MOVING_PIXELS}"
@@ -91,15 +91,15 @@ def _blurred(lenses: Lenses, period_px: float, *, doubted: bool) -> list[str]:
     return blurred
 
 
-def _told_apart(lenses: Lenses) -> bool:
-    """Whether the doubt about the split is smaller than what is split."""
+def _are_separated(lenses: Lenses) -> bool:
+    """Whether the uncertainty of the separation is smaller than the blur."""
     doubt = _SURE_SIGMAS * float(np.hypot(lenses.projector2_sigma, lenses.camera2_sigma)) + lenses.doubt2
     return doubt < max(lenses.total_px**2, lenses.projector2, lenses.camera2)
 
 
 def _split_in_words(lenses: Lenses) -> str:
     total = f"a blur of {lenses.total_px:.1f} px"
-    if not _told_apart(lenses):
+    if not _are_separated(lenses):
         return f"{total}; this view does not show which lens causes it"
     projector, camera = np.sqrt(np.maximum([lenses.projector2, lenses.camera2], 0.0))
     return f"{total}: the projector's {projector:.1f}, the camera's {camera:.1f}"

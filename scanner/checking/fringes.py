@@ -29,9 +29,9 @@ class Fringe:
 
 
 class FringeMeter:
-    """Looks on while frames go by, and measures every fringe of four equal steps among them.
+    """Measures every fringe of four equal steps among the frames that pass.
 
-    `fringes`: what was seen, by axis and period in projector pixels.
+    `fringes`: the measured ones, by axis and period in projector pixels.
     """
 
     def __init__(self) -> None:
@@ -57,10 +57,11 @@ class FringeMeter:
 
 
 def _fringe(steps: Sequence[NDArray[np.float32]]) -> Fringe:
-    """I_n = m + A cos(φ + nπ/2): opposite steps differ by 2A cos φ and 2A sin φ, and the sums of opposites are equal.
+    """Amplitude and noise of I_n = m + A cos(φ + nπ/2).
 
-    What these sums differ by is noise (and the second harmonic, of which short fringes have none left): a quarter of
-    its square is the variance of one frame, which is also what noise adds to the squared amplitude.
+    Opposite steps differ by 2A cos φ and 2A sin φ, and the sums of opposite steps are equal. The difference of these
+    sums is noise (and the second harmonic, which blur removes from short fringes). A quarter of its square is the
+    variance of one frame, which is also the contribution of noise to the squared amplitude.
     """
     first, second, third, fourth = steps
     power = ((first - third) ** 2 + (second - fourth) ** 2) / 4

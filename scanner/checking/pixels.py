@@ -41,7 +41,7 @@ def pixel_row(rig: Rig, light: Light, ramp: Ramp) -> CheckRow | None:
 
 
 def row_of(contrast: Floats) -> CheckRow:
-    """The row for what is left of the contrast of lines along x and y, (2,)."""
+    """The row for the remaining contrast of lines along x and y, (2,)."""
     x, y = (f"{100 * value:.0f} %" for value in contrast)
     finding = f"lines of one pixel keep {x} of their contrast along x, {y} along y"
     if contrast.max() > _MOST_CONTRAST:

@@ -51,7 +51,7 @@ def ramp_of(relative: Floats) -> Ramp:
 
 
 def response_row(ramp: Ramp) -> CheckRow:
-    """Gamma, and what is wrong with the curve."""
+    """Gamma, and defects of the curve."""
     steps = np.diff(ramp.light)
     if ramp.response is None:
         first = round(255 * int(np.argmin(steps)) / (len(ramp.light) - 1))

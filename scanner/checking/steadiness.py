@@ -36,7 +36,7 @@ _MOST_PERCENT = 0.5
 
 
 @dataclass(frozen=True)
-class Before:
+class InitialState:
     """The state at time `since_s`: `light`, and the `levels` (H, W) of each of the fringes."""
 
     since_s: float
@@ -54,7 +54,7 @@ def levels_of(frames: Iterable[tuple[Pattern, Frame]]) -> Levels:
     return {(pattern.axis, pattern.shift): grey(frame.image) for pattern, frame in frames if isinstance(pattern, Phase)}
 
 
-def steadiness_row(rig: Rig, before: Before, now: Levels, projector_px: Floats) -> CheckRow | None:
+def steadiness_row(rig: Rig, before: InitialState, now: Levels, projector_px: Floats) -> CheckRow | None:
     """What has changed when the fringes look like this `now`, by where pixels look, (H, W, 2), NaN where that is not
     known; None if it is nowhere. Raises DeviceError.
     """
@@ -82,7 +82,7 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
 
 
-def _moved(before: Before, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> Fit | None:
+def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> Fit | None:
     by_y, by_x = (np.gradient(projector_px, axis=axis) for axis in (0, 1))
     known = before.light.well_lit & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
     row, column = np.nonzero(known)

@@ -22,7 +22,7 @@ def signs_for(encoding: str | None) -> dict[State, str]:
 
 
 def table_of(report: CheckReport, encoding: str | None) -> Table:
-    """A line for each row, and what to do below what was found."""
+    """A line for each row, with the advice below the finding."""
     signs = signs_for(encoding)
     table = Table(box=box.SIMPLE, show_header=False, pad_edge=False)
     table.add_column(no_wrap=True)

@@ -69,7 +69,7 @@ def take_quick(rig: Rig, config: Config, meter: FringeMeter, terminal: Progress)
 
 
 def take_configured(rig: Rig, config: Config, terminal: Progress) -> Capture | None:
-    """Capture what a scan would; None if that is the quick sequence. Raises DeviceError."""
+    """Capture the sequence of a scan; None if that is the quick sequence. Raises DeviceError."""
     patterns = config.sequence.patterns(rig.projector.size)
     if patterns == PRESETS[_QUICK].patterns(rig.projector.size):
         return None
@@ -155,7 +155,7 @@ def decoded_share(decoding: Decoding) -> float:
 
 
 def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
-    """Grade the overlap of the two pictures, and say which way to turn the devices to improve it."""
+    """Grade the overlap of the two pictures, with directions to turn the devices."""
     finding = (
         f"{100 * coverage.camera:.0f} % of the camera's pixels see the projector's light, and the camera sees "
         f"{100 * coverage.projector:.0f} % of it"
@@ -172,7 +172,7 @@ def coverage_row(coverage: Coverage, decoding: Decoding) -> CheckRow:
 
 
 def _turned(device: str, middle: tuple[float, float], otherwise: str) -> str:
-    """Which way the device has to look for the middle of what it shares to come into the middle of its picture."""
+    """Direction in which to turn the device so that the common view is in the middle of its picture."""
     ways = []
     for offset, (less, more) in zip(middle, (("left", "right"), ("up", "down")), strict=True):
         if abs(offset) > _OFF_CENTRE:
@@ -193,9 +193,9 @@ def predict(decoded: Decoded, config: Config, earlier: Sequence[Decoded]) -> Sel
 def view_row(
     seen: Capture, config: Config, earlier: Sequence[Decoded], *, as_configured: bool = False
 ) -> tuple[CheckRow, RefusalError | None]:
-    """How well this view will calibrate, and why a scan would be refused, if it would.
+    """Predict the accuracy of a calibration from this view, or the reason of a refusal.
 
-    `as_configured`: `seen` is not the quick capture, of which too little could be had.
+    `as_configured`: `seen` is not the quick capture, which decoded too little.
     """
     if seen.decoded is None:
         row = CheckRow(_VIEW, State.FAILED, seen.problem, seen.advice)

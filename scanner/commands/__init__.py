@@ -1,4 +1,4 @@
-"""The commands: what can be typed is in arguments.py; what it does, in a module with `run(args)` each.
+"""The commands: their arguments are in arguments.py, and each has a module with `run(args)`.
 
 `scan` alone is the main job; the others are named by the first argument.
 """

@@ -18,14 +18,14 @@ from scanner.measuring import (
     write_acceptance,
     write_acceptance_page,
 )
-from scanner.results import beside, read_finished_scan
+from scanner.results import path_beside, read_finished_scan
 from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
-    out = args.out or beside(args.results[0], "-accepted")
+    out = args.out or path_beside(args.results[0], "-accepted")
     for name in (ACCEPTANCE_FILE, ACCEPTANCE_PAGE):
         refuse_existing(out / name, overwrite=args.overwrite)
     acceptance = _accept(args.results, args.ball_bar, terminal)

@@ -1,4 +1,4 @@
-"""Look at the rig before a scan, and put what was found into the configuration if wanted."""
+"""Check the rig before a scan, and write the findings into the configuration on request."""
 
 import sys
 from argparse import Namespace

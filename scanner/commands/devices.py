@@ -42,7 +42,7 @@ class Found:
 
 
 def run(args: Namespace) -> None:
-    """Show what is there. Raises DeviceError if no camera was found, and no screen can be looked for."""
+    """List the devices. Raises DeviceError if no camera was found, and screens cannot be listed."""
     terminal = Terminal(quiet=args.quiet)
     found = find_devices(terminal)
     terminal.show(*found.paragraphs())

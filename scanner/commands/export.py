@@ -5,7 +5,7 @@ from argparse import Namespace
 
 from scanner.errors import InputError
 from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, Request
-from scanner.results import beside
+from scanner.results import path_beside
 from scanner.ui import Terminal
 
 _LEAST_GAMMA, _MOST_GAMMA = 0.1, 10.0
@@ -24,7 +24,7 @@ def run(args: Namespace) -> None:
     if not _LEAST_GAMMA <= gamma <= _MOST_GAMMA:
         raise InputError(f"--gamma: expected {_LEAST_GAMMA} to {_MOST_GAMMA}, found {gamma}")
     eye = None if args.eye is None else _place(args.eye)
-    out = args.out or beside(args.result, target.ending)
+    out = args.out or path_beside(args.result, target.ending)
     target.check_name(out)
     terminal = Terminal(quiet=args.quiet)
     with terminal.step("Exporting"):

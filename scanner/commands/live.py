@@ -69,7 +69,7 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
 
 
 class _TerminalOutput(Watcher):
-    """What goes by, a line every other second."""
+    """Prints a line about the clouds every other second."""
 
     def __init__(self, terminal: Terminal, unit: str) -> None:
         self._terminal, self._unit = terminal, unit

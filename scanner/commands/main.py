@@ -51,7 +51,7 @@ def _announce_compiling(*, quiet: bool) -> None:
 
 
 def _reported(error: BaseException) -> int:
-    """Say what it was; the exit code that goes with it."""
+    """Report an error; returns its exit code."""
     from scanner.ui import failure_of, for_screen  # this imports the display of progress, which help does not need
 
     failure = failure_of(error)

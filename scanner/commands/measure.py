@@ -15,7 +15,7 @@ from scanner.measuring import (
     write_figure,
 )
 from scanner.quantities import parse_length
-from scanner.results import beside, read_finished_scan
+from scanner.results import path_beside, read_finished_scan
 from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
@@ -27,7 +27,7 @@ _ASSUMED_ANGLES = (
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, NoMeasurementError."""
     terminal = Terminal(quiet=args.quiet)
-    out = args.out or beside(args.result, "-measured")
+    out = args.out or path_beside(args.result, "-measured")
     with terminal.step("Measuring"):
         scan = read_finished_scan(args.result)
         diameters = [parse_length(text, scan.unit) for text in args.sphere]

@@ -53,10 +53,9 @@ class Comparison:
 
 
 def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comparison:
-    """Files, or folders of results; `depths` as lengths in words, by default some of the scene's.
+    """Compare files or result folders; `depths` are lengths as text, by default some of the scene's.
 
-    Lengths are in the first one's unit; where only the second one has a known length, it comes first. Raises
-    InputError.
+    Lengths are in the first one's unit; if only the second one has a known length, it comes first. Raises InputError.
     """
     one, other = _read(first), _read(second)
     if one.calibration.unit == UNKNOWN_UNIT != other.calibration.unit:

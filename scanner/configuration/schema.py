@@ -99,12 +99,14 @@ class Config(Section):
                 "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
+        own = self.rigs
         return {
             (camera, projector): validate(
-                Config, _merged(_merged(common, of_camera), of_projector), f"rigs: {camera} with {projector}"
+                Config,
+                _merged(_merged(common, own.cameras[camera]), own.projectors[projector]),
+                f"rigs: {camera} with {projector}",
             )
-            for projector, of_projector in self.rigs.projectors.items()
-            for camera, of_camera in self.rigs.cameras.items()
+            for camera, projector in own.pairs
         }
 
     @property
@@ -118,7 +120,7 @@ class Config(Section):
         return _required_size("projector", self.projector.size)
 
     def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
-        """Raise InputError if what was read from `path` is of devices of other sizes than these."""
+        """Raise InputError if the content of `path` belongs to devices of other sizes."""
         for name, size, expected in (
             ("camera", camera, self.camera_size),
             ("projector", projector, self.projector_size),

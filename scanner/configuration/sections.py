@@ -1,6 +1,7 @@
 """Sections of a configuration: devices, patterns and scene."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -59,7 +60,7 @@ class PrincipalPointSettings(Section):
 
 
 class CameraSettings(_DeviceSettings):
-    """The camera's image, and what is known of its optics."""
+    """The camera's image, and prior knowledge of its optics."""
 
     principal_point: PrincipalPointSettings = Field(
         default=PrincipalPointSettings(), description="{known: [x, y]}, or {prior: centre, sigma_px: …}."
@@ -248,6 +249,11 @@ class NetworkSettings(Section):
         max_length=_MOST_DEVICES,
         description="As in {stage: {rig: {screen: 1}}, side: {rig: {screen: 2}}}.",
     )
+
+    @property
+    def pairs(self) -> Iterator[tuple[str, str]]:
+        """Each camera with each projector, projector by projector."""
+        return ((camera, projector) for projector in self.projectors for camera in self.cameras)
 
     @model_validator(mode="after")
     def _named(self) -> "NetworkSettings":

@@ -94,7 +94,7 @@ def _cameras(scan: FinishedScan) -> Iterator[str]:
 
 
 def _camera_model(device: Intrinsics) -> str:
-    """OPENCV has k1 k2 p1 p2; a k3 needs FULL_OPENCV, which goes on with k3 k4 k5 k6."""
+    """OPENCV has k1 k2 p1 p2; a k3 needs FULL_OPENCV, which continues with k3 k4 k5 k6."""
     k1, k2, p1, p2, k3 = device.distortion
     x0, y0 = device.principal_point_px
     parameters = [*device.focal_px, x0 + _HALF_PIXEL, y0 + _HALF_PIXEL, k1, k2, p1, p2]

@@ -1,4 +1,4 @@
-"""Which formats there are, and what each is called on disk. Their modules are loaded when one is written."""
+"""The formats and their file names. Their modules are loaded on demand."""
 
 from dataclasses import dataclass
 from importlib import import_module

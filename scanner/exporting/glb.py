@@ -28,8 +28,8 @@ _LINEAR, _LINEAR_MIPMAPS, _CLAMPED = 9729, 9987, 33071
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Triangles of one material: under a picture, of which each point has its place (N, 2) as shares of width and
-    height from the upper left corner; or, where `jpeg` is empty, of the points' colours.
+    """Triangles of one material: with a picture, in which each point has its position (N, 2) relative to width and
+    height from the upper left corner; or, if `jpeg` is empty, with colours of the points.
     """
 
     mesh: Mesh

@@ -1,4 +1,4 @@
-"""Other people's recordings → capture folders: whose order of frames it is, and what the projector was."""
+"""Recordings of other programs → capture folders: the order of the frames, and the projector."""
 
 from scanner.importing.capture_folder import write_capture
 from scanner.importing.described import described

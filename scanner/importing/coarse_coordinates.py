@@ -94,7 +94,7 @@ def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
 
 
 class _Wave:
-    """Of a period: mean level (H, W), cosine and sine of the phase times the amplitude, and what is left of frames."""
+    """Of a period: mean level (H, W), cosine and sine of the phase times the amplitude, and the residual."""
 
     def __init__(self, samples: Samples, shown: Sequence[tuple[float, int]]) -> None:
         angles = 2 * np.pi * np.array([shift for shift, _ in shown])
@@ -150,7 +150,7 @@ def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: 
 
 
 def _code(samples: Samples, patterns: Sequence[Pattern], axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
-    """The code of an axis with some cell and offset, or what is wrong with it."""
+    """The code of an axis with its cell and offset, or its error."""
     of_code = {
         index: p
         for index, p in enumerate(patterns)

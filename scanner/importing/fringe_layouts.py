@@ -66,7 +66,7 @@ class _Way:
         return (*with_ends(partial(self._sequence, 2), first=True, last=True), partial(self._sequence, 0))
 
     def _sequence(self, ends: int, size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
-        """In as many steps as fit this many frames, `ends` of which are white and black."""
+        """The sequence with as many steps as fit this many frames, `ends` of which are white and black."""
         del cell
         lengths = dict(x_and_y(size))
         parts = {axis: self.along(axis, lengths[axis]) for axis in self.axes}

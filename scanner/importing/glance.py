@@ -129,7 +129,7 @@ def _beside(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
 
 
 def _upright(x: Floats, y: Floats, there: Bools) -> float:
-    """At which share of the pixels the map to the projector turns the same way round, of those where it shows."""
+    """Share of the pixels where the map to the projector is not mirrored, of those where it is defined."""
     inner = there[:-1, :-1] & there[:-1, 1:] & there[1:, :-1]
     turn = np.diff(x, axis=1)[:-1] * np.diff(y, axis=0)[:, :-1] - np.diff(y, axis=1)[:-1] * np.diff(x, axis=0)[:, :-1]
     turning = turn[inner & (turn != 0)]

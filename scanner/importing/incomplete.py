@@ -21,7 +21,7 @@ _SAME, _NEARLY_ALL = 0.1, 0.98
 MISSING_ENDS: tuple[tuple[Pattern, ...], ...] = ((Black(),), (White(),), (White(), Black()))
 
 
-def without_doubles(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
+def without_duplicates(files: FrameFiles, samples: Samples) -> Iterator[tuple[FrameFiles, Samples]]:
     """The frames without duplicates of the previous frame: without all of these, or without one.
 
     If nothing is lit, all frames look alike, and none counts as a duplicate. `samples`: of the numbered frames, then of

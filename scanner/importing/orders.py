@@ -1,4 +1,4 @@
-"""Pieces of which the orders of frames are made."""
+"""Building blocks of the orders of frames."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -12,7 +12,7 @@ from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.glance import closest, objection, share_on_epipolar_lines
-from scanner.importing.incomplete import MISSING_ENDS, without_doubles
+from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
 from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
 from scanner.importing.projector_size import extents_of, find_sizes
 from scanner.importing.samples import Samples, take_lines
@@ -43,7 +43,7 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A layout that does not fit, and why not; `lacking`: it may, if what it says were given; `certain`: it would."""
+    """A layout that does not fit, and the reason; `lacking`: it may fit with further options; `certain`: it would."""
 
     layout: Layout
     why: str
@@ -90,7 +90,7 @@ def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[],
         yield _Attempt(files, usual, look, missing)
     if len(files.numbered) > MOST_FRAMES:
         return
-    for fewer, samples in without_doubles(files, look()):
+    for fewer, samples in without_duplicates(files, look()):
         seen = partial(_already, samples)
         yield from (_Attempt(fewer, usual, seen), _Attempt(fewer, last, seen))
     yield _Attempt(files, last, look)
@@ -144,7 +144,7 @@ class _Judge:
         self._lines: dict[tuple[tuple[Path, ...], Axis], Samples] = {}
 
     def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
-        """Whether the frames decode in this order, and of which projector they are."""
+        """Whether the frames decode in this order, and the projector."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
             return Rejected(

@@ -29,7 +29,7 @@ def repeats_after(periods: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class Agreement:
-    """`coordinate` (N,), good to a `step`, in pixels; `misfit`: what is left of the phases, by one minus its cosine."""
+    """`coordinate` (N,), accurate to a `step`, in pixels; `misfit`: one minus the cosine of the phase residuals."""
 
     coordinate: Floats
     step: float
@@ -37,9 +37,9 @@ class Agreement:
 
 
 def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement | str:
-    """Where below `whole` fringes have the phases (K, N), in cycles.
+    """The positions below `whole` where fringes have the phases (K, N), in cycles.
 
-    Or what is wrong: phases that fit no place, or a fringe that is off the others everywhere, as if begun elsewhere.
+    Or the error: phases that fit no position, or a fringe with another origin.
     """
     step = min(periods) / PLACES_OF_CYCLE
     places = np.arange(0, whole, step)

@@ -27,9 +27,9 @@ _NOT_OPEN = -1
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise InputError if `path` is anything but a file that may be replaced, once what was left there is settled.
+    """Raise InputError if `path` is anything but a file that may be replaced, after settling leftovers.
 
-    Raises StorageError if it cannot be settled.
+    Raises StorageError if they cannot be settled.
     """
     _settle(path.parent)
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""Whether there is room for what is going to be written, before anything is."""
+"""Checks for disk space before anything is written."""
 
 import os
 from pathlib import Path

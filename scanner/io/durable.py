@@ -21,7 +21,7 @@ def sync(path: Path) -> None:
 
 
 def sync_open(descriptor: int) -> None:
-    """The same of what is open. Raises OSError."""
+    """Sync an open file. Raises OSError."""
     try:
         os.fsync(descriptor)
     except OSError as error:

@@ -88,7 +88,7 @@ def _pieces(path: Path, most_bytes: int | None) -> Iterator[bytes]:
 
 
 def refuse_bomb(path: Path, file: BinaryIO, needed: int) -> None:
-    """Raise InputError if what is read from the file takes `needed` bytes of memory, out of hardly any on the disk."""
+    """Raise InputError if the content takes `needed` bytes of memory, but hardly any on the disk."""
     found = os.fstat(file.fileno())
     # A small file may be stored in its directory entry without blocks; a sparse file has fewer blocks than its size.
     blocks = getattr(found, "st_blocks", None)

@@ -102,7 +102,7 @@ def _of_bmp(data: bytes) -> tuple[int, int, int]:
 
 
 def _of_tiff(data: bytes) -> tuple[int, int, int]:
-    """Its first directory; Pillow would open only what it can show as well."""
+    """Size in the first directory; Pillow opens only formats that it can decode."""
     file = BytesIO(data)
     tags: Any = TiffImagePlugin.ImageFileDirectory_v2(file.read(16 if b"+" in data[:4] else 8))
     file.seek(tags.next)

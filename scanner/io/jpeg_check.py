@@ -41,9 +41,7 @@ class _Read:
 
 
 def problem_of_jpeg(data: bytes) -> str | None:
-    """Return what is wrong with the compressed data of a JPEG; None if nothing is, or if they are of an unchecked
-    kind.
-    """
+    """Return the defect of the compressed data of a JPEG; None if there is none, or for unchecked kinds."""
     read, at = _Read(), 2
     pixels = np.frombuffer(data, np.uint8)
     while at + 4 <= len(data):
@@ -130,7 +128,7 @@ def _runs(lookup: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tuple[int, int] | None:
-    """Return where the data of a scan end, and what is wrong with them; None where that cannot be determined."""
+    """Return where the data of a scan end, and their defect; None if that cannot be determined."""
     parts = [segment[1 + 2 * i : 3 + 2 * i] for i in range(segment[0])]
     tables = {part[0]: (part[1] >> 4 & 3, _AC + (part[1] & 3)) for part in parts}
     if not all(table in read.known for pair in tables.values() for table in pair) or min(read.size) < 1:

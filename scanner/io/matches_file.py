@@ -57,9 +57,9 @@ _EXPECTED = {  # expected types, and the letters of the numpy types accepted
 def write_matches(
     path: Path, matches: Matches, plane: Ints | None = None, only_axis: Literal["x", "y"] | None = None
 ) -> None:
-    """Write matches with what is known of them; `plane` (N,): which plane each is on, −1 for none. Raises OSError.
+    """Write matches with `plane` (N,), the plane of each, −1 for none. Raises OSError.
 
-    `only_axis`: the only one of the projector's coordinates that was measured, the other following from a calibration.
+    `only_axis`: the only measured coordinate of the projector; the other follows from a calibration.
     """
     arrays: dict[str, Any] = {"camera_px": matches.camera_px, "projector_px": matches.projector_px}
     if matches.face is not None:

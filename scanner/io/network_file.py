@@ -1,4 +1,4 @@
-"""`network.yaml`: every camera and projector of a network, where it stands, and its intrinsics."""
+"""`network.yaml`: pose and intrinsics of every camera and projector of a network."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`poses.yaml`: where the camera of each capture stood in the frame of a merged cloud."""
+"""`poses.yaml`: the camera poses of all captures in the frame of a merged cloud."""
 
 from collections.abc import Sequence
 from pathlib import Path

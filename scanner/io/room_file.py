@@ -1,4 +1,4 @@
-"""`room.yaml`: where the stations of a room stood, its planes, and how sure of them one is."""
+"""`room.yaml`: the poses of the stations of a room, its planes, and their sigmas."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ _ROUNDED = 1e-6  # rounding error of a rotation written with few digits
 
 
 class PlacedEntry(Entry):
-    """What stands somewhere: X_room = rotation X + translation."""
+    """A pose: X_room = rotation X + translation."""
 
     rotation: tuple[_Row, _Row, _Row]
     translation: tuple[_Length, _Length, _Length]

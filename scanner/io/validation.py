@@ -1,4 +1,4 @@
-"""Validate parsed files into typed values: the one place that turns pydantic's findings into sentences for people."""
+"""Validate parsed files into typed values; the only place that turns pydantic's findings into sentences."""
 
 from collections.abc import Iterator, Sequence
 from difflib import SequenceMatcher
@@ -100,9 +100,9 @@ def _keys_in_file(location: Sequence[int | str], data: object, *, missing: bool)
 
 
 def _suggestion(key: str, model: type[BaseModel], location: Sequence[int | str]) -> str:
-    """The known key most like `key`, by its full path or by its last part; else what is known at that place.
+    """The known key most like `key`, by its full path or by its last part; otherwise the known keys at that place.
 
-    `location` says which member was chosen where there are several kinds of a section.
+    `location` contains the chosen member of a section with several kinds.
     """
     if key in known_keys(model):
         return "it belongs to another kind of this section"

@@ -85,7 +85,7 @@ class LiveCloud:
 
 
 class Decoder:
-    """Of one rig and one sequence. It knows no state: what a round is compared with is given."""
+    """The decoder of one rig and one sequence. It has no state: the reference of a round is an argument."""
 
     def __init__(self, sequence: LiveSequence, look: FirstLook, calibration: Calibration) -> None:
         self.sequence, self._look, self._calibration = sequence, look, calibration

@@ -22,8 +22,9 @@ _LEAST_LIT = 500
 
 @dataclass(frozen=True)
 class FirstLook:
-    """`lit` (H, W): where the projector's light falls. Variance of a pixel at level I: `noise[0]` + `noise[1]` I.
-    `saturated`: from this level on. `response`: from what is drawn to what the camera shows, None if not known.
+    """`lit` (H, W): pixels lit by the projector. Variance of a pixel at level I: `noise[0]` + `noise[1]` I.
+
+    `saturated`: the level of saturation. `response`: from drawn levels to observed ones, None if unknown.
     """
 
     lit: Bools
@@ -52,7 +53,7 @@ def look(rig: Rig, config: Config) -> FirstLook:
 
 
 def noise_of(light: Light) -> tuple[float, float]:
-    """Variance of a pixel at level 0, and what each level adds, from what frames of one picture differ by."""
+    """Variance of a pixel at level 0, and its increase per level, from differences of frames of one picture."""
     white, black = (_variance(images[1:], light.well_lit) for images in (light.white, light.black))
     gain = max(0.0, (white[1] - black[1]) / max(1.0, white[0] - black[0]))
     return max(_ROUNDING, black[1] - gain * black[0]), gain

@@ -9,7 +9,7 @@ from threading import Event
 
 from calib.geometry import Calibration
 from calib.refusal import RefusalError
-from hw.ahead import beside
+from hw.ahead import in_background
 from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.moving import at_place, at_place_or_last, moves_by_itself, turns_by_itself
@@ -73,7 +73,7 @@ class Wishes:
 
 
 class Watchers(Watcher):
-    """Several who look."""
+    """Several observers."""
 
     def __init__(self, *watchers: Watcher) -> None:
         self._watchers = watchers
@@ -150,7 +150,7 @@ def scan_live(
 
 
 def _goes_on_by_itself(settings: RigSettings, wishes: Wishes) -> bool:
-    """Whether the simulation turns its thing, or moves its rig, after each cloud that is kept."""
+    """Whether the simulation moves its thing, or its rig, after each kept cloud."""
     return moves_by_itself(settings) if wishes.of_room else turns_by_itself(settings)
 
 
@@ -175,7 +175,7 @@ def _look_on(
     first: tuple[FirstLook, LiveSequence] | None = None
     by_itself = _goes_on_by_itself(config.required_rig, wishes)
     joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
-    with joined as join, beside(_keeping(folder, found, join, watcher)) as begin:
+    with joined as join, in_background(_keeping(folder, found, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
         while not keeper.has_ended:
             begun = keeper.begun
@@ -192,8 +192,9 @@ def _look_on(
 
 @dataclass
 class Keeper:
-    """Has clouds kept by `begin` when they are due. `begun`: how many that was. `useless`: rounds since then of which
-    none could be kept.
+    """Keeps clouds through `begin` when they are due.
+
+    `begun`: their number. `useless`: rounds since the last kept one.
     """
 
     wishes: Wishes

@@ -1,4 +1,4 @@
-"""Kept clouds, put together as they come, so that one sees what is missing."""
+"""Kept clouds are joined as they come, which shows what is missing."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

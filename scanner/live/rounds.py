@@ -27,7 +27,7 @@ _MOST_LOST = 10  # consecutive lost rounds that indicate a camera failure
 
 
 def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:
-    """Without end; None is a round of which a frame was lost. Raises DeviceError."""
+    """Rounds without end; None for a round with a lost frame. Raises DeviceError."""
     pictures = [_picture(pattern, rig.projector.size, response) for pattern in sequence.patterns]
     level = level_groups(sequence.patterns)
     number, lost_in_a_row = 0, 0

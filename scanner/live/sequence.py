@@ -33,8 +33,9 @@ _LEAST_SHIFT = 0.05  # share of the length of an epipolar line
 
 @dataclass(frozen=True)
 class LiveSequence:
-    """Periods in projector pixels, `long_px` > `short_px`. `patterns`: FRAMES of them, the fringes taking turns, so
-    that both are taken at the same time on average. `middle` (H, W): the coordinate about which the longer fringe is
+    """Periods in projector pixels, `long_px` > `short_px`. `patterns`: FRAMES of them, alternating between the fringes.
+
+    So both are taken at the same mean time. `middle` (H, W): the coordinate around which the longer fringe is
     unambiguous at each camera pixel.
     """
 

@@ -14,7 +14,7 @@ _MANY_SATURATED, _FEW_LIT, _ALL_MOVES = 0.02, 0.1, 0.5
 
 
 def cloud_text(cloud: LiveCloud, unit: str) -> str:
-    """How many points, and what they are worth."""
+    """Number of points, and their accuracy."""
     sigma = shown_unit(unit).error(float(np.median(cloud.sigma))) if len(cloud.points) else "-"
     return f"{len(cloud.points):,} points, sigma {sigma}"
 

@@ -1,7 +1,7 @@
-"""Frames of one round → coordinates, variances and reasons, in one compiled pass; and what of it stands alone.
+"""Frames of one round → coordinates, variances and reasons, in one compiled pass; and isolated pixels.
 
-A pixel is asked four things: whether its fringes stand out from its noise, whether both have the same mean, whether
-the shorter one lies where the longer one says, and whether it is as bright as in the round before.
+Four tests decide about a pixel: its fringes exceed its noise, both have the same mean, the shorter one fits the longer
+one, and its brightness equals that of the round before.
 """
 
 import numpy as np
@@ -137,8 +137,10 @@ def unwrap(
 
 @compiled
 def leave_out_isolated(coordinate: Map, variance: Map, step_px: float, reason: Reasons, first: int, last: int) -> None:
-    """Of rows `first` to `last`: a pixel that fewer than three of its eight neighbours continue within `step_px` and
-    noise stands at an edge, where it sees two surfaces, or alone. Marks `reason` (H, W) only.
+    """Mask isolated pixels of the rows `first` to `last`, in `reason` (H, W) only.
+
+    If fewer than three of its eight neighbours continue within `step_px` and noise, a pixel is at an edge, where it
+    sees two surfaces, or isolated.
     """
     height, width = coordinate.shape
     for row in range(first, last):

@@ -64,7 +64,7 @@ class Account:
     delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
 
     def begin(self) -> None:
-        """Rate and delay are of what comes from now on."""
+        """Restart the measurement of rate and delay."""
         self.came_s.clear()
         self.delays_s.clear()
 
@@ -110,10 +110,11 @@ def watch(
     has_ended: Callable[[], bool],
     account: Account,
 ) -> None:
-    """Until it has ended, which is asked between rounds. `on_round` is called in the decoder's thread, with None for a
-    round that makes no cloud; what it raises is raised here. `account` is kept up to date.
+    """Decode rounds until `has_ended` returns True, which is called between rounds.
 
-    Raises DeviceError where the last round is not done within a minute, as where a disk no longer answers.
+    `on_round` is called in the decoder's thread, with None for a round without a cloud; its exceptions are raised here.
+    `account` is kept up to date. Raises DeviceError if the last round is not finished within a minute, for example if a
+    disk does not respond.
     """
     slot, failures = Newest[Round](), list[BaseException]()
     account.begin()

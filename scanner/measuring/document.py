@@ -13,7 +13,7 @@ FORMAT = 1
 
 
 def write_document(path: Path, measured: Measurements, result: str) -> None:
-    """Write all numbers; lengths are in `unit`, `null` is for what is not known. Raises OSError."""
+    """Write all numbers; lengths are in `unit`, `null` means unknown. Raises OSError."""
     path.write_text(json.dumps(_document(measured, result), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -74,8 +74,8 @@ class SphereMeasurement:
 class FaceMeasurement:
     """A face of the corner: the plane `normal` · X = `offset` (the normal faces the camera) and its flatness.
 
-    `deviation`: root mean square of the smooth part of its points' distances from the plane, which is what is left of
-    its form when the scatter of single matches is averaged out; `budget`: what of that may be the scanner's.
+    `deviation`: root mean square of the smooth part of its points' distances from the plane, without the scatter of
+    single matches; `budget`: the contribution of the scanner.
     """
 
     name: str
@@ -108,9 +108,10 @@ class PointAngle:
 
 @dataclass(frozen=True)
 class DistanceMeasurement:
-    """Between the points at two camera pixels, or between the centres of two spheres; `budget` None where unknown.
+    """Distance between the points at two camera pixels, or between the centres of two spheres; `budget` None if
+    unknown.
 
-    `points` (2, 3); `names` say what they are.
+    `points` (2, 3), and their `names`.
     """
 
     names: tuple[str, str]

@@ -1,1 +1,1 @@
-"""Things: stations of one rig → where it stood about the thing, one surface, its volume."""
+"""Things: stations of one rig → its poses relative to the thing, one surface, its volume."""

@@ -15,7 +15,7 @@ from scanner.objects.verdict import verdict_on
 from scanner.results import new_result
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import saying_why
-from scanner.rooms.live import check_stations, take_turned
+from scanner.rooms.live import check_stations, take_object_stations
 from scanner.ui import Terminal
 
 _SILENT = Terminal(quiet=True)
@@ -32,7 +32,7 @@ def scan_object(
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
 ) -> tuple[SolvedObject, Surface | None]:
-    """Put `stations` of a thing together, in any order; or take `number` of them, between which it is turned.
+    """Join `stations` of a thing, in any order; or capture `number` of them, between which it is turned.
 
     Raises InputError, DeviceError, RefusalError.
     """
@@ -47,7 +47,9 @@ def scan_object(
         if stations:
             captures = read_stations(stations, config, terminal, start.given)
         else:
-            captures = take_turned(config, number, folder, terminal, by_itself=moves_by_itself(config.required_rig))
+            captures = take_object_stations(
+                config, number, folder, terminal, by_itself=moves_by_itself(config.required_rig)
+            )
         solved = solve_object(captures, start, config, terminal)
         surface = save_object(solved, folder, config, terminal, fill=fill)
         verdict = verdict_on(solved)

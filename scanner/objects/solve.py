@@ -102,7 +102,7 @@ def _outlier_stations(registered: Registered, captures: Sequence[Decoded]) -> tu
 
 
 def outside_text(outside: Sequence[OutlierStation]) -> str:
-    """Each reason with the stations that it is of, of which three are named."""
+    """Each reason with its stations, of which three are named."""
     by_reason: dict[str, list[str]] = {}
     for each in outside:
         by_reason.setdefault(each.reason, []).append(each.name)

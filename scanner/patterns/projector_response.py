@@ -45,7 +45,7 @@ class ProjectorResponse:
 
     @cached_property
     def gamma(self) -> float:
-        """Exponent of the power law that comes nearest, by least squares of the light."""
+        """Exponent of the closest power law, by least squares of the light."""
         # A smooth curve with one parameter needs no optimiser.
         exponents = np.linspace(0.3, 5.0, 941)
         levels = np.linspace(0, 1, len(self.light))

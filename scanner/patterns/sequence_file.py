@@ -78,7 +78,7 @@ PatternEntry = Annotated[_PlainEntry | _GrayEntry | _XorEntry | _PhaseEntry, Fie
 
 
 def pattern_to_dict(pattern: Pattern) -> dict[str, Any]:
-    """A pattern as it stands in the files."""
+    """A pattern in the form of the files."""
     return {"kind": type(pattern).__name__.lower(), **asdict(pattern)}
 
 
@@ -89,7 +89,7 @@ def frame_line(file: str, pattern: Pattern, **more: object) -> str:
 
 
 def size_to_dict(size: tuple[int, int]) -> dict[str, int]:
-    """(width, height) as it stands in the files."""
+    """(width, height) in the form of the files."""
     return {"width": size[0], "height": size[1]}
 
 

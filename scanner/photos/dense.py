@@ -61,10 +61,10 @@ class _Rectified:
 
 
 def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: Matches) -> DenseCloud:
-    """Points of every pixel of the first photo that finds its like in the second.
+    """Points of every pixel of the first photo with a match in the second.
 
-    `matches` say how far apart that may be. Parts that moved, shine or repeat may be wrong; what the two directions of
-    matching disagree on is left out.
+    `matches` determine the range of disparities. Parts that moved, shine or repeat may be wrong; pixels whose
+    disparities differ between the two directions of matching are left out.
     """
     left, right, least, count = _rectified(calibration, matches)
     pictures = left.picture(first, calibration.camera), right.picture(second, calibration.projector)
@@ -83,11 +83,11 @@ def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: 
 
 
 def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, _Rectified, int, int]:
-    """Both photos' frames turned until x runs along the baseline, z staying as near as it can to both views.
+    """Both frames rotated so that x runs along the baseline, and z is as close as possible to both views.
 
-    (Fusiello, Trucco & Verri 2000; for baselines in any direction, unlike cv2.stereoRectify's two.) What the matches
-    show to be in both photos is in the pictures, whose scale keeps them, and the least disparity and the number of
-    disparities between them, which are returned as well, within bounds.
+    (Fusiello, Trucco & Verri 2000; for baselines in any direction, unlike cv2.stereoRectify's two.) The pictures
+    contain all matches, at an unchanged scale. Also returned, within bounds: the least disparity and the number of
+    disparities.
     """
     x = calibration.projector_centre / calibration.baseline
     y = np.cross(np.array([0.0, 0.0, 1.0]) + calibration.rotation[2], x)

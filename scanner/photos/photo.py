@@ -1,4 +1,4 @@
-"""Photo files: turned upright, and what their EXIF data say of the lens."""
+"""Photo files: upright pixels, and the focal length of their EXIF data."""
 
 import math
 from collections.abc import Sequence
@@ -66,13 +66,13 @@ class _Stored:
 
 
 def read_photos(paths: Sequence[Path]) -> list[Photo]:
-    """Photos of one camera, of one size, as their EXIF orientation says.
+    """Photos of one camera and size, in the orientation of their EXIF data.
 
-    A camera that was held upright for one photo and sideways for another has one sensor all the same: where the sizes
-    agree only as the files hold them, all are turned like the first, so that one principal point is true of all. Photos
-    of more than 65 megapixels are reduced by a whole factor.
+    A camera held upright for one photo and sideways for another has one sensor. If only the sizes in the files agree,
+    all photos are rotated like the first, so that one principal point holds for all. Photos of more than 65 megapixels
+    are reduced by a whole factor.
 
-    Raises InputError for a file that cannot be read, one given twice, or photos whose sizes differ.
+    Raises InputError for a file that cannot be read, one given twice, or photos of different sizes.
     """
     for i, path in enumerate(paths):
         if any(real_path(path) == real_path(other) for other in paths[:i]):

@@ -1,7 +1,6 @@
-"""Photos from top to bottom: features → matches → faces → calibration → cloud → files.
+"""Photos: features → matches → faces → calibration → cloud → files.
 
-As with captures, what was found is written also when RefusalError is raised: the matches are worth keeping, and the
-report says why.
+As with captures, a RefusalError keeps the matches, and the report gives the reason.
 """
 
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Matches, Size
 from calib.numerics import Bools
-from calib.plane_segmentation import find_alike, find_sparse_faces
+from calib.plane_segmentation import find_same_faces, find_sparse_faces
 from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, merged
 from calib.self_calibration import PrincipalPoint, SelfCalibration, anywhere, calibrate_photos
 from scanner.capture import CaptureMetadata
@@ -100,7 +99,7 @@ def _exif_prior(photo: Photo) -> tuple[float, float]:
 
 
 def _pairs(photos: Sequence[Photo], matches: Matches) -> list[Decoded]:
-    """The first photo with each of the others, the second one last: a result is about what comes last."""
+    """The first photo with each of the others, the second one last, because the result concerns the last pair."""
     first = photos[0]
     exif = "not stated" if first.focal_px is None else f"{first.focal_px:.0f} px"
     return [
@@ -148,7 +147,7 @@ def _labelled(pair: Decoded, masks: Bools | None, newest: Decoded | None) -> Dec
     if masks is not None:
         return pair.with_matches(label_by_masks(matches, masks), pair.plane)
     if newest is not None:
-        faces = find_alike(newest.matches, matches, size)
+        faces = find_same_faces(newest.matches, matches, size)
     elif matches.face is None:
         faces = find_sparse_faces(matches, size)
     else:

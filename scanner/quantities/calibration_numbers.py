@@ -29,7 +29,7 @@ class Quantity:
 
     @property
     def decimals(self) -> int:
-        """The number of decimals that shows two digits of sigma, or five significant digits where there is no sigma."""
+        """Number of decimals for two digits of sigma, or five significant digits without a sigma."""
         if self.sigma:
             return max(0, 1 - floor(log10(self.sigma)))
         size = max(abs(self.value), 1.0 if self.unit else 1e-4)
@@ -65,7 +65,7 @@ def plain(value: float, decimals: int, *, signed: bool = False) -> str:
 
 
 def percent(share: float) -> str:
-    """A share for reading: what exists is never 0 %, and what is missing something never 100 %."""
+    """Format a share: a nonzero one is never 0 %, and one below 1 never 100 %."""
     value = 100 * share
     if 0 < value < 0.1:
         return "< 0.1 %"

@@ -16,7 +16,7 @@ from scanner.quantities.calibration_numbers import (
 
 
 def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
-    """The calibration with its sigmas where known, beside the truth where there is one."""
+    """The calibration with its sigmas, and the truth if it is known."""
     table = Table(title="Calibration", title_justify="left", box=box.SIMPLE, pad_edge=False, collapse_padding=True)
     table.add_column("", no_wrap=True)
     for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):

@@ -1,4 +1,4 @@
-"""Units of length: what a result may be in, and what a person may write on the command line."""
+"""Units of length in results and on the command line."""
 
 import re
 

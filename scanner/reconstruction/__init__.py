@@ -1,4 +1,4 @@
-"""Captures → calibration → clouds → what is saved."""
+"""Captures → calibration → clouds → files."""
 
 from scanner.reconstruction.calibrate import calibrate, label, refuse_few, refuse_impossible, solve
 from scanner.reconstruction.earlier_captures import read_captures

@@ -94,7 +94,7 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
 def _scaled(
     labelled: Sequence[Decoded], solutions: Sequence[SelfCalibration], config: Config
 ) -> tuple[Calibration, Sequence[SelfCalibration]]:
-    """The calibration with its scale, and the solutions, whose uncertainty may say what the scale goes with."""
+    """The calibration with its scale, and the solutions, whose uncertainty may correlate with the scale."""
     newest = solutions[-1]
     if newest.known is not None:
         return newest.metric, solutions

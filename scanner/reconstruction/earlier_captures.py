@@ -25,9 +25,9 @@ def read_captures(
 ) -> list[Decoded]:
     """The captures in matches files and result folders; a result of several captures stands for all of them.
 
-    A calibration among them, as of boards, is no capture, and is only checked: `read_known`. `one_axis`: matches of
-    which one coordinate follows from a calibration will do. Raises InputError, naming
-    the file, if one is damaged, belongs to images of another size, or is given twice.
+    A calibration among them, such as of boards, is no capture, and is only checked: `read_known`. `one_axis`: accept
+    matches with one coordinate derived from a calibration. Raises InputError, naming the file, if one is damaged,
+    belongs to images of another size, or is given twice.
     """
     read_known(paths, camera_size, projector_size)
     captures: list[Decoded] = []

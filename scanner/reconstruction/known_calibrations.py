@@ -1,4 +1,4 @@
-"""Results that are a calibration and no captures, as of boards: what they say of a rig is joined with captures."""
+"""Results that are a calibration without captures, such as of boards: they are combined with captures."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -86,9 +86,9 @@ def _how_well(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud
 
 
 def consistency(clouds: Sequence[Cloud], views: Sequence[View], turns: Sequence[int]) -> Floats:
-    """Distances of points of each capture from the surface that another one saw there, relative to their own, (M,).
+    """Distances of points of each capture from the surface of another one there, relative to their depth, (M,).
 
-    Only where the other saw about the same depth: what hides behind something else says nothing.
+    Only points where the other saw about the same depth count, because others may be hidden.
     """
     apart = []
     for i, (cloud, view) in enumerate(zip(clouds, views, strict=True)):

@@ -21,7 +21,7 @@ def refuse_moved(capture: Decoded) -> None:
 
 
 def refuse_costly(captures: Sequence[Decoded], solution: SelfCalibration) -> None:
-    """Raise RefusalError for the capture with the largest motion, if what is left of it costs the solution too much."""
+    """Raise RefusalError for the capture with the largest motion, if its effect on the solution is too large."""
     if solution.likely_percent > max(_MOST_PERCENT, solution.at_rest_percent):
         motions = [capture.decoding.motion for capture in captures if capture.decoding and capture.decoding.motion]
         raise moved(max(motions, key=lambda motion: motion.size_px))

@@ -47,9 +47,9 @@ _ONE_OF_SEVERAL = (
 
 
 def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
-    """Make room for the next capture: the last one's recording goes to its place among several, with its matches.
+    """Make room for the next capture: move the last one's recording to its place among several, with its matches.
 
-    Should the next one fail, what is needed to calibrate from those before it is on disk.
+    If the next one fails, everything needed to calibrate from the earlier ones is on disk.
     """
     place = folder_of(folder, len(captures) - 1, len(captures) + 1)
     place.mkdir(parents=True)
@@ -95,15 +95,15 @@ def _write_matches(place: Path, capture: Decoded) -> None:
 def refusal_saved(
     captures: Sequence[Decoded], folder: Path, config: Config, matches: MatchesAhead | None = None
 ) -> Iterator[list[Stage]]:
-    """Gives a list in which the block notes the stage that each capture has reached.
+    """Yield a list in which the block notes the stage of each capture.
 
-    After a RefusalError in the block what was reached is written into a result's folder, without calibration or cloud.
+    After a RefusalError in the block, these stages are written into a result folder, without calibration or cloud.
     """
     reached: list[Stage] = [*captures]
     try:
         yield reached
     except RefusalError as refusal:
-        named = _for_want_of_light(refusal, [decoded_of(stage) for stage in reached])
+        named = _refused_for_darkness(refusal, [decoded_of(stage) for stage in reached])
         _log(remarks_on(reached[-1]))
         _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
         if named is refusal:
@@ -111,7 +111,7 @@ def refusal_saved(
         raise named from refusal
 
 
-def _for_want_of_light(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
+def _refused_for_darkness(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
     """The refusal; if a capture is nearly black, a refusal for that, because it may cause any other."""
     for capture in captures:
         if capture.decoding is not None and capture.decoding.darkness is not None:
@@ -140,7 +140,7 @@ def _save(
     merged: MergedCloud | None = None,
     remarks: tuple[str, ...] = (),
 ) -> None:
-    """Write what each capture came to; `merged` and `remarks` are on the newest one's page."""
+    """Write the stage of each capture; `merged` and `remarks` are on the page of the newest one."""
     count, truth = len(captures), captures[-1].decoded.metadata.truth
     write = _write_matches if matches is None else matches.write
     places = [folder_of(folder, index, count) for index in range(count)]
@@ -166,7 +166,7 @@ def _save(
 def _write_report(
     folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None, made: Provenance
 ) -> None:
-    """A capture's report, and its calibration, which says what the report concludes."""
+    """A capture's report, and its calibration with the conclusions of the report."""
     # Names of unfinished files begin with a dot.
     files = {MATCHES_FILE, *(path.name for path in folder.iterdir() if not path.name.startswith("."))}
     if isinstance(capture, Refused):

@@ -27,9 +27,10 @@ class _Sheet:
 def scaled_by_sheet(
     calibration: Calibration, uncertainty: Uncertainty | None, captures: Sequence[Decoded], settings: CharucoSettings
 ) -> tuple[Calibration, Uncertainty | None]:
-    """A calibration of these captures in metres, by the sheet in those that show it.
+    """A calibration of these captures in metres, by the board in those that show it.
 
-    Its uncertainty says how the baseline goes with the calibration's columns. Raises RefusalError if none shows it.
+    Its uncertainty includes the correlation of the baseline with the calibration's columns. Raises RefusalError if no
+    capture shows it.
     """
     sheet = _Sheet(
         Target("charuco", settings.columns, settings.rows, settings.square_mm * _MM),

@@ -22,9 +22,10 @@ _HIGHEST = 65_535
 
 @dataclass(frozen=True)
 class Averaged:
-    """Light from 0 to 1, (pictures, H, W), upright or not; luma (H, W) of the frames that were `kept`.
+    """Light from 0 to 1, (pictures, H, W), upright or not; luma (H, W) of the `kept` frames.
 
-    `passes` (2, pictures, H / step, W / step): what of that comes from frames there and back, at every `step`-th pixel.
+    `passes` (2, pictures, H / step, W / step): the parts from the forward and the backward pass, at every `step`-th
+    pixel.
     """
 
     pictures: Light

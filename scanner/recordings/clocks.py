@@ -1,9 +1,9 @@
-"""The clocks of a projector and a camera that nothing synchronised, from what the frames show.
+"""The clocks of an unsynchronised projector and camera, from the frames.
 
 Row r of frame n is exposed for E from t_n + (r − r_m) L − E / 2 on: t_n is the frame's time, r_m the middle row, L the
-line time, E the exposure. The picture changes at b + j T, in time of the camera. So of two pictures the share of the
-later one is (time exposed after the change) / E in every row, and that is what light says (Moreno, Calakli and Taubin,
-SIGGRAPH Asia 2015, use the same in binary pictures).
+line time, E the exposure. The picture changes at b + j T, in the camera's time. So of two pictures, the share of the
+later one is (time exposed after the change) / E in every row, which the light shows (Moreno, Calakli and Taubin,
+SIGGRAPH Asia 2015, use the same with binary pictures).
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,9 @@ from scanner.recordings.tone_curve import ToneCurve
 
 @dataclass(frozen=True)
 class Clocks:
-    """`loops` with their beginnings and slots refined; `shifts_s`: for each loop, how much later than evenly each of
-    its changes came, (slots + 1,); `scatter_s` (root mean square) of what is left of that.
+    """`loops` with refined starts and slots; `shifts_s`: for each loop, the delays of its changes, (slots + 1,).
+
+    `scatter_s`: root mean square of their residuals.
     """
 
     exposure_s: float

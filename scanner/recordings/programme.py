@@ -77,7 +77,7 @@ class Programme:
 
     @property
     def turn(self) -> int:
-        """The slot of a loop from which on its patterns come in reverse order."""
+        """The slot of a loop from which its patterns are in reverse order."""
         return len(self.mark) + len(self.patterns)
 
     def slots_of(self, pattern: int) -> tuple[int, int]:

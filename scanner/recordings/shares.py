@@ -89,7 +89,7 @@ def loss(off: Floats) -> Floats:
 
 
 def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> tuple[Light, Bools]:
-    """The light (R, C) of the rows that were exposed in the middle of a slot; of which (R,) nothing else was lit."""
+    """Light (R, C) of the rows that were exposed in the middle of a slot; and which (R,) show nothing else."""
     delays = clocks.row_delays(samples.rows, samples.middle_row)
     first, last = np.searchsorted(samples.times_s, (begins - np.ptp(delays), ends + np.ptp(delays)))
     frames = np.arange(max(first - 1, 0), min(last + 1, len(samples.times_s)))

@@ -1,7 +1,7 @@
 """Estimate the smooth fringe shift due to video compression, from the difference of the forward and the backward pass.
 
-An encoder errs independently each time a picture is shown, and what a picture leaves in the next one has the opposite
-sign in reverse order. So half the difference of the two passes is as large as the error of their mean.
+Errors of an encoder are independent each time a picture is shown, and ghosting has the opposite sign in reverse order.
+So half the difference of the two passes is as large as the error of their mean.
 """
 
 import math

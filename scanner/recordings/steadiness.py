@@ -71,7 +71,7 @@ def exposure_range(samples: VideoSamples, numbers: Ints, clocks: Clocks) -> floa
 
 
 def notes_on(path: object, shift_px: float, exposure: float) -> tuple[str, ...]:
-    """Sentences on what is more than usual. Raises InputError for what spoils a scan."""
+    """Notes on unusual motion and exposure. Raises InputError if they spoil a scan."""
     notes = []
     if shift_px > _NAMED_PX:
         moved = f"the picture moved by {shift_px:.1f} px: the camera stood unsteadily, or its stabilisation was on"

@@ -1,4 +1,4 @@
-"""A camera's tone curve: which light a code of its video stands for."""
+"""A camera's tone curve: the light of each code of its video."""
 
 from dataclasses import dataclass
 from functools import cached_property

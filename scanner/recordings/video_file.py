@@ -21,9 +21,9 @@ _LUMA_FIRST = ("yuv", "nv", "gray", "p0")  # formats whose first plane is luma
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A recording that can be read. `size`: as coded, before it is turned by `quarter_turns` counterclockwise.
+    """A readable recording. `size`: as coded, before rotation by `quarter_turns` counterclockwise.
 
-    `codes`: of its luma. `expected_frames`: as the file says, 0 if it does not.
+    `codes`: of its luma. `expected_frames`: as stated in the file, 0 if not.
     """
 
     path: Path
@@ -55,7 +55,7 @@ class VideoFile:
 
 
 def open_video(path: Path) -> VideoFile:
-    """Look at the first frames. Raises InputError for what is no recording."""
+    """Open a recording and read its first frames. Raises InputError for other files."""
     if not path.is_file():
         raise InputError(
             f"{path}: expected a recording (mp4, mov, mkv), found {'a folder' if path.is_dir() else 'no such file'}"

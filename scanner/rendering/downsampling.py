@@ -1,4 +1,4 @@
-"""Maps of millions of pixels, reduced to what a page shows of them."""
+"""Maps of millions of pixels, reduced for a page."""
 
 from math import ceil, sqrt
 
@@ -16,9 +16,9 @@ _GOLDEN_RATIO, _MIXER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF584
 
 @compiled
 def averaged(values: Map, size: tuple[int, int]) -> Map:
-    """A map (H, W) with NaN for nothing, reduced to `size` = (width, height) by averaging what is there.
+    """A map (H, W), NaN for none, reduced to `size` = (width, height) by averaging valid values.
 
-    A pixel counts by how much of it lies in one of the new ones.
+    A pixel counts by its overlap with the new one.
     """
     reduced = np.empty((size[1], size[0]), np.float32)
     row_step, column_step = values.shape[0] / reduced.shape[0], values.shape[1] / reduced.shape[1]

@@ -50,7 +50,7 @@ def shaded_colours(
 ) -> NDArray[np.uint8]:
     """Opaque RGBA (N, 4) of the points `index` (N,) under a `lamp` (3,), a unit vector towards it.
 
-    Of all points `colours` (M, 3) and `normals` (M, 3); `brightness` (256,) is what a colour becomes in full light.
+    `colours` (M, 3) and `normals` (M, 3) of all points; `brightness` (256,): table of a colour in full light.
     """
     shaded = np.full((len(index), 4), _OPAQUE, np.uint8)
     for i in range(len(index)):

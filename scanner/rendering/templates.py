@@ -1,4 +1,4 @@
-"""Pages from templates: what comes from a file or a device stays text."""
+"""Pages from templates: text from files and devices is escaped."""
 
 import base64
 import hashlib

@@ -1,4 +1,4 @@
-"""The parts of the report: what goes in, the verdict, the numbers, the pictures, the plots."""
+"""The parts of the report: its input, the verdict, the numbers, the pictures, the plots."""
 
 from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.page import write_report

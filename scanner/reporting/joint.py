@@ -1,4 +1,4 @@
-"""Several captures of one rig on one page: what each contributed, and the cloud that they make together."""
+"""Several captures of one rig on one page: the contribution of each, and their common cloud."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _CAPTIONS = {
 
 @dataclass(frozen=True)
 class JointRow:
-    """A capture as text: its report's address, matches, residual, decoder's noise and points; '–' for what is not."""
+    """A capture as text: address of its report, matches, residual, decoder's noise and points; '–' for missing ones."""
 
     name: str
     report: str

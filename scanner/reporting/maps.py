@@ -39,7 +39,7 @@ _SIGMAS = part_of(cv2.COLORMAP_CIVIDIS, 25, 255)
 
 @dataclass(frozen=True)
 class ColourScale:
-    """A continuous legend: CSS colours from the low to the high end, and what the ends mean."""
+    """A continuous legend: CSS colours from the low to the high end, and labels of the ends."""
 
     colours: tuple[str, ...]
     low: str
@@ -131,7 +131,7 @@ def _cropped(values: Map) -> Map:
 
 
 def _reduced(values: Map, longest_side: int = LONGEST_SIDE) -> Map:
-    """A map (H, W) with NaN for nothing, reduced by averaging what is there."""
+    """A map (H, W), NaN for none, reduced by averaging valid values."""
     return averaged(values, reduced_size(values.shape[1], values.shape[0], longest_side))
 
 

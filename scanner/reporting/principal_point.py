@@ -12,7 +12,7 @@ _SHIFT_PX = 10.0
 
 
 @dataclass(frozen=True)
-class Price:
+class PrincipalPointEffect:
     """The effect of the assumption: `sentences` for a person, none without one; `per_px`: relative change of the larger
     focal length.
     """
@@ -21,10 +21,10 @@ class Price:
     per_px: float = 0.0
 
 
-def price_of_principal_point(solution: SelfCalibration | None) -> Price:
+def effect_of_principal_point(solution: SelfCalibration | None) -> PrincipalPointEffect:
     """Return the effect of an error in a principal point that was taken as known."""
     if solution is None or solution.uncertainty is None or solution.uncertainty.by_principal_point is None:
-        return Price()
+        return PrincipalPointEffect()
     by_pixel = solution.uncertainty.by_principal_point[[CAMERA.start, PROJECTOR.start]]  # of log f
     effects = [
         f"{_SHIFT_PX:g} px in {axis} would move the camera's focal length by {plain(100 * camera, 2, signed=True)} % "
@@ -32,4 +32,4 @@ def price_of_principal_point(solution: SelfCalibration | None) -> Price:
         for axis, (camera, projector) in zip("xy", _SHIFT_PX * by_pixel.T, strict=True)
     ]
     sentence = f"The camera's principal point was taken as known. If it is elsewhere: {'; '.join(effects)}."
-    return Price((sentence,), float(np.linalg.norm(by_pixel, axis=1).max()))
+    return PrincipalPointEffect((sentence,), float(np.linalg.norm(by_pixel, axis=1).max()))

@@ -26,7 +26,7 @@ _SHOWN_SHARE = 99
 
 @dataclass(frozen=True)
 class Residuals:
-    """`maps` with a caption each, a `histogram` of them, and what the test says in a sentence."""
+    """`maps` with a caption each, a `histogram` of them, and the result of the test as a sentence."""
 
     maps: tuple[tuple[ScaledMap, str], ...]
     histogram: Markup
@@ -144,7 +144,7 @@ def _on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> NDArray[np
 
 
 def _shown_range(report: ReportInput, cloud: Cloud) -> float:
-    """Half-width of the scale: what all but a hundredth of the points stay within."""
+    """Half-width of the scale, which contains 99 % of the points."""
     kept = np.abs(cloud.residual_px.ravel()[report.in_cloud[1]])
     return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
 

@@ -19,7 +19,7 @@ _NEAR_THE_RIGHT = 0.8
 
 @dataclass(frozen=True)
 class Scale:
-    """An axis from `low` to `high`, linear or logarithmic, and what it says."""
+    """An axis from `low` to `high`, linear or logarithmic, and its label."""
 
     low: float
     high: float
@@ -68,7 +68,7 @@ class Plot:
         self._inside.append(f'<polygon class="{kind}" points="{points}"/>')
 
     def dot(self, x: float, y: float, text: str) -> None:
-        """A marked point and what it is."""
+        """A marked point with its label."""
         (a,), (b,) = self._placed(np.array([x]), np.array([y]))
         self._inside.append(f'<circle class="dot" cx="{a:.1f}" cy="{b:.1f}" r="4.5"/>')
         if text:

@@ -13,7 +13,7 @@ from scanner.decoding import UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.principal_point import price_of_principal_point
+from scanner.reporting.principal_point import effect_of_principal_point
 from scanner.results import MEASUREMENT_GRADE, Reconstructed, Refused, SelfCalibrated, Verdict
 
 _SYSTEMATIC_MISS_PX = 1.0
@@ -140,7 +140,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         return Verdict("fair", _DOUBTFUL_CENTRE, (doubt, *reasons), _CHECK_THE_CENTRE)
     if _misses_systematically(statistics):
         return Verdict("fair", "Calibrated, but with systematic errors", tuple(reasons), _LOOK_AT_THE_MISSES)
-    price = price_of_principal_point(calibrated.solution)
+    price = effect_of_principal_point(calibrated.solution)
     reasons += price.sentences
     if price.per_px * _CALIBRATED_CENTRE_PX > _MOST_BY_CENTRE:
         headline = "Calibrated, as well as the principal point that was given"

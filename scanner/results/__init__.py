@@ -1,4 +1,4 @@
-"""A result: its folder, its verdict, what it states about itself."""
+"""A result: its folder, its verdict, its metadata."""
 
 from scanner.results.finished_room import FinishedRoom, PlacedScan, read_finished_room
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
@@ -25,9 +25,9 @@ from scanner.results.names import (
     ROOM_FILE,
     ROOM_MESH_FILE,
     TRUTH_FILE,
-    beside,
     default_out,
     folder_of,
+    path_beside,
     refuse_occupied,
     unused,
 )

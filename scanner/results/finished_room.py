@@ -39,7 +39,7 @@ class FinishedRoom:
 
 
 def read_finished_room(folder: Path) -> FinishedRoom | None:
-    """None if the folder holds neither. Raises InputError if what it holds is malformed."""
+    """None if the folder holds neither. Raises InputError if its content is malformed."""
     name = next((name for name in _CLOUDS if (folder / name).is_file()), None)
     if name is None:
         return None

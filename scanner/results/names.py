@@ -66,7 +66,7 @@ def default_out(stem: str, *, overwrite: bool) -> Path:
     return out if overwrite else unused(out)
 
 
-def beside(result: Path, ending: str) -> Path:
+def path_beside(result: Path, ending: str) -> Path:
     """A path beside a result, derived from its name: the result folder itself is not changed."""
     folder = result.resolve()
     name = f"{folder.name}{ending}"
@@ -74,7 +74,7 @@ def beside(result: Path, ending: str) -> Path:
 
 
 def unused(path: Path) -> Path:
-    """The path, or with -2, -3 … added what is neither there nor being made."""
+    """The path, or with -2, -3 … added one that neither exists nor is being made."""
     candidate, number = path, 1
     while candidate.exists() or is_held(candidate):
         number += 1

@@ -1,4 +1,4 @@
-"""Provenance: what a page or a file states about its origin, for readers years later."""
+"""Provenance of a page or a file, for readers years later."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Provenance:
         return f"{self.made:%Y-%m-%d, %H:%M} UTC"
 
     def entries(self, devices: Mapping[str, str]) -> dict[str, Any]:
-        """A key for a calibration file; `devices`: what the capture says about them and itself."""
+        """A key for a calibration file; `devices`: the capture's metadata."""
         return {
             "made": {
                 "name": self.name,

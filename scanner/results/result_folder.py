@@ -15,7 +15,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError, StorageError, cannot_write, is_of_the_disk
 from scanner.interruption import finishing
 from scanner.io import MATCHES_FILE, missing_folders, remove_empty, sync_tree
-from scanner.results.leftovers import frames_in, keep_recording, kept_words, settle
+from scanner.results.leftovers import frames_in, keep_recording, kept_text, settle
 from scanner.results.names import (
     CAPTURE_FOLDER,
     CAPTURES_FOLDER,
@@ -26,7 +26,7 @@ from scanner.results.names import (
     refuse_to_lose,
     unused,
 )
-from scanner.results.unfinished import STATE, Claim, HeldError, State, partial_of, publish
+from scanner.results.unfinished import STATE, Claim, LockedError, State, partial_of, publish
 from scanner.ui import LogFile
 
 log = logging.getLogger(__name__)
@@ -91,22 +91,22 @@ class OutputFolder:
         try:
             self._claim = self._claimed()
             self._claim.say(State.LIVE if self._keep_capture else State.MADE)
-        except HeldError as error:
+        except LockedError as error:
             raise InputError(f"{self._shown}: {error}") from error
         except OSError as error:
             raise cannot_write(self._shown, error, "made") from error
         return self
 
     def _claimed(self) -> Claim:
-        """The folder, made and locked. Raises HeldError, OSError."""
-        held = HeldError("another scan is beginning there now; choose another --out")
+        """The folder, made and locked. Raises LockedError, OSError."""
+        held = LockedError("another scan is beginning there now; choose another --out")
         for _ in range(_ATTEMPTS):
             self.folder.mkdir(parents=True, exist_ok=True)
             try:
                 claim = Claim(self.folder / STATE, make=True)
             except FileNotFoundError:
                 continue  # another scan took it for an empty folder left by a killed program
-            except HeldError as error:
+            except LockedError as error:
                 held = error  # held only for a moment, if another scan is checking for leftovers
                 time.sleep(_PAUSE_S)
                 continue
@@ -180,7 +180,7 @@ class OutputFolder:
             kept = keep_recording(self.folder, self.out)
         except OSError as error:
             return f"The frames captured so far are in {self.folder} ({cannot_write(self.folder, error)})."
-        return kept_words(self._shown.with_name(kept.name), refuted=refuted)
+        return kept_text(self._shown.with_name(kept.name), refuted=refuted)
 
     def _discard(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)  # the next scan settles what remains

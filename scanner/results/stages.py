@@ -49,10 +49,10 @@ AS_SHOWN = Panel(np.eye(3))
 
 @dataclass(frozen=True)
 class Decoded:
-    """A capture as matches, which carry face labels as soon as these are known; `origin` says where they come from.
+    """A capture as matches, with face labels once these are known; `origin` is their source.
 
-    `plane` (N,) is which plane each match is on, as of `Faces`, where the faces were found and not given. `name` says
-    in messages which of several captures it is. `panel`: what the projector's pixels are of; None until that is known.
+    `plane` (N,): the plane of each match, as of `Faces`, if the faces were found and not given. `name`: of the capture
+    in messages. `panel`: the meaning of the projector's pixels; None until it is known.
     """
 
     metadata: CaptureMetadata
@@ -82,7 +82,7 @@ class Decoded:
         return self.origin.only_axis
 
     def noting(self, *sentences: str) -> "Decoded":
-        """The same capture, of which a person should know this before all that decoding has found."""
+        """The same capture with a note before all remarks of the decoder."""
         if self.decoding is None or not sentences:
             return self
         return replace(self, origin=replace(self.decoding, warnings=(*sentences, *self.decoding.warnings)))

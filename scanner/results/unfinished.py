@@ -33,7 +33,7 @@ class State(StrEnum):
     REPLACING = "replacing"
 
 
-class HeldError(InputError):
+class LockedError(InputError):
     """Another process is making the same."""
 
 
@@ -60,13 +60,13 @@ def is_held(out: Path) -> bool:
         return False
     try:
         Claim(state).release()
-    except (HeldError, OSError):
+    except (LockedError, OSError):
         return True
     return False
 
 
 class Claim:
-    """The lock on a state file, held until `release`. Raises HeldError if another process has it, OSError."""
+    """The lock on a state file, held until `release`. Raises LockedError if another process has it, OSError."""
 
     def __init__(self, path: Path, *, make: bool = False) -> None:
         self.path = path
@@ -79,7 +79,7 @@ class Claim:
                 return  # a file system without locks: assume that nobody is at work
             os.close(self._file)
             by = f" (process {holder[0]})" if holder else ""
-            raise HeldError(
+            raise LockedError(
                 f"another scan is writing there now{by}: wait for it, or choose another --out; if there is none, "
                 f"remove {path.parent}"
             ) from error
@@ -112,7 +112,7 @@ class Claim:
 
 
 def publish(partial: Path, out: Path) -> None:
-    """Let a whole folder take its place, and what is there go. Raises OSError."""
+    """Move a complete folder into its place, and remove an earlier one. Raises OSError."""
     if not out.exists() or not exchange(partial, out):
         if out.exists():
             out.rename(_older(out))
@@ -121,7 +121,7 @@ def publish(partial: Path, out: Path) -> None:
 
 
 def finish_publishing(out: Path) -> None:
-    """Finish what a killed process had left to do when its result was in its place. Raises HeldError, OSError."""
+    """Finish the publication of a killed process whose result was in its place. Raises LockedError, OSError."""
     if (out / STATE).is_file() and not out.is_symlink():
         claim = Claim(out / STATE)
         try:

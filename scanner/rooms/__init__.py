@@ -1,1 +1,1 @@
-"""Whole rooms: stations → the rig, where each stood, the walls; and everything that a person gets of it."""
+"""Whole rooms: stations → the rig, its poses, the walls; and the files for people."""

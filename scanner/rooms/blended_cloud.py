@@ -1,4 +1,4 @@
-"""All stations' points in one cloud: thinned by voxels, within each of which what several stations saw is blended."""
+"""All stations' points in one cloud: thinned by voxels, in each of which the points of several stations are blended."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ _LEAST_DENSITY = 0.01  # points per pixel
 
 
 def grid_of(stations: Sequence[Station], calibration: Calibration) -> float:
-    """Edge of a voxel: what a few camera pixels see at the median distance, more where not every pixel has a point."""
+    """Edge of a voxel: the span of a few camera pixels at the median distance, larger for sparse points."""
     depths = np.concatenate([station.cloud.points[..., 2][station.cloud.there][::100] for station in stations])
     spacing = max(spacing_px(station.cloud.there) for station in stations)
     return spacing * _VOXEL_PX * float(np.median(depths)) / float(np.mean(calibration.camera.focal_px))

@@ -1,8 +1,8 @@
-"""Pictures of one room, each lit from where its projector stood, made as bright as each other where they overlap.
+"""Pictures of one room, each lit by its own projector position, equalised where they overlap.
 
 Each picture is multiplied by a smooth field, whose logarithm is linear between the nodes of a coarse grid. Least
-squares over all points that two pictures show make their logarithms agree (as exposures of panoramas are made to: Brown
-and Lowe, "Automatic panoramic image stitching using invariant features", 2007, but with a field for each picture).
+squares over all points that two pictures show equalises their logarithms (like exposures of panoramas: Brown and Lowe,
+"Automatic panoramic image stitching using invariant features", 2007, but with a field for each picture).
 """
 
 from collections.abc import Sequence

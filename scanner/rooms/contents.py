@@ -31,11 +31,11 @@ class RigStart:
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A capture at its place. `cloud` is in the camera's frame, `plane` (H, W) is which plane of the room a pixel is
-    on, −1 for none.
+    """A capture with its pose. `cloud` is in the camera's frame, `plane` (H, W) is the room's plane of a pixel, −1 for
+    none.
 
-    `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its turn about the room's axes and
-    of its translation, against the first station; NaN in a direction that nothing holds.
+    `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its rotation about the room's axes
+    and of its translation, relative to the first station; NaN in undetermined directions.
     """
 
     decoded: Decoded

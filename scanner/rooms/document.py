@@ -22,11 +22,10 @@ _OF_STATIONS = (CAPTURE_FILE, MATCHES_FILE, CAPTURES_FOLDER)
 def read_stations(
     paths: Sequence[Path], config: Config, progress: Progress, calibration: Calibration | None = None
 ) -> list[Decoded]:
-    """Captures are decoded; results and matches are read. In the order given. With a `calibration`, patterns along
-    one axis are enough.
+    """Decode captures, and read results and matches, in the given order.
 
-    A room or a thing stands for all its stations. Raises InputError if a file is damaged, belongs to images of another
-    size, or is given twice.
+    With a `calibration`, patterns along one axis are enough. A room or a thing stands for all its stations. Raises
+    InputError if a file is damaged, belongs to images of another size, or is given twice.
     """
     twice = [path for number, path in enumerate(paths) if real_path(path) in map(real_path, paths[:number])]
     if twice:

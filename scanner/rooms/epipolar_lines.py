@@ -33,7 +33,7 @@ class LineOffsets:
         """Root mean square over the tiles; infinite if there are none."""
         return float(np.sqrt(np.mean(self.median_px**2))) if len(self.median_px) else np.inf
 
-    def far_px(self, usual_px: float) -> float | None:
+    def deviation_px(self, usual_px: float) -> float | None:
         """By how much the capture is off, if by more than noise and `usual_px`, as the rig's own captures are."""
         if len(self.median_px) == 0:
             return None
@@ -66,7 +66,7 @@ def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dic
     """
     offsets = [line_offsets(each, calibration) for each in captures]
     usual = usual_px(offsets)
-    far = {k: each.far_px(usual) for k, each in enumerate(offsets)}
+    far = {k: each.deviation_px(usual) for k, each in enumerate(offsets)}
     return {
         k: f"its matches are {px:.2g} projector px off the epipolar lines of the others' rig"
         for k, px in far.items()

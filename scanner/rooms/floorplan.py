@@ -1,7 +1,7 @@
-"""A room's floor plan: walls as lines, corners where two of them meet, and every length, height and angle ± sigma.
+"""A room's floor plan: walls as lines, their corners, and every length, height and angle ± sigma.
 
-A wall is an upright plane behind which nothing was seen; other upright planes are furniture. Walls end where they were
-seen to end, or meet the nearest other wall, if what is missing in between is less than half of what was seen.
+A wall is an upright plane with nothing visible behind it; other upright planes are furniture. A wall ends where its
+visible part ends, or at the nearest other wall, if the gap is less than half of the visible lengths.
 """
 
 from collections.abc import Sequence

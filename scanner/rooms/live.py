@@ -82,7 +82,9 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     return captures, rig_of(corners, captures)
 
 
-def take_turned(config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool) -> list[Decoded]:
+def take_object_stations(
+    config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool
+) -> list[Decoded]:
     """Capture a thing this many times, or fewer if the operator ends, with the rig at rest. Raises DeviceError."""
     captures: list[Decoded] = []
     for step in range(number):
@@ -117,7 +119,7 @@ class Comparison:
     compare: Callable[[Sequence[Decoded], Calibration], list[str]] = field(default_factory=lambda: _guidance)
 
     def guidance(self, captures: Sequence[Decoded], calibration: Calibration) -> list[str]:
-        """What the newest stations say of each other: of a room, what the last overlaps, and where to stand next."""
+        """Sentences about the newest stations: in a room, their overlap, and where to go next."""
         began = time.monotonic()
         chosen = captures[len(captures) - self.within_patience(len(captures)) :]
         sentences = self.compare(chosen, calibration)

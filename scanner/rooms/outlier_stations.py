@@ -23,9 +23,9 @@ _ALL_ROUND = "the stations saw the whole room"
 def outlier_stations_of(
     registration: Registration, captures: Sequence[Decoded], calibration: Calibration, stations: Sequence[Station]
 ) -> tuple[OutlierStation, ...]:
-    """All captures that are not of the largest group, and what is known of why.
+    """All captures outside the largest group, with reasons.
 
-    `calibration`: the rig that this group has measured; `stations`: of it, in the room's frame, z up.
+    `calibration`: the rig as estimated by this group; `stations`: its stations, in the room's frame, z up.
     """
     alone = {left.station: left for left in registration.left_out}
     beside = {k: group.stations for group in registration.groups[1:] for k in group.stations}

@@ -1,4 +1,4 @@
-"""report.html of a room: whether it can be trusted, what was measured, how the stations hold each other."""
+"""report.html of a room: the verdict, the measurements, and the connections between stations."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _FILES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Of the overlap matrix: what it says, and how dark it is, up to 1."""
+    """A cell of the overlap matrix: its text, and how dark it is, up to 1."""
 
     text: str
     shade: float

@@ -67,7 +67,7 @@ def look_at(capture: Decoded, calibration: Calibration) -> Seen:
 
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
-    """Raises RefusalError if no two stations belong together, or what they say contradicts itself."""
+    """Raises RefusalError if no two stations belong together, or if they contradict each other."""
     registered = _registered(captures, start.calibration, {}, progress)
     estimate = _estimate(registered, start, config, progress)
     turned: dict[int, str] = {}
@@ -84,7 +84,7 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
         registered = again
         start = start if start.given else replace(start, calibration=rig)
         estimate = _estimate(registered, start, config, progress)
-    estimate, by_surfaces = _held_against_surfaces(registered, estimate, start, progress)
+    estimate, by_surfaces = _checked_against_surfaces(registered, estimate, start, progress)
     return _finished(registered, estimate, start, config, by_surfaces)
 
 
@@ -107,7 +107,7 @@ class _Registered:
         return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
 
     def is_settled_by(self, measured: Calibration, turned: Mapping[int, str]) -> bool:
-        """Whether all captures of the rig belong together, by the rig that they have measured, too."""
+        """Whether all captures of the rig belong together, also with the estimated rig."""
         changed = of_another_rig([each.decoded.matches for each in self.seen], measured)
         as_before = changed.keys() | turned.keys() == self.changed.keys()
         return as_before and len(self.members) + len(self.changed) == len(self.seen)
@@ -116,7 +116,7 @@ class _Registered:
 def _registered(
     captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, str], progress: Progress
 ) -> _Registered:
-    """Without those that are known to be `turned`. Raises RefusalError if no two belong together."""
+    """Register the captures without those known to be `turned`. Raises RefusalError if no two belong together."""
     seen = [look_at(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
     changed = {**turned, **of_another_rig([each.matches for each in captures], rig)}
     with progress.step("Registering"):
@@ -130,7 +130,7 @@ def _registered(
 
 
 def _turned(registered: _Registered, estimate: RoomEstimate) -> dict[int, str]:
-    """Captures of a rig that others do not share, by what they saw of the room; and by how much it was turned."""
+    """Captures with a changed rig, by the planes that they saw; with the size of the change."""
     stations = registered.registration.groups[0].stations
     return {
         stations[each.station]: f"by the planes that it saw, its projector was rotated by {each.turn_deg:.2g}° "
@@ -148,7 +148,7 @@ def _estimate(registered: _Registered, start: RigStart, config: Config, progress
         return _estimated(registered.members, registered.registration.groups[0], start, config)
 
 
-def _held_against_surfaces(
+def _checked_against_surfaces(
     registered: _Registered, estimate: RoomEstimate, start: RigStart, progress: Progress
 ) -> tuple[RoomEstimate, bool]:
     """The estimate, or one from the surfaces alone if the stations' surfaces contradict it, and whether it is that.
@@ -333,7 +333,7 @@ def _corner(members: Sequence[Seen], group: Group, estimate: RoomEstimate, start
 
 
 def _sigmas(estimate: RoomEstimate, station: int, turn: Floats, factor: float) -> tuple[Floats, Floats]:
-    """In degrees about the room's axes, and in its unit along them, (3,) each."""
+    """Sigmas in degrees about the room's axes, and in its unit along them, (3,) each."""
     covariance = estimate.place_covariance(station)
     turning, moving = (np.diag(turn @ block @ turn.T) for block in (covariance[:3, :3], covariance[3:, 3:]))
     return np.degrees(np.sqrt(turning)), factor * np.sqrt(moving)

@@ -1,7 +1,7 @@
-"""Which way is up in a room: the frame that its results are in.
+"""The vertical direction of a room, and the frame of its results.
 
-Cameras are held upright, more or less; the floor is the lowest of the large planes that face up, and z is its normal.
-x runs along the wall of which most was seen. The origin is on the floor, below the first station's camera.
+Cameras are roughly upright; the floor is the lowest of the large planes that face up, and z is its normal. x runs along
+the wall with the largest visible area. The origin is on the floor, below the first station's camera.
 """
 
 from collections.abc import Sequence

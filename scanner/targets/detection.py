@@ -37,7 +37,7 @@ class Detected:
 
 
 class NotFoundError(Exception):
-    """The board is not in the image as it should be; the message says what is."""
+    """The board is not in the image as required; the message gives the reason."""
 
 
 def detect(image: Image, target: Target) -> Detected:
@@ -81,7 +81,7 @@ def _find(grey: Image, target: Target) -> Detected | None:
 
 
 def _is_another(grey: Image, target: Target) -> bool:
-    """Whether there is a second one in what is left: a quick look, for a board that is as easy to see as the first."""
+    """Whether the rest shows a second board: a quick search for one as visible as the first."""
     counts = (target.columns, target.rows)
     if target.kind == "chessboard":
         small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -104,7 +104,7 @@ def _consistent(found: Detected, target: Target) -> Detected | None:
 
 
 def _chessboard(grey: Image, target: Target) -> Detected | None:
-    """Raises NotFoundError for a larger one, of which this would be a part, in each picture another."""
+    """Raises NotFoundError for a larger board, of which a different part could be taken in each picture."""
     counts = (target.columns, target.rows)
     for picture in (grey, _equalised(grey)):
         grid = _largest(picture, counts)

@@ -20,9 +20,9 @@ _FARTHEST = 0.2  # largest distance in squares from the detected position
 
 
 def refined(grey: Image, points: Floats, pixels: Floats, square: float) -> Floats:
-    """Pixels (N, 2) of a board's corners `points` (N, 2) from what a detector says; what is no saddle stays.
+    """Refine the pixels (N, 2) of a board's corners `points` (N, 2); those that are no saddles are unchanged.
 
-    `square`: how far around a corner there is nothing but its four squares.
+    `square`: radius around a corner that contains only its four squares.
     """
     side = _sides(points, pixels, square)
     blur = max(_LEAST_BLUR_PX, _BLUR * float(np.median(side)))

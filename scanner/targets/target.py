@@ -41,7 +41,7 @@ class Target:
 
     @property
     def turns(self) -> int:
-        """The number of rotations under which the board looks the same."""
+        """Number of rotations that leave the board unchanged."""
         if self.kind in ("charuco", "aprilgrid"):
             return 1
         if self.kind == "acircles":

@@ -27,8 +27,9 @@ class Failure:
 
 
 def failure_of(error: BaseException) -> Failure:
-    """Return the message and exit code of an error that ended a command. A bug's traceback goes to a file, which the
-    message names.
+    """Return the message and exit code of an error that ended a command.
+
+    A bug's traceback goes to a file, which the message names.
     """
     match error:
         case _ if is_of_the_disk(error):
@@ -48,10 +49,10 @@ def failure_of(error: BaseException) -> Failure:
 
 def _failure(code: int, error: BaseException, introduction: str = "", *more: str) -> Failure:
     notes = getattr(error, "__notes__", [])
-    return Failure(code, _on_a_screen(harmless("\n".join([f"{introduction}{error}", *notes])), *more))
+    return Failure(code, _shortened(harmless("\n".join([f"{introduction}{error}", *notes])), *more))
 
 
-def _on_a_screen(message: str, *more: str) -> str:
+def _shortened(message: str, *more: str) -> str:
     """The message, shortened to a screen: quotations may be of any length."""
     lines = [shortened(line, _LONGEST_LINE) for line in message.splitlines()]
     if len(lines) > _MOST_LINES:

@@ -49,7 +49,7 @@ def fitted(table: Table, console: Console) -> Table | str:
 
 
 def _stacked(table: Table) -> Iterator[str]:
-    """The table's title, and of each row its name and, indented, what stands under each heading."""
+    """The table's title, and for each row its name and, indented, the cell under each heading."""
     headings = [str(column.header) for column in table.columns]
     if table.title:
         yield str(table.title)

@@ -8,13 +8,13 @@ _LOGGERS = ("scanner", "hw", "calib", "py.warnings")
 
 
 def keep_off_the_terminal() -> None:
-    """Keep logged warnings off the terminal even where there is no log file: commands print what matters."""
+    """Keep logged warnings off the terminal even without a log file: commands print what matters."""
     for name in _LOGGERS:
         logging.getLogger(name).addHandler(logging.NullHandler())
 
 
 class _Handler(logging.FileHandler):
-    """Says once that a disk does not take the log: what is being done may work all the same, or will say so itself."""
+    """Reports once that the log cannot be written: the operation may succeed, or will raise its own error."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, encoding="utf-8")

@@ -11,10 +11,10 @@ class Operator(Protocol):
         """Whether there is a person to answer."""
 
     def ready(self, what: str) -> bool:
-        """Wait until what is asked for in a sentence is done; False if the operator goes on with what there is."""
+        """Wait until a request is fulfilled; False if the operator continues without it."""
 
     def tell(self, *sentences: str) -> None:
         """Show sentences to the operator."""
 
     def note(self, text: str) -> None:
-        """Say what is to be known whether or not what is being done succeeds."""
+        """Show a note that matters whether or not the operation succeeds."""

@@ -46,7 +46,7 @@ class Terminal:
 
     @contextmanager
     def step(self, what: str) -> Iterator[None]:
-        """Say what is being done for as long as the block runs."""
+        """Show an operation while the block runs."""
         log.info("%s", what)
         with self._progress(SpinnerColumn()) as progress:
             task = progress.add_task(what, total=1)
@@ -54,7 +54,7 @@ class Terminal:
             progress.advance(task)
 
     def show(self, *parts: RenderableType) -> None:
-        """Print what a successful command has to say."""
+        """Print the output of a successful command."""
         if self._quiet:
             return
         for part in parts:
@@ -69,7 +69,7 @@ class Terminal:
         self.show(*sentences)
 
     def note(self, text: str) -> None:
-        """Say what is to be known whether or not the command succeeds."""
+        """Print a note that matters whether or not the command succeeds."""
         if not self._quiet:
             self._err.print(text, soft_wrap=True, markup=False, highlight=False)
 
@@ -79,7 +79,7 @@ class Terminal:
         return sys.stdin is not None and sys.stdin.isatty()
 
     def ask(self, question: str) -> str:
-        """Return what the operator types; the end of the input, as by Ctrl-D, is a 'q'. Asks even if `quiet`."""
+        """Return the operator's input; the end of the input, as by Ctrl-D, is a 'q'. Asks even if `quiet`."""
         self._err.print(question, end="", markup=False)
         try:
             return input()
@@ -87,7 +87,7 @@ class Terminal:
             return "q"
 
     def ready(self, what: str) -> bool:
-        """Ask for something to be done; False if the operator goes on with what there is."""
+        """Ask the operator to do something; False if the operator continues without it."""
         answer = self.ask(f"{what}; then press Enter, or q and Enter to go on with what there is: ")
         return not answer.strip().lower().startswith("q")
 

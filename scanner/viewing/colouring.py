@@ -40,7 +40,7 @@ class Colouring(StrEnum):
 
 @dataclass(frozen=True)
 class ColourBar:
-    """`shades` (n, 3) RGB from the low to the high end, and what stands at both ends and in the middle."""
+    """`shades` (n, 3) RGB from the low to the high end, and the labels at both ends and in the middle."""
 
     shades: Pixels
     low: str
@@ -69,7 +69,7 @@ def possible_colourings(cloud: ViewedCloud) -> tuple[Colouring, ...]:
 
 
 def coloured(cloud: ViewedCloud, chosen: NDArray[np.int64], colouring: Colouring) -> Coloured:
-    """The colours of the points at `chosen` (n,). Raises ValueError for what is not known of this cloud."""
+    """The colours of the points at `chosen` (n,). Raises ValueError if the cloud lacks the quantity."""
     match cloud, colouring:
         case _, Colouring.CAMERA:
             return Coloured(_brightened(cloud.colours[chosen]), "The colours are what the camera saw, brightened.")

@@ -1,4 +1,4 @@
-"""A box in a cloud: what is in it, its edges, and the points in it as a file."""
+"""A box in a cloud: its points, its edges, and a file of its points."""
 
 from dataclasses import dataclass
 from itertools import product

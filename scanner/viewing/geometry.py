@@ -80,7 +80,7 @@ def picture_corners(device: Intrinsics, depth: float) -> Floats:
 
 
 def nice_step(length: float) -> float:
-    """1, 2 or 5 times a power of ten, about four of which make `length` > 0."""
+    """1, 2 or 5 times a power of ten, about a quarter of `length` > 0."""
     wanted = length / _TICKS_WANTED
     decade = 10.0 ** floor(log10(wanted))
     return float(max(factor for factor in (1, 2, 5) if factor * decade <= wanted * (1 + 1e-9)) * decade)

@@ -1,4 +1,4 @@
-"""The page's address, and what is asked of it before anything is opened: without viser this still says what to do."""
+"""The page's address and its checks before anything is opened; usable without viser."""
 
 import errno
 import socket

@@ -1,4 +1,4 @@
-"""Points that the operator clicks on, and what they measure."""
+"""Picked points, and the measurements between them."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The surface of a capture as triangles for the browser: coloured like its points, no more than it turns smoothly."""
+"""The surface of a capture as triangles for the browser, coloured like its points, reduced for smooth rotation."""
 
 import tempfile
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class Surface:
 
 
 def surface_of(cloud: CaptureCloud) -> Surface:
-    """Between neighbouring pixels, of which each `step`th is taken where there are many."""
+    """Triangles between neighbouring pixels, at every `step`th one of a large cloud."""
     scan = cloud.scan
     step = max(1, ceil(sqrt(len(scan) / _MOST_POINTS)))
     chosen = np.flatnonzero(np.all(scan.pixel % step == 0, axis=1))

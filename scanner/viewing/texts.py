@@ -36,7 +36,7 @@ def link_html(address: str, text: str) -> str:
 
 
 def bar_html(bar: ColourBar | None) -> str:
-    """Shades from end to end, with what stands at both and in the middle; '' for none."""
+    """Shades from end to end, with labels at both ends and in the middle; '' for none."""
     if bar is None:
         return ""
     shades = ", ".join(css_colour((int(r), int(g), int(b))) for r, g, b in bar.shades[:: max(1, len(bar.shades) // 16)])

@@ -61,7 +61,7 @@ def board(folder: Path) -> Run:
 
 def batch(folder: Path) -> Run:
     """`scan batch` with lists of existing and missing captures, and the resulting table."""
-    from scanner.batch.listing import Asked, list_jobs
+    from scanner.batch.listing import Request, list_jobs
     from scanner.batch.running import run_batch
     from scanner.batch.work import Delivery, work
     from scanner.ui import EXIT_INPUT, EXIT_REFUSED, Terminal
@@ -82,7 +82,7 @@ def batch(folder: Path) -> Run:
         path, out = folder / "list.csv", folder / "out"
         path.write_bytes(of_csv(rows[: 1 + int(rng.integers(len(rows)))], rng))
         try:
-            jobs = list_jobs([str(path)], Asked())[:3]
+            jobs = list_jobs([str(path)], Request())[:3]
             found = [work(job, Delivery(str(out))) for job in jobs]
             assert {row.exit_code for row in found} <= {0, EXIT_INPUT, EXIT_REFUSED}, [row.reason for row in found]
             assert run_batch(jobs, str(out), None, terminal).kept == len(jobs)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz import beside, commands, pictures, programs, readers
+from tests.fuzz import commands, other_files, pictures, programs, readers
 from tests.fuzz.guarded import Run, guarded
 from tests.fuzz.mutations import Random
 
@@ -22,8 +22,16 @@ _MADE_IN = (
         programs.results,
         programs.calibrating,
     ),
-    *(commands.board, commands.batch, beside.refusal, beside.log, beside.row, beside.left_behind, beside.compared),
-    *(beside.asked,),
+    *(
+        commands.board,
+        commands.batch,
+        other_files.refusal,
+        other_files.log,
+        other_files.row,
+        other_files.left_behind,
+        other_files.compared,
+    ),
+    *(other_files.asked,),
 )
 TARGETS: dict[str, Callable[[Path], Run]] = {
     **{make.__name__: make for make in _MADE_IN},

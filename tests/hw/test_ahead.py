@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hw.ahead import Ahead, beside
+from hw.ahead import Ahead, in_background
 
 
 def numbers(count: int, made: list[int], closed: list[bool]) -> Iterator[int]:
@@ -86,7 +86,7 @@ def test_background_work_is_done_in_order_and_by_the_end() -> None:
         time.sleep(0.002)
         done.append(number)
 
-    with beside(work, 3) as begin:
+    with in_background(work, 3) as begin:
         for number in range(10):
             begin(number)
             assert number - len(done) < 3 + 1
@@ -99,7 +99,7 @@ def test_an_error_in_background_work_is_raised() -> None:
             raise ValueError("the second")
 
     def all_of(numbers: int, then: type[BaseException] | None = None) -> None:
-        with beside(work) as begin:
+        with in_background(work) as begin:
             for number in range(numbers):
                 begin(number)
             if then is not None:

@@ -1,8 +1,7 @@
-"""How much each projector gives of the light where several meet: weights that are smooth and add up to one.
+"""The share of light of each projector where several overlap: smooth weights that add up to one.
 
-The weight of a projector is the square of the distance, in its image, from the edge of what it shows, over the sum of
-all projectors' there. At its edge it comes to zero without a kink. An edge is the image's, the content's, a hole, or
-where a surface hides another behind it.
+The weight of a projector is the square of the distance, in its image, from the edge of its region, over the sum of all
+projectors' there. At its edge it vanishes smoothly. An edge is that of the image, the content, a hole, or an occlusion.
 """
 
 from collections.abc import Sequence

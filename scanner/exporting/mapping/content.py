@@ -23,8 +23,8 @@ _LARGEST_PX = 16_384
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """The points X with `normal` · X = `offset`; the normal (3,) points to who looks at it. `within`: how far off it
-    points are that are still on it.
+    """The points X with `normal` · X = `offset`; the normal (3,) points to the viewer. `within`: distance tolerance of
+    its points.
     """
 
     normal: Floats

@@ -42,8 +42,10 @@ def homography_of(values: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Fit:
-    """`values` (8,) and their `covariance` (8, 8), of which some were `free`; the share of the variance that is
-    `explained`, and by beats along x, y of what `strengths` relative to those that a linear interpolation has.
+    """`values` (8,) and their `covariance` (8, 8), of which some were `free`.
+
+    `explained`: share of the variance; `strengths`: amplitudes of the beats along x, y relative to those of a linear
+    interpolation.
     """
 
     values: Floats
@@ -62,7 +64,9 @@ class Fit:
 @dataclass(frozen=True)
 class Beat:
     """The logarithms `data` (N,) of contrasts at `points` (N, 2), in units of `half` the picture's width about its
-    middle, without what is in `smooth` (N, M), whose columns are orthonormal. `wave`: how they beat.
+    middle.
+
+    The variation in `smooth` (N, M), with orthonormal columns, is removed. `wave`: the function of the beat.
     """
 
     points: Floats
@@ -127,7 +131,7 @@ class Beat:
         return waves
 
     def refined(self, start: Floats, free: tuple[int, ...]) -> Fit:
-        """By least squares, from what is nearly right."""
+        """Refine a nearly correct start, by least squares."""
         columns = list(free)
 
         def values(step: Floats) -> Floats:

@@ -1,9 +1,10 @@
-"""Keystone correction, measured: the homography by which the projector reshapes its picture, from what it spoils.
+"""Measurement of keystone correction: the homography by which the projector reshapes its picture, from its loss of
+contrast.
 
 Where a pixel of the picture falls between two pixels of the panel, the finest stripes lose contrast; where it falls on
-one, they keep it. Along both axes the loss beats with the shift between picture and panel, whole shifts being the
-crests. The shift is that of a homography, so that a fit over the picture finds it to a small part of a pixel, up to its
-sign, for the beats of a shift and of its opposite are the same: a projector only makes pictures smaller.
+one, they keep it. Along both axes the loss beats with the shift between picture and panel, with crests at whole shifts.
+The shift is that of a homography, so a fit over the picture determines it to a small part of a pixel, up to its sign,
+because opposite shifts have the same beat. A projector only makes pictures smaller, which determines the sign.
 """
 
 from dataclasses import dataclass, replace

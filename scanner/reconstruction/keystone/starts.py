@@ -36,7 +36,7 @@ _GROWTH = 1.4
 
 @dataclass(frozen=True)
 class Start:
-    """`values` of a homography, as of `beat.py`, those of which that are `free` being not zero; and its `power`."""
+    """`values` of a homography, as in `beat.py`; `free`: which of them are not zero; and its `power`."""
 
     power: float
     values: Floats

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.diagnostics.acceptance import no_corner, refuse_degenerate, refuse_untrustworthy, what_else_helps
+from calib.diagnostics.acceptance import missing_knowledge, no_corner, refuse_degenerate, refuse_untrustworthy
 from calib.refinement.distortion_from_planes import straighten
 from calib.refinement.focal_sweep import at_focal, family_of
 from calib.refinement.likelihood import Knowledge
@@ -74,7 +74,7 @@ def test_a_focal_length_is_refused_only_beyond_the_largest_useful_sigma(
 )
 def test_the_advice_names_missing_knowledge(centre_px: float, squareness_deg: float, offered: str) -> None:
     knowledge = replace(KNOWLEDGE, principal_point_sigma_px=centre_px, squareness_deg=squareness_deg)
-    assert what_else_helps(knowledge).strip() == offered
+    assert missing_knowledge(knowledge).strip() == offered
 
 
 def with_other(refinement: Refinement, focal_factor: float, extra_cost: float) -> Refinement:

@@ -7,7 +7,7 @@ from calib.geometry import Motion
 from calib.rooms.agreement import DECIDED_NATS
 from calib.rooms.alignment import settled_together
 from calib.rooms.assembly import gain_of
-from calib.rooms.cuts import held_together, weakest_cut
+from calib.rooms.cuts import firmly_connected, weakest_cut
 from calib.rooms.misfits import worst_misfit
 from calib.rooms.surfaces import Surfaces, surfaces_of
 from calib.synthetic.stations import moved_rig
@@ -30,7 +30,7 @@ def test_stations_of_a_room_are_firmly_connected(scene: Scene) -> None:
     cut = weakest_cut(surfaces, places)
     assert 1 <= len(cut.part) <= 2
     assert DECIDED_NATS < cut.nats < 60
-    assert held_together(surfaces, places) == places
+    assert firmly_connected(surfaces, places) == places
 
 
 def test_halves_without_common_surfaces_are_separated(scene: Scene) -> None:
@@ -42,7 +42,7 @@ def test_halves_without_common_surfaces_are_separated(scene: Scene) -> None:
     cut = weakest_cut(surfaces, far)
     assert cut.part in {(0, 1), (2, 3)}
     assert -25 < cut.nats < -10  # nothing is shared, and a place costs 17
-    assert len(held_together(surfaces, far)) == 2
+    assert len(firmly_connected(surfaces, far)) == 2
 
 
 def test_the_middle_of_three_stations_in_a_row_is_no_outlier(scene: Scene) -> None:

@@ -23,7 +23,7 @@ from scanner.checking.light import Light, ambient_share, flicker_of, ghost_of, l
 from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.response import measure_ramp, ramp_of, response_row
-from scanner.checking.steadiness import Before, levels_of, patterns, row_of, steadiness_row
+from scanner.checking.steadiness import InitialState, levels_of, patterns, row_of, steadiness_row
 from scanner.decoding.decoder import Decoding
 from scanner.decoding.motion import Fit
 from scanner.patterns.projector_response import ProjectorResponse
@@ -192,7 +192,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
     quick = view.take_quick(rig, config(), FringeMeter(), QUIET)
     assert quick.decoding is not None
     light = photograph_light(rig, 3, 2)
-    before = Before(time.monotonic(), light, levels_of(capture(rig, patterns()).frames))
+    before = InitialState(time.monotonic(), light, levels_of(capture(rig, patterns()).frames))
     later = rig_in(changed(room, bump={"device": device, "px": px}))
     now = levels_of(capture(later, patterns()).frames)
     found = steadiness_row(later, before, now, view.projector_map(quick.decoding))

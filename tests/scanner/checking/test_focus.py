@@ -8,7 +8,7 @@ import pytest
 from calib.numerics.array_types import Floats
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
-from scanner.checking.focus import BlurSamples, period_for, tell_apart
+from scanner.checking.focus import BlurSamples, period_for, separate_lenses
 from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
 from scanner.checking.report import State
 from scanner.patterns.pattern import sequence_for
@@ -42,7 +42,7 @@ def samples_of(projector: float, camera: float, *, noise: float = 0.02, even: bo
 @pytest.mark.parametrize(("projector", "camera"), [(0.5, 0.5), (2.0, 0.5), (0.5, 2.0), (0.0, 1.0), (1.5, 1.5)])
 def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> None:
     samples = samples_of(projector, camera)
-    lenses = tell_apart(samples)
+    lenses = separate_lenses(samples)
     assert 1e-4 < lenses.projector2_sigma < 0.1
     assert abs(lenses.projector2 - projector**2) < 4 * lenses.projector2_sigma
     assert abs(lenses.camera2 - camera**2 * lenses.span**2) < 4 * lenses.camera2_sigma
@@ -50,14 +50,14 @@ def test_blur_is_split_between_the_lenses(projector: float, camera: float) -> No
 
 def test_a_probably_defocused_lens_is_named_as_probable() -> None:
     samples = replace(samples_of(1.25, 0.5), doubt2=np.full(200, 0.2))
-    found = focus_row(samples, tell_apart(samples), 6.7)
+    found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.state == State.POOR
     assert found.advice.startswith("Focus the projector, which seems to be the one")
 
 
 def test_undecidable_blur_is_not_attributed() -> None:
     samples = samples_of(1.5, 1.5, noise=0.05, even=True)
-    found = focus_row(samples, tell_apart(samples), 6.7)
+    found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.state == State.POOR
     assert "does not show which lens" in found.advice
 
@@ -68,7 +68,7 @@ def test_undecidable_blur_is_not_attributed() -> None:
 )
 def test_advice(projector: float, camera: float, advice: str) -> None:
     samples = samples_of(projector, camera)
-    found = focus_row(samples, tell_apart(samples), 6.7)
+    found = focus_row(samples, separate_lenses(samples), 6.7)
     assert found.advice.startswith(advice)
     assert (found.state == State.OK) == (advice == "")
 
@@ -76,7 +76,7 @@ def test_advice(projector: float, camera: float, advice: str) -> None:
 def test_a_coarse_camera_gets_no_focus_advice() -> None:
     samples = samples_of(0.3, 0.5)
     coarse = BlurSamples(0.3**2 + 0.5**2 * (4 * samples.span) ** 2, 4 * samples.span, *vars_of(samples))
-    found = focus_row(coarse, tell_apart(coarse), 6.7)
+    found = focus_row(coarse, separate_lenses(coarse), 6.7)
     assert found.state == State.POOR
     assert "too coarse" in found.advice
 
@@ -88,7 +88,7 @@ def vars_of(samples: BlurSamples) -> tuple[Floats, Floats, float]:
 def test_the_most_blurred_part_of_the_image_is_named() -> None:
     samples = samples_of(0.5, 0.5)
     tilted = samples.blur2 + 3.0 * ((samples.where[:, 0] > 0.6) & (samples.where[:, 1] > 0.6))
-    found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), tell_apart(samples), 6.7)
+    found = focus_row(BlurSamples(tilted, samples.span, *vars_of(samples)), separate_lenses(samples), 6.7)
     assert "in the lower right part of the image" in found.finding
 
 

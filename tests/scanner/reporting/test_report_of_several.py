@@ -23,7 +23,7 @@ from scanner.capture.capture_metadata import CaptureMetadata
 from scanner.reporting.contents import CaptureRow, Company, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
-from scanner.reporting.principal_point import price_of_principal_point
+from scanner.reporting.principal_point import effect_of_principal_point
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.results.stages import Decoded, GivenMatches, Reconstructed, SelfCalibrated
@@ -138,14 +138,14 @@ def _triangulated(state: State, matches: Matches) -> np.ndarray:
 
 
 def test_the_cost_of_an_assumed_principal_point(report: ReportInput) -> None:
-    (sentence,) = price_of_principal_point(report.solution).sentences
+    (sentence,) = effect_of_principal_point(report.solution).sentences
     assert "10 px in x would move the camera's focal length by +1.00 % and the projector's by +0.50 %" in sentence
     assert "10 px in y would move the camera's focal length by −0.20 %" in sentence
     assert report.solution is not None
     assert report.solution.uncertainty is not None
     estimated = replace(report.solution.uncertainty, by_principal_point=None)
-    assert price_of_principal_point(replace(report.solution, uncertainty=estimated)).sentences == ()
-    assert price_of_principal_point(None).sentences == ()
+    assert effect_of_principal_point(replace(report.solution, uncertainty=estimated)).sentences == ()
+    assert effect_of_principal_point(None).sentences == ()
 
 
 def test_a_method_without_sigmas_has_no_map(report: ReportInput) -> None:

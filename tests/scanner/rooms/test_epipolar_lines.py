@@ -25,7 +25,7 @@ def test_the_true_rig_leaves_only_noise(two: list[TrueStation]) -> None:
     offsets = line_offsets(two[0].matches, two[0].calibration)
     assert 0.5 < float(np.sqrt(np.mean((offsets.median_px / offsets.error_px) ** 2))) < 1.5
     assert 0.001 < offsets.usual_px < 0.01  # of 0.03 px, in tiles of up to 256 matches
-    assert offsets.far_px(offsets.usual_px) is None
+    assert offsets.deviation_px(offsets.usual_px) is None
 
 
 def test_outliers_do_not_move_a_tile(two: list[TrueStation]) -> None:
@@ -40,10 +40,10 @@ def test_another_rig_is_reported_with_its_deviation(two: list[TrueStation], degr
     rig = turned(two[0].calibration, "x", degrees)
     offsets = line_offsets(two[1].matches, rig)
     usual_px = line_offsets(two[0].matches, two[0].calibration).usual_px
-    far_px = offsets.far_px(usual_px)
-    assert far_px is not None
-    assert least_px < far_px < 5 * least_px
-    assert offsets.far_px(2 * far_px) is None
+    deviation_px = offsets.deviation_px(usual_px)
+    assert deviation_px is not None
+    assert least_px < deviation_px < 5 * least_px
+    assert offsets.deviation_px(2 * deviation_px) is None
 
 
 def test_captures_by_another_rig_are_identified(two: list[TrueStation]) -> None:
