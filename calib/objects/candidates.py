@@ -11,7 +11,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
-from calib.objects.meeting import mark_pairs
+from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
 

@@ -16,7 +16,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.objects.candidates import supposed_poses
 from calib.objects.joint import NARROW, settled
-from calib.objects.meeting import Evidence, evidence, tolerance
+from calib.objects.patch_overlap import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
 from calib.objects.view import View
 from calib.rooms.alignment import composed, inverse

@@ -20,7 +20,7 @@ from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining
-from scanner.live.keeping import keep
+from scanner.live.kept_station import keep_station
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.sequence import LiveSequence
 from scanner.live.texts import cloud_text
@@ -233,7 +233,7 @@ def _keeping(
 ) -> Callable[[LiveCloud, LiveSequence, Rig, str], None]:
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
         place = folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
-        found.kept.append(keep(cloud, sequence, found.calibration, rig.identity, place, name))
+        found.kept.append(keep_station(cloud, sequence, found.calibration, rig.identity, place, name))
         watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
         join(tuple(found.kept))
 
