@@ -226,7 +226,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--real", type=Path, help="folder with the captures")
     parser.add_argument("--sets", type=int, default=50)
-    parser.add_argument("--rendered", type=int, default=0, help="so many sets of frames by the simulated rig")
+    parser.add_argument("--rendered", type=int, default=0, help="number of sets of frames by the simulated rig")
     arguments = parser.parse_args()
     if arguments.real:
         real(arguments.real)

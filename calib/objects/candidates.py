@@ -22,7 +22,7 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def supposed_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
+def suggested_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
     """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
 
     `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.

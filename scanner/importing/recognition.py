@@ -91,12 +91,12 @@ def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[],
     if len(files.numbered) > MOST_FRAMES:
         return
     for fewer, samples in without_duplicates(files, look()):
-        seen = partial(_already, samples)
+        seen = partial(_unchanged, samples)
         yield from (_Attempt(fewer, usual, seen), _Attempt(fewer, last, seen))
     yield _Attempt(files, last, look)
 
 
-def _already(samples: Samples) -> Samples:
+def _unchanged(samples: Samples) -> Samples:
     return samples
 
 

@@ -11,7 +11,7 @@ from scanner.networks.save import save_network
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
 from scanner.networks.verdict import verdict_on
 from scanner.results import new_result
-from scanner.rooms.jobs import saying_why
+from scanner.rooms.jobs import writing_refusals
 from scanner.ui import Terminal
 
 
@@ -25,7 +25,7 @@ def network(
     terminal: Terminal,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, writing_refusals(folder, config):
         return _saved(read_pairs(folders, config, terminal), config, folder, known, terminal)
 
 
@@ -43,7 +43,7 @@ def scan_network(
     """
     pairs = pairs_to_take(config)
     made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
-    with made as folder, saying_why(folder, config):
+    with made as folder, writing_refusals(folder, config):
         return _saved(take_pairs(pairs, folder, terminal), config, folder, known, terminal)
 
 
