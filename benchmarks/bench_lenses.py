@@ -46,12 +46,16 @@ class Row:
     off_deg: float = 0.0
     squareness_deg: float | None = None  # prior on the walls; the truth if left out
     matches: int = VIEWS.count
+    scaled: float = 1.0  # the projector's picture, along x
 
     @property
     def name(self) -> str:
         told = f" (told {self.squareness_deg:g}°)" if self.squareness_deg is not None else ""
         walls = f", walls {self.off_deg:g}°{told}" if self.off_deg else ""
-        return f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}"
+        scaled = f", picture {100 * (self.scaled - 1):+g} %" if self.scaled != 1 else ""
+        return (
+            f"{self.decentering:<7g} PP {'known' if self.point is KNOWN else 'unknown':8}{self.captures}{walls}{scaled}"
+        )
 
 
 DECENTERINGS = (0.0, 0.0002, 0.001)
@@ -61,6 +65,7 @@ ROWS = (
     *(Row(size, KNOWN, captures, 0.3) for captures in (1, 2) for size in DECENTERINGS),
     *(Row(size, UNKNOWN, 3, 0.3) for size in DECENTERINGS),
     *(Row(0.0002, KNOWN, captures, 0.8, squareness_deg=0.3) for captures in (1, 2)),
+    *(Row(0.0002, UNKNOWN, captures, 0.3, scaled=1.01) for captures in (1, 2)),
 )
 
 
@@ -98,10 +103,15 @@ def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:
         walls_off_deg=row.off_deg,
         rig=rig,
     )
+    middle = np.array([(SIZES[1][0] - 1) / 2, 0.0])
+    matches = [
+        replace(each.matches, projector_px=(each.matches.projector_px - middle) * (row.scaled, 1.0) + middle)
+        for each in captures
+    ]
     start = time.process_time()
     try:
         found = self_calibrate_jointly(
-            [capture.matches for capture in captures],
+            matches,
             *SIZES,
             principal_point=row.point,
             squareness_deg=row.off_deg if row.squareness_deg is None else row.squareness_deg,

@@ -109,7 +109,7 @@ def measure(config: Config, latencies_ms: list[float], scans: int) -> None:
                 with open_rig(config.required_rig, config.camera_size, config.projector_size) as opened:
                     rig = cast(SynchronisedRig, opened.rig)
                     flying = "not at all" if rig.pipelined is None else f"{rig.pipelined.rhythm.outstanding} at once"
-                    for way, used in (("sequential", replace(rig, pipelined=None)), ("pipelined", rig)):
+                    for way, used in (("sequential", replace(rig, verified=None)), ("pipelined", rig)):
                         exposures, line = one_capture(used, config, Path(folder) / f"{way} {scan}")
                         found[way].append(exposures)
                         print(f"latency {latency_ms:3.0f} ms, {way} ({flying}): {line}", flush=True)

@@ -72,7 +72,7 @@ def draw(axes: Axes, package: str) -> None:
                 x + 0.12,
                 y + height - 0.3,
                 name,
-                fontsize=10 if len(name) * 0.16 < share else 6.6,
+                fontsize=10 if len(name) * 0.18 < share else 6.6,
                 weight="bold",
                 va="center",
             )

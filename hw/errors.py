@@ -10,4 +10,6 @@ class OverexposedError(DeviceError):
 
 
 class FrameLostError(Exception):
-    """A frame did not arrive, or is incomplete. The message says how; a retry may help."""
+    """A frame did not arrive, or is incomplete. The message says how; a retry may help. `camera`: whose it was."""
+
+    camera = ""

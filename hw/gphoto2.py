@@ -48,20 +48,20 @@ class GPhotoRigSettings(CameraRigSettings):
 
     backend: Literal["gphoto2"]
     camera: str | None = Field(
-        None, min_length=1, description="Model or port as scan devices lists them; left out, the only one there is."
+        None, min_length=1, description="Model or port as `scan devices` lists them; default: the only camera."
     )
     exposure_us: float = Field(
         USUAL_EXPOSURE_US,
         gt=0.0,
         le=30_000_000.0,
-        description="Exposure in microseconds; the camera's shutter speed that is nearest to whole refresh periods.",
+        description="Exposure; the shutter speed nearest to whole refresh periods is taken.",
     )
     gain: None = Field(None, description="Not for these cameras: they have iso.")
     iso: str | None = Field(
-        None, coerce_numbers_to_str=True, description="Sensitivity, one of the camera's; left out, it is kept."
+        None, coerce_numbers_to_str=True, description="One of the camera's ISO values; default: unchanged."
     )
     aperture: str | None = Field(
-        None, coerce_numbers_to_str=True, description="F-number, one of the camera's; left out, it is kept."
+        None, coerce_numbers_to_str=True, description="One of the camera's f-numbers; default: unchanged."
     )
     format: Literal["jpeg", "raw"] = Field("jpeg", description="What the camera sends; raw frames are linear, 16 bit.")
 

@@ -1,36 +1,44 @@
 """Opens the devices of a configuration."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from typing import Any, cast
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 from calib.geometry import Calibration, Motion
-from hw.backends import RigSettings, backend_of
-from hw.projector.process import ScreenProjector
+from hw.backends import RigSettings
+from hw.real_devices import Pair, RealDevices, RealPair, Size
 from hw.rig import Rig
 from hw.settings import CameraRigSettings, SimulatedRigSettings
 from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.things import SimulatedThing, Solid
-from hw.timing.streamed_rig import streamed
-from hw.timing.synchronisation import synchronised
-from hw.timing.timed_rig import TimedRig
-
-# If neither screen nor configuration states the rate.
-_USUAL_REFRESH_HZ = 60.0
 
 
 @dataclass(frozen=True)
 class OpenedRig:
     """A rig, and the ground truth of a simulated one in metres: its calibration, and its pose `place`, X_world =
-    rotation X_camera + translation. With a `thing`, the world's frame is the thing's.
+    rotation X_camera + translation. With a `thing`, the world's frame is the thing's. `others`: of the rig's others.
     """
 
     rig: Rig
     truth: Calibration | None
     place: Motion | None = None
     thing: Solid | None = None
+    others: tuple["OpenedRig", ...] = ()
+
+    @property
+    def all(self) -> tuple["OpenedRig", ...]:
+        """That of each camera, this one first."""
+        return (self, *self.others)
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """What is configured for a camera in a projector's light; sizes are (width, height) in pixels."""
+
+    rig: RigSettings
+    camera_size: Size
+    projector_size: Size
 
 
 @contextmanager
@@ -38,12 +46,60 @@ def open_rig(
     settings: RigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
 ) -> Iterator[OpenedRig]:
     """Open the devices for as long as the context lasts; sizes are (width, height) in pixels. Raises DeviceError."""
-    match settings:
-        case SimulatedRigSettings():
-            yield _simulated(settings, camera_size, projector_size)
-        case CameraRigSettings():
-            with ExitStack() as devices:
-                yield OpenedRig(_real(settings, camera_size, projector_size, devices), None)
+    pair = ("camera", "projector")
+    with (
+        open_network({pair: PairSettings(settings, camera_size, projector_size)}) as network,
+        network.rig("projector", ["camera"]) as opened,
+    ):
+        yield opened
+
+
+class OpenedNetwork:
+    """Cameras and projectors of which any pair is a rig."""
+
+    def __init__(self, pairs: Mapping[Pair, PairSettings], real: RealDevices) -> None:
+        self._pairs = pairs
+        self._real = real
+
+    def together(self, projector: str) -> list[list[str]]:
+        """The cameras in a projector's light, in groups whose cameras can take frames of the same picture."""
+        simulated = [
+            camera
+            for (camera, other), pair in self._pairs.items()
+            if other == projector and isinstance(pair.rig, SimulatedRigSettings)
+        ]
+        return [simulated] if simulated else self._real.together(projector)
+
+    @contextmanager
+    def rig(self, projector: str, cameras: Sequence[str]) -> Iterator[OpenedRig]:
+        """Prepare a projector and cameras of one group, while all other projectors are dark. Raises DeviceError."""
+        simulated = [
+            _simulated(pair.rig, pair.camera_size, pair.projector_size)
+            for pair in (self._pairs[camera, projector] for camera in cameras)
+            if isinstance(pair.rig, SimulatedRigSettings)
+        ]
+        if simulated:
+            first, *others = simulated
+            rig = replace(first.rig, others=tuple(other.rig for other in others))
+            yield replace(first, rig=rig, others=tuple(others))
+            return
+        with self._real.rig(projector, cameras) as rig:
+            yield OpenedRig(rig, None, others=tuple(OpenedRig(other, None) for other in rig.others))
+
+
+@contextmanager
+def open_network(pairs: Mapping[Pair, PairSettings]) -> Iterator[OpenedNetwork]:
+    """Open all devices of some pairs, named by camera and projector, for as long as the context lasts.
+
+    Raises DeviceError.
+    """
+    real = {
+        names: RealPair(pair.rig, pair.camera_size, pair.projector_size)
+        for names, pair in pairs.items()
+        if isinstance(pair.rig, CameraRigSettings)
+    }
+    with RealDevices(real) as devices:
+        yield OpenedNetwork(pairs, devices)
 
 
 def _simulated(
@@ -60,24 +116,3 @@ def _rig_before(room: Scenery) -> Rig:
     settings, projector = room.settings, SimulatedProjector(room)
     identity = {"backend": "simulated", "seed": str(settings.seed), "pose": str(settings.pose)}
     return Rig(projector, SimulatedCamera(room, projector), identity, settings.refresh_hz)
-
-
-def _real(
-    settings: CameraRigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int], devices: ExitStack
-) -> Rig:
-    driver = backend_of(settings).load()  # first: a missing library is reported before anything is shown
-    projector = devices.enter_context(ScreenProjector(settings.screen, projector_size))
-    known_hz = settings.refresh_hz or projector.screen.refresh_hz
-    refresh_hz = known_hz or _USUAL_REFRESH_HZ
-    camera = devices.enter_context(driver.connect(settings, camera_size, refresh_hz))
-    identity = {
-        "backend": settings.backend,
-        **camera.identity,
-        "projector": str(projector.screen),
-        "renderer": projector.renderer,
-        "refresh": f"{refresh_hz:.5g} Hz{'' if known_hz else ' (assumed: neither screen nor configuration says)'}",
-    }
-    timed = streamed if camera.capabilities.streaming else synchronised
-    rig: TimedRig = timed(projector, cast(Any, camera), identity, refresh_hz)
-    devices.callback(rig.stop)
-    return rig

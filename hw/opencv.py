@@ -37,24 +37,22 @@ class OpenCVRigSettings(CameraRigSettings):
 
     backend: Literal["opencv"]
     camera: Annotated[int, Field(ge=0, le=99)] | Annotated[str, StringConstraints(min_length=1)] = Field(
-        0, description="Number of a webcam, address of a stream (http://…, rtsp://…), or a GStreamer pipeline."
+        0, description="Number of a webcam, address of a stream (`http://…`, `rtsp://…`), or a GStreamer pipeline."
     )
     exposure_us: float | None = Field(
         None,
         gt=0.0,
         le=1e6,
-        description="Exposure in microseconds, rounded to whole refresh periods, where the driver can be told; left "
-        "out, the camera's is kept.",
+        description="Exposure, rounded to whole refresh periods; webcams only; default: unchanged.",
     )
-    gain: float | None = Field(None, description="Gain in the driver's own unit; left out, the camera's is kept.")
+    gain: float | None = Field(None, description="Gain in the driver's unit; webcams only; default: unchanged.")
     codec: str | None = Field(
         None,
         pattern=r"^[A-Za-z0-9]{4}$",
-        description="Four letters by which a webcam is asked for its format, as MJPG, which many need for their full "
-        "size at their full rate.",
+        description="FourCC of a webcam's format; many need `MJPG` for their full size and rate.",
     )
     average: int = Field(
-        2, ge=2, le=16, description="Frames averaged per picture; the first two verify that the picture is stable."
+        2, ge=2, le=16, description="Frames averaged per picture; the first two verify that it is stable."
     )
 
     @property

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle
+from itertools import cycle, tee
 from typing import Literal, Protocol, cast
 
 from calib.numerics import Image
@@ -16,6 +16,9 @@ class Frame:
     image: Image
     exposure_us: float | None = None
     timestamp_ns: int | None = None
+
+
+Frames = tuple[Frame, ...]  # one of each camera
 
 
 class Projector(Protocol):
@@ -85,7 +88,7 @@ class ExposureControl(Protocol):
 
 @dataclass(frozen=True)
 class Rig:
-    """A projector and a camera, fixed relative to each other.
+    """A projector and a camera, fixed relative to each other; `others` are of further cameras in its light.
 
     `identity` names the devices, with their settings as read back, for the recording's metadata. `refresh_hz`: the
     projector's refresh rate; exposures should be whole periods. None if that does not matter.
@@ -95,6 +98,12 @@ class Rig:
     camera: Camera
     identity: dict[str, str] = field(default_factory=dict)
     refresh_hz: float | None = None
+    others: tuple["Rig", ...] = ()
+
+    @property
+    def all(self) -> tuple["Rig", ...]:
+        """The rig of each camera, this one first."""
+        return (self, *self.others)
 
     def photograph(
         self,
@@ -118,6 +127,17 @@ class Rig:
                 exposure_control(self.camera).expose_for(exposure_us)
             self.projector.show(image)
             yield self.camera.grab()
+
+    def photograph_together(
+        self,
+        images: Iterable[Image],
+        exposures_us: Sequence[float] = (),
+        level: Sequence[Sequence[int]] = (),
+        unpaired: Sequence[Sequence[int]] = (),
+    ) -> Iterator[Frames]:
+        """As `photograph`, by all cameras: yields a frame of each, in the order of `all`."""
+        shown = zip(self.all, tee(images, len(self.all)), strict=True)
+        return zip(*(rig.photograph(each, exposures_us, level, unpaired) for rig, each in shown), strict=True)
 
     def account(self) -> Mapping[str, object]:
         """Metadata of the frames taken so far, for the recording."""

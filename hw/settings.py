@@ -12,239 +12,212 @@ class _Part(BaseModel):
 
 
 class BumpSettings(_Part):
-    """A simulated device is bumped once, and then points elsewhere."""
+    """Someone knocks once against a simulated device."""
 
-    device: Literal["camera", "projector"] = Field(default="projector", description="The device that moves.")
+    device: Literal["camera", "projector"] = Field(default="projector", description="The device.")
     frame: int = Field(
-        default=0, ge=0, description="The first frame after the change; frames count from 0 when the rig is opened."
+        default=0, ge=0, description="The first frame after it, counted from 0 since the rig was opened."
     )
-    px: float = Field(
-        default=0.0, ge=0.0, le=100.0, description="Displacement of the device's picture, in its own pixels."
-    )
-    direction_deg: float = Field(default=0.0, description="Direction: 0 to the picture's right, 90 down.")
+    px: float = Field(default=0.0, ge=0.0, le=100.0, description="How far its picture moves, in its own pixels.")
+    direction_deg: float = Field(default=0.0, description="Where to: 0 right, 90 down.")
 
 
 class DriftSettings(_Part):
-    """A simulated device rotates slowly, like a projector that warms up or a tripod that sinks."""
+    """A simulated device turns slowly, as a warming projector does."""
 
-    device: Literal["camera", "projector"] = Field(default="projector", description="The device that moves.")
+    device: Literal["camera", "projector"] = Field(default="projector", description="The device.")
     px_per_frame: float = Field(
         default=0.0,
         ge=0.0,
         le=10.0,
-        description="Displacement of the device's picture per frame, in its own pixels.",
+        description="How far its picture moves per frame, in its own pixels.",
     )
-    direction_deg: float = Field(default=0.0, description="Direction: 0 to the picture's right, 90 down.")
+    direction_deg: float = Field(default=0.0, description="Where to: 0 right, 90 down.")
 
 
 class LightSettings(_Part):
-    """The ambient light of the simulated room is switched."""
+    """The light in the simulated room is switched."""
 
     frame: int = Field(
-        default=0, ge=0, description="The first frame after the change; frames count from 0 when the rig is opened."
+        default=0, ge=0, description="The first frame after it, counted from 0 since the rig was opened."
     )
     ambient: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=10.0,
-        description="The value of rig.ambient from then on; left out, it does not change.",
+        default=None, ge=0.0, le=10.0, description="`rig.ambient` from then on; default: no switch."
     )
 
 
 class PasserSettings(_Part):
-    """A person walks between the devices and the corner of the simulated room."""
+    """A person walks through the simulated picture."""
 
     width_m: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="Width of the person, an upright box of 1.8 m; 0 for nobody."
+        default=0.0, ge=0.0, le=1.0, description="Width of an upright box of 1.8 m: 0.4 for a person, 0 for none."
     )
-    first_frame: int = Field(default=0, ge=0, description="The frame in which the person enters on the camera's left.")
-    last_frame: int = Field(default=0, ge=0, description="The frame in which the person leaves on the right.")
+    first_frame: int = Field(default=0, ge=0, description="The frame in which it enters from the left.")
+    last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
 
 
 class PushedSettings(_Part):
-    """A box in front of the corner of the simulated room is pushed to the camera's right during the capture."""
+    """A box in front of the simulated corner is pushed to the right."""
 
     width_m: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="Width and depth of the box, 1.2 m high; 0 for no box."
+        default=0.0, ge=0.0, le=1.0, description="Width and depth of the box, 1.2 m high; 0 for none."
     )
-    frame: int = Field(default=0, ge=0, description="The first frame after the box was pushed.")
-    by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="Displacement of the box.")
+    frame: int = Field(default=0, ge=0, description="The first frame after the push.")
+    by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="How far it is pushed.")
 
 
 class BoardSettings(_Part):
-    """A printed board, held in front of the simulated rig or lying in its room."""
+    """A printed board in front of the simulated rig or on its floor."""
 
-    kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="Kind of board.")
-    columns: int = Field(
-        default=9, ge=3, le=50, description="Inner corners in a row; of a ChArUco board, squares in a row."
-    )
-    rows: int = Field(default=7, ge=3, le=50, description="Rows of them.")
+    kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="What is printed on it.")
+    columns: int = Field(default=9, ge=3, le=50, description="Inner corners in a row; squares for ChArUco.")
+    rows: int = Field(default=7, ge=3, le=50, description="The same, in a column.")
     on_floor: bool = Field(
         default=False,
-        description="Whether the board lies on the floor, in a place drawn from the seed, instead of being held.",
+        description="Lies flat on the floor instead of being held.",
     )
-    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square in metres; 0 for no board.")
-    pose: int = Field(default=0, ge=0, description="Number of the pose, which is drawn from it and the seed.")
+    square_m: float = Field(default=0.0, ge=0.0, le=1.0, description="Side of a square; 0 for no board.")
+    pose: int = Field(default=0, ge=0, description="Number of the random pose.")
     bend: float = Field(
         default=0.002,
         ge=0.0,
         le=0.05,
-        description="Standard deviation of each term of the board's bend, as a share of half its length.",
+        description="Standard deviation of each bending term, relative to half its length.",
     )
 
 
 class ThingSettings(_Part):
-    """A thing on a turntable, or placed by hand, in front of the simulated rig instead of a room."""
+    """A thing that the simulated rig looks at instead of a room."""
 
     kind: Literal["none", "lump", "ball", "vase", "plate", "box", "file"] = Field(
         default="none",
-        description="Shape: lump is drawn from the seed (a superquadric with waves), file is read; none is a room "
-        "instead.",
+        description="Shape; `lump` is random, `file` is read, `none` is a room instead.",
     )
-    file: str | None = Field(default=None, description="A mesh, for kind: file (PLY, OBJ, STL, OFF).")
-    size_m: float = Field(default=0.1, gt=0.0, le=1.0, description="Longest side in metres.")
-    steps: int = Field(default=24, ge=2, le=360, description="Number of poses; rig.pose is one of them.")
+    file: str | None = Field(default=None, description="A mesh for `kind: file` (PLY, OBJ, STL, OFF).")
+    size_m: float = Field(default=0.1, gt=0.0, le=1.0, description="Longest side.")
+    steps: int = Field(default=24, ge=2, le=360, description="Number of poses, numbered by `rig.pose`.")
     step_deg: float | None = Field(
         default=None,
         gt=0.0,
         le=180.0,
-        description="Rotation of the turntable per step; left out, a full turn in all steps.",
+        description="Angle of a turntable step; default: one full turn in all.",
     )
-    turntable: bool = Field(
-        default=True, description="Whether the thing rotates on a turntable instead of being placed by hand each time."
-    )
-    background: bool = Field(default=True, description="Whether the turntable's plate, a table and a wall are visible.")
-    patches: float = Field(
-        default=0.6, ge=0.0, le=1.0, description="Contrast of the patches of its surface in albedo; 0 is plain."
-    )
-    gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of specular highlights.")
+    turntable: bool = Field(default=True, description="On a turntable; otherwise put down differently each time.")
+    background: bool = Field(default=True, description="Turntable, table and wall are visible.")
+    patches: float = Field(default=0.6, ge=0.0, le=1.0, description="Contrast of the patches on its surface.")
+    gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of the highlight.")
 
 
 class PanelSettings(_Part):
-    """Scaling, keystone correction and mirroring of the picture by a simulated projector."""
+    """How the simulated projector distorts its picture."""
 
     scale: float = Field(
-        default=1.0, ge=0.3, le=3.0, description="Scale about the centre; above 1, the edges are cropped."
+        default=1.0, ge=0.3, le=3.0, description="Enlargement about the centre; above 1, edges are cropped."
     )
     squeeze: float = Field(default=1.0, ge=0.5, le=1.0, description="Factor on the width: 0.75 shows 16:9 as 4:3.")
     keystone: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.5,
-        description="Keystone: share by which the top edge is narrower than the bottom edge.",
+        default=0.0, ge=0.0, le=0.5, description="Share by which the top edge is narrower than the bottom edge."
     )
-    mirrored: bool = Field(default=False, description="Whether the picture is mirrored, as for rear projection.")
+    mirrored: bool = Field(default=False, description="Left and right exchanged, as in rear projection.")
 
 
 class SimulatedRigSettings(BaseModel):
-    """A simulated room with a simulated projector and camera in it."""
+    """A simulated projector and camera in a simulated room."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     backend: Literal["simulated"] = "simulated"
-    seed: int = Field(0, ge=0, description="Seed of the room, its furniture, the rig and its poses.")
+    seed: int = Field(0, ge=0, description="Draws room, furniture, rig and places.")
     room: Literal["corner", "whole"] = Field(
         "corner",
-        description="One corner, or a whole room, furnished along all its walls, with a short-throw projector.",
+        description="One corner, or a whole furnished room and a wide-angle projector.",
     )
     stations: int = Field(
         6,
         ge=2,
         le=48,
-        description="Number of stations around a whole room; each overlaps the next, and from 6 on the last overlaps "
-        "the first.",
+        description="Number of places in a whole room; neighbours overlap, and from 6 on the circle closes.",
     )
     pose: int = Field(
         0,
         ge=0,
-        description="Number of the rig's pose, of 8 in front of a corner, of rig.stations in a whole room; room and "
-        "rig stay the same.",
+        description="Which place the rig stands at: one of 8 in front of a corner, of `rig.stations` in a whole room.",
     )
     projector_pose: int | None = Field(
         None,
         ge=0,
-        description="Number of the projector's pose, as a device of a network with its own lens; left out, it stays "
-        "with the camera.",
+        description="The projector's place, if it stands elsewhere, with its own lens, as in a network.",
     )
     walls_off_deg: float = Field(
-        0.0, ge=0.0, le=10.0, description="Standard deviation of each of the corner's three angles from 90 degrees."
+        0.0, ge=0.0, le=10.0, description="Standard deviation of the corner's angles from 90°."
     )
-    furniture: bool = Field(
-        True, description="Boxes, a cupboard and a sphere, which occlude and shadow parts of the room."
-    )
+    furniture: bool = Field(True, description="Boxes, a cupboard and a sphere, which hide and shade parts.")
     furniture_askew_deg: float = Field(
-        0.0, ge=0.0, le=30.0, description="Standard deviation of the cupboard's angle to its wall."
+        0.0, ge=0.0, le=30.0, description="Standard deviation of the angle between cupboard and wall."
     )
-    hide_vertex: bool = Field(False, description="A box stands in the corner and hides its vertex from the camera.")
-    sphere_radius_m: float = Field(0.12, ge=0.05, le=0.2, description="Radius of the sphere in metres.")
+    hide_vertex: bool = Field(False, description="A box hides the corner's vertex.")
+    sphere_radius_m: float = Field(0.12, ge=0.05, le=0.2, description="Radius of the sphere.")
     ball_bar_m: float | None = Field(
         None,
         ge=0.15,
         le=5.0,
-        description="Distance between the centres of two spheres, as on a ball bar; left out, there is one sphere.",
+        description="Distance between the sphere's centre and a second one's; default: one sphere.",
     )
     albedo: float | None = Field(
         None,
         ge=0.05,
         le=0.95,
-        description="Mean albedo of walls and floor; left out, each has its own (0.35 to 0.8).",
+        description="Mean albedo of walls and floor; default: each its own, 0.35 to 0.8.",
     )
     refresh_hz: float = Field(60.0, ge=10.0, le=1000.0, description="Refresh rate of the projector.")
     pulsation: float = Field(
         0.0,
         ge=0.0,
         le=1.0,
-        description="Amplitude of the projector's pulsation within a refresh period, relative to its mean: exposures "
-        "that are no whole number of periods flicker.",
+        description="Relative pulsation of the light within a refresh period.",
     )
-    wallpaper: bool = Field(
-        False, description="Walls and floor of the corner are patterned, with features everywhere for photos."
-    )
+    wallpaper: bool = Field(False, description="Textured walls and floor, for photos.")
     ambient: float = Field(
         0.05,
         ge=0.0,
         le=10.0,
         description="Ambient light relative to the projector's white.",
     )
-    interreflection: bool = Field(True, description="Whether surfaces illuminate each other.")
+    interreflection: bool = Field(True, description="Surfaces light each other.")
     distortion: float = Field(
-        1.0, ge=0.0, le=2.0, description="Factor on the random lens distortion of both devices; 0 for ideal lenses."
+        1.0, ge=0.0, le=2.0, description="Factor on both lenses' random distortion; 0 for ideal lenses."
     )
-    gamma: float = Field(2.2, ge=1.0, le=3.0, description="Exponent of the projector's response.")
+    gamma: float = Field(2.2, ge=1.0, le=3.0, description="Gamma of the projector.")
     contrast: float = Field(1000.0, ge=10.0, description="The projector's white over its black.")
     ghost: float = Field(
         0.0,
         ge=0.0,
         le=0.9,
-        description="Ghosting: share of a frame's light that is the previous picture's, as of a slow panel.",
+        description="Share of the previous picture in each frame.",
     )
     flicker: float = Field(
         0.0,
         ge=0.0,
         le=0.9,
-        description="Largest deviation of the projector's brightness in a frame at any exposure, as of a lamp or "
-        "colour wheel that beats with it.",
+        description="Largest relative deviation of a frame's brightness, whatever the exposure.",
     )
     rolling_shutter_ms: float = Field(
         0.0,
         ge=0.0,
         le=1000.0,
-        description="Rolling shutter: delay of the camera's last row after its first. Light that flickers or pulsates "
-        "at refresh_hz then shows as bands.",
+        description="Delay from the first row's exposure to the last one's; flicker then shows as bands.",
     )
     stripe_loss: float = Field(
         0.0,
         ge=0.0,
         le=0.5,
-        description="Share of its light that a stripe of one pixel loses to crosstalk of the panel; a stripe of two "
-        "pixels loses half as much.",
+        description="Share of light that a one-pixel stripe loses by crosstalk; two pixels lose half of it.",
     )
     sharpening: float = Field(
         0.0,
         ge=0.0,
         le=3.0,
-        description="Sharpening by the projector: share that it adds of the difference to the picture blurred by one "
-        "pixel.",
+        description="Strength of the projector's sharpening (unsharp mask, 1 px).",
     )
     panel: PanelSettings = Field(
         default=PanelSettings(),
@@ -273,28 +246,23 @@ class SimulatedRigSettings(BaseModel):
     )
     drift: DriftSettings = Field(default=DriftSettings(), description="{device: …, px_per_frame: …}: a device drifts.")
     projector_blur_px: float = Field(
-        0.5, ge=0.0, le=4.0, description="Standard deviation of the projector lens's blur in projector pixels."
+        0.5, ge=0.0, le=4.0, description="Standard deviation of the projector's blur, in its pixels."
     )
     camera_blur_px: float = Field(
-        0.5, ge=0.0, le=3.0, description="Standard deviation of the camera lens's blur in camera pixels."
+        0.5, ge=0.0, le=3.0, description="Standard deviation of the camera's blur, in its pixels."
     )
     camera_response: Literal["linear", "srgb", "photo"] = Field(
         "linear",
-        description="Response: linear as of machine vision cameras, sRGB as of webcams, or with more contrast as of a "
-        "photo camera's JPEG.",
+        description="Response: machine vision, webcam, or a photo camera's JPEG.",
     )
     exposure_us: float | None = Field(
         None,
         gt=0.0,
-        description="Exposure in microseconds; left out, white reaches 85 % of the camera's range.",
+        description="Exposure; default: white reaches 85 % of the range.",
     )
-    bit_depth: Literal[8, 10, 12, 16] = Field(
-        8, description="Bits of a camera pixel; more than 8 come as 16-bit images."
-    )
-    full_well_electrons: float = Field(
-        10_500.0, ge=100.0, description="Electrons in a saturated camera pixel: sets the shot noise."
-    )
-    read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise in electrons.")
+    bit_depth: Literal[8, 10, 12, 16] = Field(8, description="Bits per camera pixel.")
+    full_well_electrons: float = Field(10_500.0, ge=100.0, description="Full well, which sets the shot noise.")
+    read_noise_electrons: float = Field(2.5, ge=0.0, description="Standard deviation of the read noise.")
 
     @property
     def places(self) -> int:
@@ -330,11 +298,11 @@ class CameraRigSettings(BaseModel):
     gain: float | None = None
     screen: int | str | None = Field(
         None,
-        description="Number, name or geometry (as in 1920x1080+1920+0) of the projector's screen; left out, the only "
-        "one of the projector's size.",
+        description="Number, name or geometry (`1920x1080+1920+0`) of the projector's screen, or its own X display "
+        "(`:0.1`); default: the only one of the projector's size.",
     )
     refresh_hz: float | None = Field(
-        None, ge=10.0, le=1000.0, description="Refresh rate of the projector; left out, that of the screen's mode."
+        None, ge=10.0, le=1000.0, description="Refresh rate of the projector; default: the screen mode's."
     )
 
     @property

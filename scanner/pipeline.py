@@ -5,8 +5,8 @@ calibrated are worth keeping, and the report says why.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from scanner.capture import (
     CaptureMetadata,
     Recording,
     Stream,
-    capture,
+    capture_together,
     identity,
     known_of_lines,
     measure_lines,
@@ -130,24 +130,70 @@ def take(
 
     Raises DeviceError, StorageError if there is no room for it.
     """
-    patterns = config.sequence.patterns(config.projector_size)
-    count, pixels = len(patterns) * max(1, len(config.sequence.exposures_us)), prod(config.camera_size)
-    total_bytes = pixels * (count * settings.bytes_per_pixel + _RESULT_BYTES_PER_PIXEL)
-    require_space(
-        folder, count, total_bytes, f"a capture of {count} frames of {config.camera_size} px, with its result,"
-    )
+    rig = open_rig(settings, config.camera_size, config.projector_size)
+    (found,) = take_together(rig, [PlannedCapture(name, config, folder)], progress, begun)
+    return found
+
+
+@dataclass(frozen=True)
+class PlannedCapture:
+    """A capture by one camera, which is recorded in `folder`."""
+
+    name: str
+    config: Config
+    folder: Path
+
+    @property
+    def frames(self) -> int:
+        """How many are to be taken."""
+        sequence = self.config.sequence
+        return len(sequence.patterns(self.config.projector_size)) * max(1, len(sequence.exposures_us))
+
+    @property
+    def bytes(self) -> int:
+        """What it needs on the disk at most, with its result."""
+        per_pixel = self.frames * self.config.required_rig.bytes_per_pixel + _RESULT_BYTES_PER_PIXEL
+        return prod(self.config.camera_size) * per_pixel
+
+
+def take_together(
+    rig: AbstractContextManager[OpenedRig],
+    planned: Sequence[PlannedCapture],
+    progress: Progress,
+    begun: Recording | None = None,
+) -> list[Decoded]:
+    """A capture by each camera of a rig, in its order, while the projector shows the patterns of the first once.
+
+    Each is recorded and decoded as it comes. If a camera fails, all end; what they have captured stays. Raises
+    DeviceError, StorageError if there is no room for them.
+    """
+    first, count = planned[0].config, sum(each.frames for each in planned)
+    captures = "a capture" if len(planned) == 1 else f"{len(planned)} captures"
+    frames = f"{captures} of {count} frames of {first.camera_size} px, with results,"
+    require_space(planned[0].folder, count, sum(each.bytes for each in planned), frames)
     with ExitStack() as devices:
         with progress.step("Preparing the rig"):
-            opened = devices.enter_context(open_rig(settings, config.camera_size, config.projector_size))
-            lines = measure_lines(opened.rig) if begun is None else known_of_lines(begun.metadata)
-        if opened.truth:
-            write_calibration(folder / TRUTH_FILE, opened.truth, _additional_truth(opened))
-        how = patterns, config.sequence.exposures_us, config.projector.known_response
-        live = capture(opened.rig, *how) if begun is None else take_up(begun, opened.rig, *how)
-        live = replace(live, metadata={**live.metadata, **lines, CONFIGURATION_KEY: config.recorded})
-        found = decode(record(live, folder / CAPTURE_FOLDER), progress, "Capturing and decoding", name)
-        found = _as_recorded(found, live.metadata, live.account())
-    return replace(found, metadata=replace(found.metadata, truth=opened.truth))
+            opened = devices.enter_context(rig)
+            lines = measure_lines(opened.rig) if begun is None else [known_of_lines(begun.metadata)]
+        for each, plan in zip(opened.all, planned, strict=True):
+            if each.truth:
+                write_calibration(plan.folder / TRUTH_FILE, each.truth, _additional_truth(each))
+        patterns = first.sequence.patterns(first.projector_size)
+        how = patterns, first.sequence.exposures_us, first.projector.known_response
+        live = capture_together(opened.rig, *how) if begun is None else (take_up(begun, opened.rig, *how),)
+        streams = [
+            replace(stream, metadata={**stream.metadata, **of_lines, CONFIGURATION_KEY: plan.config.recorded})
+            for stream, of_lines, plan in zip(live, lines, planned, strict=True)
+        ]
+        recorded = [record(stream, plan.folder / CAPTURE_FOLDER) for stream, plan in zip(streams, planned, strict=True)]
+        decoded = _decode_together(recorded, progress, "Capturing and decoding", [each.name for each in planned])
+        found = [
+            _as_recorded(each, stream.metadata, stream.account()) for each, stream in zip(decoded, streams, strict=True)
+        ]
+    return [
+        replace(each, metadata=replace(each.metadata, truth=of_rig.truth))
+        for each, of_rig in zip(found, opened.all, strict=True)
+    ]
 
 
 def replay(
@@ -235,17 +281,38 @@ def decode(
     calibration: Calibration | None = None,
 ) -> Decoded:
     """Frames as they come → matches. With a calibration one axis is enough. Raises InputError."""
-    decoder = Decoder(stream.patterns, stream.projector_size, calibration)
-    exposures_us = []
-    with in_background(decoder.add) as add:
-        for _, frame in progress.track(stream.frames, len(stream.patterns), what):
-            add(frame.image, frame.exposure_us)
-            exposures_us += [frame.exposure_us] if frame.exposure_us else []
+    return _decode_together([stream], progress, what, [name], calibration)[0]
+
+
+def _decode_together(
+    streams: Sequence[Stream],
+    progress: Progress,
+    what: str,
+    names: Sequence[str],
+    calibration: Calibration | None = None,
+) -> list[Decoded]:
+    """The same of streams with the same patterns, side by side."""
+    decoders = [Decoder(stream.patterns, stream.projector_size, calibration) for stream in streams]
+    exposures_us: list[list[float]] = [[] for _ in streams]
+    with ExitStack() as running:
+        adding = [running.enter_context(in_background(decoder.add)) for decoder in decoders]
+        frames = zip(*(stream.frames for stream in streams), strict=True)
+        for taken in progress.track(frames, len(streams[0].patterns), what):
+            for (_, frame), add, exposures in zip(taken, adding, exposures_us, strict=True):
+                add(frame.image, frame.exposure_us)
+                exposures += [frame.exposure_us] if frame.exposure_us else []
     with progress.step("Matching"):
-        decoding = decoder.finish()
+        return [
+            _decoded(stream, decoder, tuple(exposures), name)
+            for stream, decoder, exposures, name in zip(streams, decoders, exposures_us, names, strict=True)
+        ]
+
+
+def _decoded(stream: Stream, decoder: Decoder, exposures_us: tuple[float, ...], name: str) -> Decoded:
+    decoding = decoder.finish()
     decoding = replace(decoding, smooth_px=with_smooth_errors_of_film(decoding.smooth_px, stream.metadata))
     about = identity({**stream.metadata, **stream.account()})
-    metadata = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, tuple(exposures_us))
+    metadata = CaptureMetadata(stream.camera_size, stream.projector_size, stream.patterns, about, exposures_us)
     return Decoded(metadata, decoding.matches, decoding, name)
 
 

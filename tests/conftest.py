@@ -23,9 +23,11 @@ for ignored, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGH
     if signal.getsignal(ignored) == signal.SIG_IGN:
         signal.signal(ignored, usual)
 
-# No test is timed: the first example may wait for a compiler, any for a busy machine.
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
+# No test is timed: the first example may wait for a compiler, any for a busy machine. Every run has the same examples,
+# so that a failure comes from a change; `pytest --hypothesis-profile random` looks for new ones.
+settings.register_profile("random", deadline=None, print_blob=True)
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.load_profile("same")
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 # In software, and talking to nobody.

@@ -4,28 +4,31 @@
     python tools/on_loopback.py scan check --config configs/room-loopback.yaml
     python tools/on_loopback.py --latency-ms 120 scan console --config configs/room-loopback.yaml
     python tools/on_loopback.py scan --config configs/room-loopback-stream.yaml --out scans/room-loopback-stream
+    python tools/on_loopback.py scan network --config configs/hall-loopback.yaml --out scans/hall-loopback
 
 The command is the one that a real rig is used with; a configuration with `backend: opencv` gets a webcam at the address
-that it names. After a scan the truth is written into its result.
+that it names, and a network a camera and a screen for each name. After a scan the truth is written into its result.
 """
 
 import os
 import subprocess
 import sys
 from argparse import REMAINDER, ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.loopback.launcher import loopback_rig
+from hw.loopback.launcher import loopback_network, loopback_rig, own_addresses
 from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
 from hw.opencv import OpenCVRigSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
 from scanner.commands.catalogue import NAMED
-from scanner.configuration import load_config
+from scanner.configuration import Config, load_config
 from scanner.io import read_calibration, write_calibration
 from scanner.quantities import truth_line
 from scanner.results import CALIBRATION_FILE, TRUTH_FILE
@@ -48,8 +51,8 @@ def main() -> int:
         webcam=_webcam(config.required_rig),
     )
     try:
-        with loopback_rig(settings, config.projector_size):
-            code = subprocess.run([sys.executable, "-m", "scanner", *command], check=False).returncode
+        with _devices(config, settings) as more:
+            code = subprocess.run([sys.executable, "-m", "scanner", *command, *more], check=False).returncode
     except DeviceError as error:
         print(error, file=sys.stderr)
         return 3
@@ -61,6 +64,40 @@ def main() -> int:
             write_calibration(given.out / TRUTH_FILE, truth)
             Terminal().show(truth_line(read_calibration(given.out / CALIBRATION_FILE), truth))
     return code
+
+
+@contextmanager
+def _devices(config: Config, settings: LoopbackSettings) -> Iterator[list[str]]:
+    """Run the devices that a configuration names. Returns options by which the command finds those of a network."""
+    if config.rigs is None:
+        with loopback_rig(settings, config.projector_size):
+            yield []
+        return
+    pairs, addresses = config.pairs, own_addresses()
+    cameras = {camera: own.camera_size for (camera, _), own in pairs.items()}
+    projectors = {projector: own.projector_size for (_, projector), own in pairs.items()}
+    if len(cameras) > len(addresses):
+        raise DeviceError(f"{len(cameras)} cameras need as many addresses; this computer has {', '.join(addresses)}")
+    found = dict(zip(cameras, addresses, strict=False))
+    served = [
+        settings.model_copy(
+            update={
+                "camera_size": size,
+                "room": settings.room.model_copy(update={"pose": pose}),
+                "projector_poses": tuple(range(len(projectors))),
+                "address": found[camera],
+                "serial": camera,
+            }
+        )
+        for pose, (camera, size) in enumerate(cameras.items())
+    ]
+    with loopback_network(served, [*projectors.values()]) as screens:
+        of_cameras = [f"rigs.cameras.{name}.rig.camera={address}" for name, address in found.items()]
+        of_projectors = [
+            f"rigs.projectors.{name}.rig.screen={screen.display}"
+            for name, screen in zip(projectors, screens, strict=True)
+        ]
+        yield [word for each in (*of_cameras, *of_projectors) for word in ("--set", each)]
 
 
 def _parser() -> ArgumentParser:

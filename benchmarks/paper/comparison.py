@@ -1,12 +1,13 @@
 """All comparisons in which a peer is better than the refined method."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from paper.experiment import Results
 from paper.markdown import mean_of, mean_size, method_name, number
-from paper.page_tables import OWN_METHODS, TWO_VIEW_METHODS, Parts
+from paper.page_tables import LENSES_CORRECTED, OWN_METHODS, STARTS, Parts
 
 _REFINED = "refined"
+_REFINED_METHODS = [key for _, key, _ in OWN_METHODS if key.startswith(_REFINED)]
 _NOWHERE = "Nothing that was compared did better anywhere."
 
 
@@ -25,34 +26,35 @@ def where_peers_are_better(results: Results) -> str:
 
 
 def _intrinsics(own: Parts, two_views: Parts) -> Iterator[str]:
-    refined_keys = [key for _, key, _ in OWN_METHODS if key.startswith(_REFINED)]
-    others = {key: own for _, key, _ in OWN_METHODS if not key.startswith(_REFINED)}
-    others |= {key: two_views for _, key, _ in TWO_VIEW_METHODS}
-    for room in own:
-        ours = {key: mean_size(own[room][key]) for key in refined_keys}
-        for other, parts in others.items():
-            theirs = mean_size(parts.get(room, {}).get(other))
-            beaten = _beaten(ours, theirs)
-            if beaten:
-                yield f"Table 1, {room}: “{method_name(other)}” errs by {number(theirs)} %, {beaten}."
+    ours = {key: {room: mean_size(own[room][key]) for room in own} for key in _REFINED_METHODS}
+    others = {key: own for _, key, _ in OWN_METHODS if key not in _REFINED_METHODS}
+    others |= {start + lenses: two_views for start in STARTS for lenses in ("", LENSES_CORRECTED)}
+    for other, parts in others.items():
+        theirs = {room: mean_size(parts.get(room, {}).get(other)) for room in own}
+        yield from _rooms_won(f"“{method_name(other)}”", theirs, ours)
 
 
 def _focal_lengths(own: Parts, many_views: Parts) -> Iterator[str]:
     """COLMAP's many views give the camera's focal length only."""
-    for room in (room for room in own if room in many_views):
-        error = many_views[room]["f_c"]
-        keys = [key for _, key, _ in OWN_METHODS if key.startswith(_REFINED)]
-        ours = {key: abs(own[room][key][0]) if own[room][key] else None for key in keys}
-        theirs = None if error is None else abs(error)
-        beaten = _beaten(ours, theirs)
-        if beaten:
-            views = many_views[room]["views"]
-            yield f"Table 1, {room}: COLMAP's {views} views err by {number(theirs)} % in f_c, {beaten}."
+    shared = [room for room in own if room in many_views]
+    ours = {key: {room: _focal(own[room][key]) for room in shared} for key in _REFINED_METHODS}
+    theirs = {room: _focal([many_views[room]["f_c"]]) for room in shared}
+    yield from _rooms_won("COLMAP's many views, in f_c,", theirs, ours)
 
 
-def _beaten(ours: Mapping[str, float | None], theirs: float | None) -> str:
-    worse = [f"“{key}” {_stated(value, '%')}" for key, value in ours.items() if _is_worse(value, theirs)]
-    return ", ".join(worse)
+def _focal(errors: Sequence[float | None] | None) -> float | None:
+    """The size of the first error; None for no answer."""
+    return abs(errors[0]) if errors and errors[0] is not None else None
+
+
+def _rooms_won(
+    peer: str, theirs: Mapping[str, float | None], ours: Mapping[str, Mapping[str, float | None]]
+) -> Iterator[str]:
+    """A line with the number of rooms in which a peer beats each variant; none if it never does."""
+    won = {key: sum(_is_worse(errors[room], theirs[room]) for room in theirs) for key, errors in ours.items()}
+    beaten = [f"“{key}” in {count}" for key, count in won.items() if count]
+    if beaten:
+        yield f"Table 1: {peer} errs less than {', '.join(beaten)} of {len(theirs)} rooms."
 
 
 def _stated(error: float | None, unit: str) -> str:

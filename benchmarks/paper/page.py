@@ -11,9 +11,8 @@ from paper.comparison import where_peers_are_better
 from paper.experiment import Results
 from paper.markdown import number
 from paper.page_figures import beyond, figure_7, figure_8, ratios_to_bound
-from paper.page_tables import Parts, Pictures, paper_by_room, table_1, table_2, table_3
+from paper.page_tables import Parts, Pictures, table_1, table_1_two_views, table_2, table_3
 from paper.photographs import CUT_OFF
-from paper.sphere import FACING_DEG
 from paper.two_views import MATCHES
 
 EXPERIMENTS = (
@@ -63,14 +62,13 @@ def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
     """Values of the template for each experiment; adds to the pictures."""
     own, many_views = parts["table1"], parts["table1-many-views"]
     context: dict[str, Any] = {
-        "table_1": table_1(own, parts["table1-two-views"], many_views) if own else "",
-        "paper_by_room": paper_by_room(),
+        "table_1": table_1(own, many_views) if own else "",
+        "two_views": table_1_two_views(parts["table1-two-views"]) if parts["table1-two-views"] else "",
         "views": next(iter(many_views.values()), None),
         "colmap_matches": MATCHES,
         "start": [number(100 * share) for share in published.RANDOM_START_SHORT_BY],
         "all_matches": published.MATCHES,
         "ball_mm": published.SPHERE_MM,
-        "facing_deg": f"{FACING_DEG:g}",
         "cut_off": [f"{100 * share:g}" for share in CUT_OFF],
         "figure_8": figure_8(parts["figure8"]) if parts["figure8"] else "",
     }
@@ -82,8 +80,6 @@ def _context(parts: dict[str, Parts], pictures: Pictures) -> dict[str, Any]:
     ):
         context[key], drawn = write(parts[name]) if parts[name] else ("", {})
         pictures |= drawn
-    if ball := parts["figure7"]:
-        context["metre_mm"] = f"{ball[min(ball)]['metres_to_mm']:.0f}"
     if curves := parts["beyond"]:
         context["to_bound"] = f"{np.median(ratios_to_bound(curves)):.2f}"
         context["corners"] = next(iter(curves.values()))["points"][0]["corners"]

@@ -1,12 +1,9 @@
 """Figures 7 and 8 and the additional curves, on the page."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from paper.curves import CURVES
-from paper.experiment import Figures
-from paper.markdown import NONE, image, mean_of, method_name, number, table
+from paper.markdown import answered, image, mean_of, method_name, number, table
 from paper.page_tables import Parts, Pictures
 from paper.plots import Axis, curves, heat_maps
 
@@ -20,56 +17,38 @@ _STYLES = {"refined": "s0", "paper": "s1", "refined, told so": "s2", "bound": "b
 
 
 def figure_7(parts: Parts) -> tuple[str, Pictures]:
-    """Errors of the ball in each room, and the maps of the first."""
+    """Errors of the ball, means over the rooms, and the maps of the first."""
     rooms = sorted(parts)
     methods = list(parts[rooms[0]]["methods"])
-    head = ["", *(f"{room}: MAE, size" for room in rooms), "mean MAE, mm", "mean size error, mm"]
     rows = []
     for method in methods:
         fits = [parts[room]["methods"][method] for room in rooms]
-        cells = [_fit(fit) for fit in fits]
         maes = mean_of(fit["mean_absolute_mm"] for fit in fits if fit)
         sizes = mean_of(abs(fit["diameter_error_mm"]) for fit in fits if fit)
-        rows.append([method_name(method), *cells, number(maes), number(sizes)])
+        rows.append([method_name(method) + answered(fits), number(maes), number(sizes)])
     first = parts[rooms[0]]["methods"]
     there = {method_name(method): fit for method, fit in first.items() if fit}
     shown = {name: fit["map_um"] for name, fit in there.items()}
     titles = {name: f"MAE {number(fit['mean_absolute_mm'])} mm" for name, fit in there.items()}
     drawn = heat_maps(shown, titles, f"errors of the sphere's fit in {rooms[0]}")
-    return table(head, rows), {"figure7.svg": drawn}
-
-
-def _fit(fit: Figures | None) -> str:
-    if fit is None:
-        return NONE
-    return f"{number(fit['mean_absolute_mm'])}, {number(fit['diameter_error_mm'], signed=True)}"
+    return table(["", "MAE, mm", "size, mm"], rows), {"figure7.svg": drawn}
 
 
 def figure_8(parts: Parts) -> str:
-    """Errors in px of the focal length and the principal point."""
+    """Mean absolute errors in px of the focal length and the principal point."""
+    photos = [parts[room][kind] for room in sorted(parts) for kind in ("original", "cropped")]
+    keys = {"refined": "`scan photos`", "sigma_px": "its σ", **{peer: peer for peer in _peers(parts)}}
     rows = []
-    for room in sorted(parts):
-        for photos in ("original", "cropped"):
-            figures = parts[room][photos]
-            width, height = figures["size"]
-            f, x, y = figures["truth_px"]
-            about = f"{room}, {photos}, {width} × {height}"
-            truth = f"{f:.0f}, ({x:.0f}, {y:.0f})"
-            ours = _triple(figures["refined"], f"refused (exit code {figures['exit_code']})")
-            sigma = _triple(figures["sigma_px"], signed=False)
-            peers = [_triple(figures.get(key)) for key in _peers(parts)]
-            rows.append([about, truth, ours, sigma, *peers])
-    head = ["", "truth: f, PP", "`scan photos`: f, x₀, y₀ off by", "its σ", *_peers(parts)]
-    return table(head, rows)
+    for key, shown in keys.items():
+        errors = [figures.get(key) for figures in photos]
+        each = [mean_of(None if three is None else abs(three[i]) for three in errors) for i in range(3)]
+        rows.append([shown + answered(errors), *map(number, each)])
+    return table(["", "f", "x₀", "y₀"], rows)
 
 
 def _peers(parts: Parts) -> list[str]:
     found = {key for room in parts.values() for key in room["original"] if key.startswith("COLMAP")}
     return sorted(found, reverse=True)
-
-
-def _triple(errors: Sequence[float] | None, none: str = NONE, *, signed: bool = True) -> str:
-    return none if errors is None else ", ".join(number(error, signed=signed) for error in errors)
 
 
 def beyond(parts: Parts) -> tuple[str, Pictures]:
@@ -83,7 +62,7 @@ def beyond(parts: Parts) -> tuple[str, Pictures]:
         log = curve.log and min(curve.values) > 0
         styles = {shown: _STYLES[key] for key, shown in _NAMES.items()}
         pictures[file] = curves(Axis(curve.label, log), "median error (%)", lines, f"error over {name}", styles)
-        texts.append(f"**Error over {name}.**\n\n{image(f'images/results/{file}', f'error over {name}')}")
+        texts.append(image(f"images/results/{file}", f"error over {name}"))
     return "\n\n".join(texts), pictures
 
 

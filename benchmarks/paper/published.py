@@ -1,10 +1,6 @@
-"""Published results (Qi et al., ECCV 2024, tables 1 to 3), as printed.
+"""What the paper states (Qi et al., ECCV 2024, tables 1 to 3), as it is printed there."""
 
-Signed errors are truth minus estimate.
-"""
-
-PER_CENT_OF = ("f_c", "f_p", "x_p", "y_p")
-# Table 1, last row: mean absolute errors in per cent. DroidCalib needs weights and a GPU, and is only cited.
+# Table 1, its last row: mean absolute errors in per cent. DroidCalib needs weights and a GPU, and is only quoted.
 MEAN_ERRORS = {
     "COLMAP, 20 views": 0.4,
     "DroidCalib, 20 views": 1.9,
@@ -14,9 +10,7 @@ MEAN_ERRORS = {
     "R-BA": 176.9,
     "paper": 4.3,
 }
-# Table 1, the paper's own method: (f_c, f_p, x_p, y_p) in its four scenes.
-OWN_ERRORS = ((-2.4, 1.9, -9.3, -10.2), (-4.6, 0.1, -9.1, 4.2), (-3.0, -0.8, -7.3, -4.9), (1.3, 6.6, -3.4, 0.1))
-# Table 1, rows x_p and y_p of R, with the random start fixed: its relative error.
+# Table 1, rows x_p and y_p of R, where the random start is held: what share of the truth it is short of it.
 RANDOM_START_SHORT_BY = (0.226, -0.674)
 CONFIGURATIONS = (6.7, 25.4, 41.8, 46.9, 48.2, 133.8, 19.6, 16.5, 4.4, 4.3)  # table 2
 # Table 3; the last rate is printed as 100, but the text and the sequence imply 1000.

@@ -30,6 +30,7 @@ USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long,
 _TENSION_SIGMAS = 4.0
 CENTRED = 1e-4  # p1 and p2 of a lens that is hardly decentred: a twentieth of a pixel at the image's corner
 _SIGNIFICANT = 0.9999
+_SCALED = 0.05  # probability of a scaled picture that is worth a sentence
 _MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
 _PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
 
@@ -65,7 +66,8 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words))
                 + _if_centred(refinement),
-                " ".join([*on_repeats(refinement), _where_to_go(refinement, knowledge)]) + missing_knowledge(knowledge),
+                " ".join([*on_repeats(refinement), *on_picture_scale(refinement), _where_to_go(refinement, knowledge)])
+                + missing_knowledge(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
     others = [other for other in refinement.others if not _absurd_focals(other, knowledge)]
@@ -178,7 +180,12 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
                 else "they should be"
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
-            "Choose another corner, or allow for walls farther from square (a larger squareness_deg)."
+            " ".join(
+                [
+                    *on_picture_scale(refinement),
+                    "Choose another corner, or allow for walls farther from square (a larger squareness_deg).",
+                ]
+            )
             + _given_centre(knowledge)
             + knowledge.words.shape,
         )
@@ -228,6 +235,18 @@ def _intrinsics(fit: Fit) -> str:
     if fit.state.one_camera:
         return f"a focal length of {camera[0]:.0f} px with a principal point of ({camera[1]:.0f}, {camera[2]:.0f})"
     return f"a camera focal length of {camera[0]:.0f} px with a projector of {projector[0]:.0f} px"
+
+
+def on_picture_scale(refinement: Refinement) -> list[str]:
+    """A sentence on a picture that seems to be scaled in one direction."""
+    scale = refinement.scale
+    if scale is None or scale.probability < _SCALED:
+        return []
+    return [
+        f"The projector's picture may be scaled in one direction (by {100 * scale.aspect:+.1f} ± "
+        f"{100 * scale.sigma:.1f} % along x, with a probability of {100 * scale.probability:.0f} %; the sigmas allow "
+        "for it). Show it in the projector's own resolution, without keystone correction, zoom or overscan."
+    ]
 
 
 def _reasons(refinement: Refinement, words: Wording) -> list[str]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.diagnostics.acceptance import far_from_square, on_repeats, sigma_if, signed
+from calib.diagnostics.acceptance import far_from_square, on_picture_scale, on_repeats, sigma_if, signed
 from calib.diagnostics.next_best_view import NextView
 from calib.refinement import CAMERA, WEAK_TERMS, Knowledge, Refinement
 
@@ -23,6 +23,7 @@ def notes_on(refinement: Refinement, knowledge: Knowledge, further: NextView | N
     return (
         *_on_squareness(refinement, knowledge),
         *on_repeats(refinement),
+        *on_picture_scale(refinement),
         *_on_interval(refinement),
         *_on_lenses(refinement),
         *_on_next_view(refinement, further),

@@ -4,3 +4,4 @@ from calib.networks.estimate import NetworkEstimate, estimate_network
 from calib.networks.joined import Disagreement, Joined, joined
 from calib.networks.network import Device, Network
 from calib.networks.sights import Sight
+from calib.networks.warps import Warp, Warps

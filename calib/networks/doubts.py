@@ -1,6 +1,4 @@
-"""What makes devices other than the estimate takes them for: mirrored pictures, pixels that are not square (keystone
-correction), and two that stand almost alike.
-"""
+"""What contradicts an estimate or weakens it: mirrored pictures, pairs that are off, devices almost in one place."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +12,10 @@ from calib.networks.overlaps import PairName
 from calib.networks.raster import Raster, SeenAt
 from calib.networks.sights import Sight
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, evenly, median
-from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.refusal import RefusalError
 from calib.rooms.likelihood import Fit
-from calib.rooms.scores import score
 
 _SAMPLE = 20_000
-_STEP_PX = 0.5
 _ALIKE = 0.03  # of the distance of what they see, as of a rig's baseline in `calib.diagnostics`
 
 
@@ -52,62 +47,6 @@ def _is_mirrored(matches: Matches, size: Size) -> bool:
     by_own = SeenAt.of(Raster.fine(size, [some.projector_px]), some.projector_px, some.camera_px).by_own
     known = by_own[np.isfinite(by_own).all(axis=(-2, -1))]
     return len(known) > 0 and float(np.median(np.linalg.det(known))) < 0
-
-
-@dataclass(frozen=True)
-class PixelShape:
-    """By how much pixels are off square along x, and their `skew`, relative; `significance`: χ² of two degrees of
-    freedom.
-    """
-
-    aspect: float
-    skew: float
-    significance: float
-
-    @property
-    def off_square(self) -> float:
-        """The larger of both."""
-        return max(abs(self.aspect), abs(self.skew))
-
-
-def pixel_shapes(
-    sights: Sequence[Sight], fit: Fit[Network], covariance: Floats, variances: Sequence[Floats]
-) -> list[PixelShape]:
-    """Of each device, what a fit would gain if its pixels were parallelograms, to first order: Rao's score."""
-    network, found = fit.layout, []
-    for number in range(len(network.devices)):
-        slope, information, across = np.zeros(2), np.zeros((2, 2)), np.zeros((2, network.size))
-        for sight, residual, variance in zip(sights, fit.residuals, variances, strict=True):
-            if number not in (sight.camera, sight.projector):
-                continue
-            predicted, jacobian, depths = sight.predict(network)
-            own = _by_shape(sight, network, predicted, number)
-            size = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
-            weight = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12)) / variance
-            weight[~(depths > 0).all(axis=1)] = 0.0
-            slope += np.einsum("n,na,nai->i", weight, residual, own)
-            information += np.einsum("n,nai,naj->ij", weight, own, own)
-            across[:, sight.columns(network)] += np.einsum("n,nai,nac->ic", weight, own, jacobian)
-        if not information.any():
-            found.append(PixelShape(0.0, 0.0, 0.0))
-            continue
-        told = score(slope, information, across, covariance, np.zeros(network.size))
-        found.append(PixelShape(float(told.step[0]), float(told.step[1]), told.value))
-    return found
-
-
-def _by_shape(sight: Sight, network: Network, predicted: Floats, number: int) -> Floats:
-    """Derivatives (N, 2, 2) of a sight's predictions by aspect and skew of a device's pixels."""
-    own = np.zeros((len(predicted), 2, 2))
-    x0, y0 = network.devices[number].lens[1:3]
-    if number == sight.projector:
-        own[:, 0] = predicted - (x0, y0)
-        return own
-    shift = np.array([_STEP_PX, 0.0])
-    after, before = (sight.predict(network, sight.cells.camera_px + sign * shift)[0] for sign in (1, -1))
-    by_x = (after - before) / (2 * _STEP_PX)
-    own -= by_x[:, :, None] * (sight.cells.camera_px - (x0, y0))[:, None]
-    return own
 
 
 @dataclass(frozen=True)

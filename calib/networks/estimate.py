@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import FACES, NO_FACE, Intrinsics, Matches, Size
-from calib.networks.doubts import PixelShape, Strain, pixel_shapes, refuse_mirrored, standing_alike, strains
+from calib.networks.doubts import Strain, refuse_mirrored, standing_alike, strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.missing import not_connected
-from calib.networks.network import Device, Network
+from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import Sight
+from calib.networks.warps import Warps, find_warps
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
 from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import CONVERGED, Fit, minimise
-from calib.rooms.noise import measured
 from calib.rooms.smooth_errors import covariance_of_shifts
 from calib.rooms.ties import WRONG_TIE, tie_scores, untied
 from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
@@ -26,8 +26,7 @@ from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
 _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
 _METHODS: tuple[Method, ...] = ("refined", "paper")
-_ROUNDS = 4
-_BENT = 4.0  # times the variance of noise: pixels that devices share then tell more than the plane that they are on
+_ROUNDS = 3
 _IN_FRONT = 0.98  # of a sight's cells
 
 
@@ -35,7 +34,7 @@ _IN_FRONT = 0.98  # of a sight's cells
 class NetworkEstimate:
     """`names`: of the devices, in the network's order. `covariance` (size, size) of the network's columns, 0 for what
     was held. `noise`: of each pair. `seed`: the pair whose distance is the unit of length. `waves` (P,): by how much
-    each plane is not flat, root mean square; 0 where nothing shows it. `shapes`: what each device's pixels seem to be.
+    each plane is not flat, root mean square; 0 where nothing shows it. `warps`: whose picture seems to be warped.
     `strains`: of each pair that sees a plane.
     """
 
@@ -47,7 +46,7 @@ class NetworkEstimate:
     seed: PairName
     sights: tuple[Sight, ...]
     waves: Floats
-    shapes: tuple[PixelShape, ...]
+    warps: Warps
     strains: Mapping[PairName, Strain]
 
     @property
@@ -68,7 +67,7 @@ class NetworkEstimate:
     def sigmas(self, name: str) -> Floats:
         """Standard deviations (14,) of log f, x_0, y_0 in px, k1, k2, p1, p2, k3, turn in radians, and translation."""
         columns = self.network.device_columns(self.names.index(name))
-        return np.sqrt(np.diag(self.covariance)[columns])
+        return np.sqrt(np.diag(self.covariance)[columns][: WARP.start])
 
     @property
     def alike(self) -> list[tuple[str, str, float]]:
@@ -205,23 +204,14 @@ def _in_front(network: Network, sights: tuple[Sight, ...]) -> tuple[Network, tup
 
 def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:
     """All of it at once, with the noise that its residuals show."""
-    prior, pairs = grown.knowledge.prior(grown.names), tuple(grown.labelled)
+    pairs = tuple(grown.labelled)
     sights, fit = _without_wrong_ties(grown)
-    free, variances = grown.free(fit.layout), [sight.cells.sigma_px**2 for sight in sights]
-    shapes: tuple[PixelShape, ...] = ()
-    bent: list[tuple[int, int]] = []
+    free = grown.free(fit.layout)
+    warps, fit, weights = find_warps(grown, sights, fit)
     for last in range(_ROUNDS):
-        levels = measured(sights, fit, variances, free, [1] * len(pairs), one_rig=False)
-        variances, joints = levels.variances(sights), grown.joints(fit.layout, bent)
-        tolerance = CONVERGED if last == _ROUNDS - 1 else ROUGH
-        fit = minimise(sights, fit.layout, prior, variances, free, joints=joints, tolerance=tolerance)
-        if not shapes:  # while planes hold all pairs, so that what contradicts them shows
-            shapes = tuple(pixel_shapes(sights, fit, covariance_of(fit.information, free), variances))
-        bent = [
-            (sight.capture, int(sight.cells.plane[0]))
-            for sight, variance in zip(sights, variances, strict=True)
-            if np.median(variance / sight.cells.sigma_px**2) > _BENT
-        ]
+        levels, weights = weights.measured_anew(grown, sights, fit, free)
+        fit = weights.fitted(grown, sights, fit.layout, free, CONVERGED if last == _ROUNDS - 1 else ROUGH)
+    variances = weights.variances
     of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
     covariance = covariance_of(fit.information, free) + of_waves
@@ -240,6 +230,6 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         (grown.names[0], grown.names[1]),
         sights,
         waves,
-        shapes,
+        warps,
         {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
     )

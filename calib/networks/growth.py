@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import NO_FACE, Matches, Motion
 from calib.networks.labels import label_map, read
-from calib.networks.network import Device, Network
+from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, placed_before_wall, sees, triangulated
 from calib.networks.prior import NetworkKnowledge
@@ -103,6 +103,7 @@ class Grown:
         free[network.device_columns(0)][PER_DEVICE:] = False
         for i, sigma in enumerate(self.knowledge.prior(self.names).sigma):
             free[network.device_columns(i)][:PER_DEVICE] = sigma > 0
+            free[network.device_columns(i)][WARP] = False
         return free
 
     def joints(self, network: Network, bent: Collection[tuple[int, int]] = ()) -> tuple[SharedPoints, ...]:
@@ -133,7 +134,7 @@ class Grown:
         for label, plane in enumerate(self.network.planes):
             own = evenly(matches.labels == label, _SAMPLE)
             if len(own) >= _LEAST_ON_PLANE:
-                points.append(points_on(pixels[1 - new][own], device.lens, device.pose, plane))
+                points.append(points_on(pixels[1 - new][own], device, plane))
                 seen.append(pixels[new][own])
         if len(points) < 2:
             devices = dict(zip(self.names, self.network.devices, strict=True))
@@ -216,7 +217,7 @@ class Grown:
 
 def _in_front(plane: RoomPlane, camera: Device, projector: Device, camera_px: Floats) -> bool:
     """Whether nearly all of what a camera sees of a plane is before it and before a projector."""
-    points = points_on(camera_px, camera.lens, camera.pose, plane)
+    points = points_on(camera_px, camera, plane)
     ahead = [(points - device.pose.translation) @ device.pose.rotation[:, 2] > 0 for device in (camera, projector)]
     return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
 

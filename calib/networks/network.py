@@ -5,34 +5,80 @@ them. A network is the general case: each device has intrinsics and a pose of it
 sees any projector's light. Cameras and projectors are the same to the mathematics: pinholes with lenses.
 
 Columns of every step, gradient and Hessian: for each device its intrinsics (8), as in `calib.refinement`, the rotation
-(3) about the room's axes and the translation (3) of its pose; then for each plane two tilts, along `tangent_basis` of
-its normal, and its offset. The room's frame is the first device's, whose pose is held; lengths are in distances
-between the first two devices.
+(3) about the room's axes and the translation (3) of its pose, and the warp (4) of its picture; then for each plane two
+tilts, along `tangent_basis` of its normal, and its offset. The room's frame is the first device's, whose pose is held;
+lengths are in distances between the first two devices. Pictures have no warp, unless that is doubted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import Motion, cross
+from calib.geometry import Motion, cross, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
 from calib.rooms.planes import PER_PLANE, RoomPlane
 from calib.rooms.room import PER_PLACE, moved_place, moved_plane
 
-PER_NODE = PER_DEVICE + PER_PLACE
+PER_WARP = 4
+PER_NODE = PER_DEVICE + PER_PLACE + PER_WARP
+POSE, PLACE = slice(PER_DEVICE, PER_DEVICE + PER_PLACE), slice(PER_DEVICE + 3, PER_DEVICE + PER_PLACE)
+WARP = slice(PER_DEVICE + PER_PLACE, PER_NODE)  # all of a device's own columns
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """`lens` (8,): f, x_0, y_0, k1, k2, p1, p2, k3. `pose`: X_room = rotation X_device + translation."""
+    """`lens` (8,): f, x_0, y_0, k1, k2, p1, p2, k3. `pose`: X_room = rotation X_device + translation.
+
+    `warp` (4,) of a picture that is shown, or was recorded, through a homography, as by keystone correction: aspect a,
+    skew s, leans l and m. Square pixels at d from (x_0, y_0) are at A d / (1 + (l, m) · d / f), A = [1 + a, s; 0, 1].
+    All other homographies are similarities, which other values of f, x_0, y_0 and of the pose are as good as.
+    """
 
     lens: Floats
     pose: Motion
+    warp: Floats = field(default_factory=lambda: np.zeros(PER_WARP))
 
     def moved(self, step: Floats) -> "Device":
-        """After a step (14,)."""
-        return Device(moved_device(self.lens, step[:PER_DEVICE]), moved_place(self.pose, step[PER_DEVICE:]))
+        """After a step (18,)."""
+        lens = moved_device(self.lens, step[:PER_DEVICE])
+        return Device(lens, moved_place(self.pose, step[POSE]), self.warp + step[WARP])
+
+    def rays(self, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+        """Through pixels (N, 2), (N, 3) at z = 1; derivatives by the lens (N, 3, 8) and by the warp (N, 3, 4)."""
+        focal, centre, lean = self.lens[0], self.lens[1:3], self.warp[2:]
+        square, back = pixels - centre, np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
+        if self.warp.any():
+            back = np.linalg.inv(self._affine - square[:, :, None] * lean / focal)
+            square = np.einsum("nij,nj->ni", back, square)
+        rays, by_lens = unproject(self.lens, centre + square)
+        by_x = back[:, :, :1] * square[:, None]
+        by_warp = by_lens[:, :, 1:3] @ np.concatenate([by_x, -square[:, :, None] * square[:, None] / focal], axis=2)
+        if self.warp.any():
+            lengthened = (1 + square @ lean / focal)[:, None]
+            by_lens[:, :, 0] *= lengthened
+            by_lens[:, :, 1:3] = by_lens[:, :, 1:3] @ (lengthened[:, :, None] * back)
+        return rays, by_lens, by_warp
+
+    def pixels(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Of points (N, 3) in its frame, (N, 2); derivatives by the point (N, 2, 3), lens and warp, as above."""
+        focal, centre, lean = self.lens[0], self.lens[1:3], self.warp[2:]
+        pixels, by_point, by_lens = project(self.lens, points)
+        square = pixels - centre
+        lengthened = 1 + square @ lean / focal
+        off = square @ self._affine.T / lengthened[:, None]
+        by_warp = np.zeros((len(points), 2, PER_WARP))
+        by_warp[:, 0, :2] = square / lengthened[:, None]
+        by_warp[:, :, 2:] = -off[:, :, None] * square[:, None] / (focal * lengthened[:, None, None])
+        if self.warp.any():
+            by_square = (self._affine - off[:, :, None] * lean / focal) / lengthened[:, None, None]
+            by_point, by_lens = by_square @ by_point, by_square @ by_lens
+            by_lens[:, :, 0], by_lens[:, :, 1:3] = off, np.eye(2)
+        return centre + off, by_point, by_lens, by_warp
+
+    @property
+    def _affine(self) -> Floats:
+        return np.array([[1 + self.warp[0], self.warp[1]], [0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +94,7 @@ class Network:
         return PER_NODE * len(self.devices) + PER_PLANE * len(self.planes)
 
     def device_columns(self, device: int) -> slice:
-        """Columns of a device, 14 of them."""
+        """Columns of a device, 18 of them."""
         return slice(PER_NODE * device, PER_NODE * (device + 1))
 
     def plane_columns(self, plane: int) -> slice:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.geometry import FACES, Size
-from calib.networks.network import Device, Network
+from calib.networks.network import PLACE, WARP, Device, Network
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, SQUARENESS_DEG, LensPrior, of_any_device
 from calib.rooms.priors import squareness
@@ -14,6 +14,7 @@ from calib.self_calibration import PrincipalPoint
 
 _CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
 _EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
+_WARP_SIGMA = np.array([0.01, 0.01, 0.05, 0.05])  # of pictures that may have one: of a few per cent of keystone
 _SCALE_SIGMA = 1e-6  # of the first two devices' distance, which is the unit
 
 
@@ -39,6 +40,10 @@ class NetworkPrior:
             cost += float(deviation @ deviation)
             gradient[columns] += deviation * root
             information[columns, columns] += root**2
+            columns = every[network.device_columns(i)][WARP]
+            cost += float(np.sum((device.warp / _WARP_SIGMA) ** 2))
+            gradient[columns] += device.warp / _WARP_SIGMA**2
+            information[columns, columns] += _WARP_SIGMA**-2
         for off, slope in (*squareness(network, self.square, self.square_sigma), _unit_of_length(network)):
             cost += off**2
             gradient += slope * off
@@ -50,7 +55,7 @@ def _unit_of_length(network: Network) -> tuple[float, Floats]:
     """How far the first two devices' distance is from 1, in sigmas, and its slope (size,)."""
     apart = network.devices[1].pose.translation - network.devices[0].pose.translation
     length, slope = float(np.linalg.norm(apart)), np.zeros(network.size)
-    slope[network.device_columns(1)][-3:] = apart / length / _SCALE_SIGMA
+    slope[network.device_columns(1)][PLACE] = apart / length / _SCALE_SIGMA
     return (length - 1) / _SCALE_SIGMA, slope
 
 

@@ -12,8 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from calib.geometry import project, unproject
-from calib.networks.network import PER_NODE, Device, Network, turned_by
+from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network, turned_by
 from calib.networks.raster import Raster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly
 from calib.refinement import PER_DEVICE
@@ -39,7 +38,7 @@ class SharedPoints:
     depths: Floats
 
     def columns(self, network: Network) -> Ints:
-        """Those of the hub, then of all others, (14 (K + 1),)."""
+        """Those of the hub, then of all others, (18 (K + 1),)."""
         every = np.arange(network.size, dtype=np.int32)
         return np.concatenate([every[network.device_columns(device)] for device in (self.hub, *self.others)])
 
@@ -84,7 +83,7 @@ class SharedPoints:
         """
         hub = network.devices[self.hub]
         others = [network.devices[number] for number in self.others]
-        rays, by_lens = unproject(hub.lens, self.pixels)
+        rays, by_lens, by_warp = hub.rays(self.pixels)
         turned, depth = rays @ hub.pose.rotation.T, self.depths
         known = np.isfinite(self.variance)
         for _ in range(_STEPS):
@@ -100,19 +99,19 @@ class SharedPoints:
                 depth[:, None, None] * (hub.pose.rotation @ by_lens),
                 turned_by(depth[:, None] * turned),
                 np.broadcast_to(np.eye(3), (len(depth), 3, 3)),
+                depth[:, None, None] * (hub.pose.rotation @ by_warp),
             ],
             axis=2,
         )
         jacobian = np.zeros((*off.shape, PER_NODE * (1 + len(others))))
         for k, other in enumerate(others):
-            _, by_point, by_other = project(other.lens, before[:, k])
+            _, by_point, by_lens, by_warp = other.pixels(before[:, k])
             to_pixels = by_point @ other.pose.rotation.T
-            own = PER_NODE * (k + 1)
             points = before[:, k] @ other.pose.rotation.T
             jacobian[:, k, :, :PER_NODE] = to_pixels @ by_hub
-            jacobian[:, k, :, own : own + PER_DEVICE] = by_other
-            jacobian[:, k, :, own + PER_DEVICE : own + PER_DEVICE + 3] = -to_pixels @ turned_by(points)
-            jacobian[:, k, :, own + PER_DEVICE + 3 : own + PER_NODE] = -to_pixels
+            own = jacobian[:, k, :, PER_NODE * (k + 1) : PER_NODE * (k + 2)]
+            own[..., :PER_DEVICE], own[..., WARP] = by_lens, by_warp
+            own[..., PER_DEVICE : PLACE.start], own[..., PLACE] = -to_pixels @ turned_by(points), -to_pixels
         jacobian[~known | ~ahead[:, None]] = 0.0
         return off, by_depth, jacobian, ahead
 
@@ -125,7 +124,7 @@ class SharedPoints:
         off, by_depth = np.zeros_like(self.seen), np.zeros_like(self.seen)
         known = np.isfinite(self.variance)
         for k, other in enumerate(others):
-            predicted, by_point, _ = project(other.lens, before[:, k])
+            predicted, by_point, _, _ = other.pixels(before[:, k])
             off[:, k] = np.where(known[:, k, None], predicted - self.seen[:, k], 0.0)
             by_depth[:, k] = np.einsum("mij,mj->mi", by_point, turned @ other.pose.rotation)
         by_depth[~known] = 0.0

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion, project, tangent_basis, unproject
-from calib.networks.network import PER_NODE, Network, turned_by
+from calib.geometry import Motion, tangent_basis
+from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network, turned_by
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
 from calib.rooms.planes import PER_PLANE, RoomPlane
@@ -28,7 +28,7 @@ class Sight:
     cells: Cells
 
     def columns(self, network: Network) -> Ints:
-        """The network's columns that it depends on, (31,): the camera's, the projector's, the plane's."""
+        """The network's columns that it depends on, (39,): the camera's, the projector's, the plane's."""
         every = np.arange(network.size, dtype=np.int32)
         return np.concatenate(
             [
@@ -39,52 +39,57 @@ class Sight:
         )
 
     def carried(self, _: Network) -> Floats:
-        """Its own columns are those of the network, (31, 31)."""
+        """Its own columns are those of the network, (39, 39)."""
         return np.eye(PER_SIGHT)
 
     def points(self, network: Network) -> Floats:
         """Where the rays of its cells meet the plane, (M, 3) in the network's frame."""
         camera = network.devices[self.camera]
-        return points_on(self.cells.camera_px, camera.lens, camera.pose, network.planes[self.plane])
+        return points_on(self.cells.camera_px, camera, network.planes[self.plane])
 
     def predict(self, network: Network, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
-        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, 31), and depths (N, 2).
+        """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, 39), and depths (N, 2).
 
         A point stays on the plane: moved by v it slides back along its ray u, n · u = 1, by u (n · v).
         """
         camera, projector = network.devices[self.camera], network.devices[self.projector]
         plane = network.planes[self.plane]
-        rays, by_camera = unproject(camera.lens, self.cells.camera_px if camera_px is None else camera_px)
+        rays, by_lens, by_warp = camera.rays(self.cells.camera_px if camera_px is None else camera_px)
         along, depth = _meet(rays, camera.pose, plane)
         off = along * (plane.offset - float(plane.normal @ camera.pose.translation))
         points = off + camera.pose.translation
         onto = np.eye(3) - along[:, :, None] * plane.normal
         tilts = -along[:, :, None] * (points @ tangent_basis(plane.normal))[:, None]
+        onto_plane = depth[:, None, None] * (onto @ camera.pose.rotation)
         moved = np.concatenate(
             [
-                depth[:, None, None] * (onto @ (camera.pose.rotation @ by_camera)),
+                onto_plane @ by_lens,
                 onto @ turned_by(off),
                 onto,
+                onto_plane @ by_warp,
                 np.zeros((len(rays), 3, PER_DEVICE)),
                 -turned_by(points - projector.pose.translation),
                 np.broadcast_to(-_AXES, onto.shape),
+                np.zeros((len(rays), 3, PER_WARP)),
                 tilts,
                 along[:, :, None],
             ],
             axis=2,
         )
         before = (points - projector.pose.translation) @ projector.pose.rotation
-        pixels, by_point, by_projector = project(projector.lens, before)
+        pixels, by_point, by_lens, by_warp = projector.pixels(before)
         jacobian = by_point @ (projector.pose.rotation.T @ moved)
-        jacobian[:, :, PER_NODE : PER_NODE + PER_DEVICE] += by_projector
+        of_projector = jacobian[:, :, PER_NODE:]
+        of_projector[:, :, :PER_DEVICE] += by_lens
+        of_projector[:, :, WARP] += by_warp
         return pixels, jacobian, np.stack([depth, before[:, 2]], axis=1)
 
 
-def points_on(pixels: Floats, lens: Floats, pose: Motion, plane: RoomPlane) -> Floats:
+def points_on(pixels: Floats, device: Device, plane: RoomPlane) -> Floats:
     """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
-    rays, _ = unproject(lens, pixels)
-    _, depth = _meet(rays, pose, plane)
-    points: Floats = (rays * depth[:, None]) @ pose.rotation.T + pose.translation
+    rays, _, _ = device.rays(pixels)
+    _, depth = _meet(rays, device.pose, plane)
+    points: Floats = (rays * depth[:, None]) @ device.pose.rotation.T + device.pose.translation
     return points
 
 

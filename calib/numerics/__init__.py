@@ -16,6 +16,7 @@ from calib.numerics.robust_statistics import (
     blocks,
     influence_on,
     median,
+    quantile,
     robust_covariance,
     robust_sigma,
 )

@@ -21,6 +21,17 @@ def median(values: NDArray[np.floating[Any]]) -> float:
     return float((lower + ordered[half]) / 2)
 
 
+def quantile(values: NDArray[np.floating[Any]], share: float) -> float:
+    """Of values (N,), N > 0, interpolated linearly, as by NumPy, in a fraction of the time for some thousands."""
+    place = share * (len(values) - 1)
+    below = int(place)
+    ordered = np.partition(values, below)
+    lower = float(ordered[below])
+    return (
+        lower + (place - below) * (float(ordered[below + 1 :].min(initial=np.inf)) - lower) if place > below else lower
+    )
+
+
 def robust_sigma(residual: Floats) -> float:
     """Standard deviation of residuals (N,) around zero, without outliers; 0 for none."""
     return SIGMA_PER_MEDIAN * median(np.abs(residual)) if len(residual) else 0.0

@@ -28,6 +28,7 @@ from calib.refinement.parameters import (
     predict,
 )
 from calib.refinement.photo_starts import photo_family
+from calib.refinement.picture_scale import PictureScale
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import CLEARLY_WORSE, Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected

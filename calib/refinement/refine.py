@@ -18,6 +18,7 @@ from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
+from calib.refinement.picture_scale import PictureScale, picture_scale
 from calib.refinement.profile_likelihood import Valley, centred, trace_valley
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
@@ -42,7 +43,7 @@ class Refinement:
     final fit. `covariance` (size, size) in the model's columns, zero for fixed ones. `others`: further minima, best
     first. `valley`: the cost along the camera's focal length. `tension`: cost of the prior on the corner's angles.
     `sameness`: whether the captures show one corner. `apart`: the nearby fit of these captures alone, if there is a
-    prior on the rig from other data.
+    prior on the rig from other data. `scale`: of the projector's picture; None if other data tell its pixels' shape.
     """
 
     captures: tuple[Cells, ...]
@@ -55,6 +56,7 @@ class Refinement:
     tension: float
     sameness: Sameness | None
     apart: Fit | None = None
+    scale: PictureScale | None = None
 
     def corner(self, capture: int) -> Corner:
         """The corner in the camera's frame of a capture, in baselines."""
@@ -136,6 +138,10 @@ def settle(
     covariance = valley.covariance(best, prior.free)
     if sameness and sameness.same:
         covariance[:SHARED, :SHARED] += sameness.spread
+    scale = None
+    if knowledge.rig is None and not knowledge.one_camera:
+        scale = picture_scale(captures, best, prior, variances)
+        covariance += scale.covariance
     apart = None
     if knowledge.rig is not None:
         usual = replace(knowledge, rig=None).prior(best.state)
@@ -153,6 +159,7 @@ def settle(
         tension,
         sameness,
         apart,
+        scale,
     )
 
 

@@ -145,9 +145,9 @@ class AravisCamera:
     def _drop_stale(self) -> None:
         """Drop frames that arrive before this exposure can be over: they belong to an earlier one."""
         end_s = self._triggered_s + self.exposure_s
-        while time.monotonic() < end_s and (buffer := self._stream.try_pop_buffer()) is not None:
+        while self._arrived is None and (buffer := self._stream.try_pop_buffer()) is not None:
             if time.monotonic() >= end_s and _arrival_s(buffer) >= self._triggered_s:
-                self._arrived = buffer  # this thread was delayed, and the frame is the new one
+                self._arrived = buffer  # this thread, or `meanwhile`, took longer: the frame is the new one
             else:
                 self._recycle(buffer)
 
@@ -246,6 +246,8 @@ class AravisCamera:
             self._stream.push_buffer(buffer)
 
     def _drain(self) -> None:
+        self._recycle(self._arrived)
+        self._arrived = None
         while (buffer := self._stream.try_pop_buffer()) is not None:
             self._stream.push_buffer(buffer)
 

@@ -12,28 +12,26 @@ class AravisRigSettings(CameraRigSettings):
 
     backend: Literal["aravis"]
     camera: str | None = Field(
-        None, min_length=1, description="Id, serial number or IP address; left out, the only camera there is."
+        None, min_length=1, description="Id, serial number or IP address; default: the only camera."
     )
     exposure_us: float = Field(
         USUAL_EXPOSURE_US,
         gt=0.0,
         le=10_000_000.0,
-        description="Exposure in microseconds, rounded to a whole number of the projector's refresh periods.",
+        description="Exposure, rounded to whole refresh periods of the projector.",
     )
-    gain: float | None = Field(
-        None, description="Gain in the camera's own unit (most use dB); left out, the camera's is kept."
-    )
-    pixel_format: str = Field("Mono8", description="Mono or Bayer format of 8 to 16 bits, by its GenICam name.")
+    gain: float | None = Field(None, description="Gain in the camera's unit, usually dB; default: unchanged.")
+    pixel_format: str = Field("Mono8", description="GenICam name of a Mono or Bayer format, 8 to 16 bits.")
     offset_px: tuple[int, int] | None = Field(
-        None, description="(x, y) of the image on the sensor, in pixels after binning; left out, it is centred."
+        None, description="Image's offset on the sensor, in binned pixels; default: centred."
     )
-    binning: int = Field(1, ge=1, le=8, description="Sensor pixels that are combined to one, in either direction.")
+    binning: int = Field(1, ge=1, le=8, description="Sensor pixels combined into one, in each direction.")
     trigger: Literal["software", "line", "free-run"] = Field(
-        "software", description="What starts an exposure; free-running cameras have frames discarded."
+        "software", description="What starts an exposure; with `free-run`, surplus frames are discarded."
     )
-    trigger_line: str = Field("Line1", min_length=1, description="Input that triggers, for trigger: line.")
+    trigger_line: str = Field("Line1", min_length=1, description="Input for `trigger: line`.")
     packet_size: int | None = Field(
-        None, ge=576, le=16_000, description="Bytes in a GigE Vision packet; left out, it is negotiated."
+        None, ge=576, le=16_000, description="Bytes per GigE Vision packet; default: negotiated."
     )
 
     @property

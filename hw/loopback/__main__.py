@@ -1,4 +1,4 @@
-"""Serve a camera that sees a simulated room, lit by a virtual screen, until standard input closes.
+"""Serve a camera that sees a simulated room, lit by one virtual screen or several, until standard input closes.
 
 Started by `hw/loopback/launcher.py`. Prints 'ready' when the camera can be found, and again after each line of new
 `Conditions` (JSON) from standard input.
@@ -6,7 +6,8 @@ Started by `hw/loopback/launcher.py`. Prints 'ready' when the camera can be foun
 
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import partial
 from math import prod
 from pathlib import Path
@@ -14,11 +15,11 @@ from pathlib import Path
 from hw.errors import DeviceError
 from hw.loopback.camera import LoopbackCamera
 from hw.loopback.exposure import RoomSensor
+from hw.loopback.lit_room import LitRoom
 from hw.loopback.mjpeg_server import MjpegServer
-from hw.loopback.screen import ScreenHistory, XwdScreen
+from hw.loopback.screen import ScreenHistory, SeveralScreens, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings
 from hw.loopback.webcam import Webcam
-from hw.simulated.simulation import SimulatedRoom
 
 _ALBUM_BYTES = 1e8
 _PUNCTUAL_S = 0.0005  # rendering must not delay an exposure
@@ -37,27 +38,35 @@ def main() -> int:
     return 0
 
 
-def _serve(screen_file: Path, settings: LoopbackSettings) -> None:
-    screen = XwdScreen(screen_file)
-    room = SimulatedRoom(settings.room, settings.camera_size, screen.size)
+def _serve(screen_files: Sequence[Path], settings: LoopbackSettings) -> None:
+    screens = [XwdScreen(file) for file in screen_files]
+    room = LitRoom(settings, [screen.size for screen in screens])
     album = max(4, int(_ALBUM_BYTES / (4 * prod(settings.camera_size))))
-    with ScreenHistory(screen, room.electrons, settings.room.seed, album) as history:
+    with ExitStack() as running:
+        histories = [
+            running.enter_context(
+                ScreenHistory(screen, partial(room.electrons, number), settings.room.seed + number, album)
+            )
+            for number, screen in enumerate(screens)
+        ]
+        light, white_us = SeveralScreens(histories), settings.white_exposure_us
         if settings.webcam is None:
-            sensor = RoomSensor(room, history, settings.white_exposure_us)
+            sensor = RoomSensor(room.brightest, light, white_us)
             with LoopbackCamera(settings.address, settings.serial, settings.camera_size, sensor.expose) as camera:
-                _obey(settings.conditions, history, lambda conditions: camera.lose(conditions.lost_packets))
+                _obey(settings.conditions, histories, lambda conditions: camera.lose(conditions.lost_packets))
         else:
             with (
                 MjpegServer(settings.address, settings.webcam.port, settings.webcam.queue) as server,
-                Webcam(room, history, settings.webcam, settings.white_exposure_us, server.send) as webcam,
+                Webcam(room.brightest, light, settings.webcam, white_us, server.send) as webcam,
             ):
-                _obey(settings.conditions, history, partial(setattr, webcam, "conditions"))
+                _obey(settings.conditions, histories, partial(setattr, webcam, "conditions"))
 
 
-def _obey(conditions: Conditions, history: ScreenHistory, change: Callable[[Conditions], object]) -> None:
+def _obey(conditions: Conditions, histories: Sequence[ScreenHistory], change: Callable[[Conditions], object]) -> None:
     """Set the conditions, then read new ones from standard input until it closes."""
     while True:
-        history.wall.conditions = conditions
+        for history in histories:
+            history.wall.conditions = conditions
         change(conditions)
         print("ready", flush=True)
         line = sys.stdin.readline()
@@ -68,7 +77,9 @@ def _obey(conditions: Conditions, history: ScreenHistory, change: Callable[[Cond
 
 def _options() -> Namespace:
     parser = ArgumentParser(description=__doc__)
-    parser.add_argument("--screen", type=Path, required=True, help="file in which Xvfb keeps its screen")
+    parser.add_argument(
+        "--screen", type=Path, required=True, action="append", help="file in which Xvfb keeps a screen; may be repeated"
+    )
     parser.add_argument("--settings", required=True, help="LoopbackSettings as JSON")
     return parser.parse_args()
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from hw.loopback.screen import ScreenHistory
+from hw.loopback.screen import ScreenLight
 from hw.simulated.arrays import Light
 from hw.simulated.sensor import Sensor
 from hw.simulated.simulation import SimulatedRoom
@@ -36,7 +36,7 @@ class RoomSensor:
     pictures to expected electrons (H, W) of such an exposure.
     """
 
-    def __init__(self, room: SimulatedRoom, screen: ScreenHistory, white_exposure_us: float) -> None:
+    def __init__(self, room: SimulatedRoom, screen: ScreenLight, white_exposure_us: float) -> None:
         self._sensor = room.sensor
         self._screen = screen
         self._white_exposure_us = white_exposure_us

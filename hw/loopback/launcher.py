@@ -2,11 +2,13 @@
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,13 +71,18 @@ class CameraProcess:
 
 
 @contextmanager
-def camera_process(screen: VirtualScreen, settings: LoopbackSettings) -> Iterator[CameraProcess]:
-    """Run the camera that sees the screen's light in a process of its own; it can be found once this yields.
+def camera_process(
+    screen: VirtualScreen, settings: LoopbackSettings, *others: VirtualScreen
+) -> Iterator[CameraProcess]:
+    """Run the camera that sees the light of one screen or several in a process of its own; it can be found once this
+    yields.
 
     Raises DeviceError if it does not start.
     """
     command = [sys.executable, "-m", "hw.loopback"]
-    command += ["--screen", str(screen.file), "--settings", settings.model_dump_json()]
+    for each in (screen, *others):
+        command += ["--screen", str(each.file)]
+    command += ["--settings", settings.model_dump_json()]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
         try:
@@ -89,6 +96,31 @@ def loopback_rig(settings: LoopbackSettings, projector_size: tuple[int, int]) ->
     """Run screen and camera; DISPLAY is set to the screen in this context. Raises DeviceError."""
     with virtual_screen(projector_size) as screen, shown_on(screen), camera_process(screen, settings):
         yield screen
+
+
+@contextmanager
+def loopback_network(
+    cameras: Sequence[LoopbackSettings], projector_sizes: Sequence[tuple[int, int]]
+) -> Iterator[list[VirtualScreen]]:
+    """Run a screen for each projector, and cameras that see the light of all of them. Raises DeviceError."""
+    with ExitStack() as running:
+        screens = [running.enter_context(virtual_screen(size)) for size in projector_sizes]
+        processes = [camera_process(screens[0], settings, *screens[1:]) for settings in cameras]
+        with ThreadPoolExecutor() as starting:
+            list(starting.map(running.enter_context, processes))
+        yield screens
+
+
+def own_addresses() -> list[str]:
+    """Addresses of this computer, at each of which a camera can be served: 127.0.0.1, and where there is a network that
+    of its interface.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("198.51.100.1", 9))  # of nobody (RFC 5737), and nothing is sent
+        except OSError:
+            return ["127.0.0.1"]
+        return ["127.0.0.1", str(probe.getsockname()[0])]
 
 
 @contextmanager

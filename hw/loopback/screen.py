@@ -6,7 +6,7 @@
 import mmap
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
@@ -52,6 +52,39 @@ class XwdScreen:
 def green(pixels: NDArray[np.uint32]) -> Image:
     """The green channel, (H, W) 8-bit; patterns are grey, so all channels are equal."""
     return ((pixels >> 8) & 0xFF).astype(np.uint8)
+
+
+class ScreenLight(Protocol):
+    """The light of one screen or several, as `ScreenHistory` tells it."""
+
+    def look(self) -> None:
+        """Poll."""
+
+    def decided_s(self, end_s: float) -> float:
+        """When a poll determines all light until `end_s`."""
+
+    def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
+        """The light of each picture on the wall between two times, with its share."""
+
+
+class SeveralScreens:
+    """The light of several screens, each of which has its own share of one: the room's light is the sum."""
+
+    def __init__(self, screens: Sequence[ScreenLight]) -> None:
+        self._screens = screens
+
+    def look(self) -> None:
+        """Poll all screens."""
+        for screen in self._screens:
+            screen.look()
+
+    def decided_s(self, end_s: float) -> float:
+        """When a poll determines all light until `end_s`."""
+        return max(screen.decided_s(end_s) for screen in self._screens)
+
+    def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
+        """The light of each screen's pictures on the wall between two times, with its share."""
+        return [share for screen in self._screens for share in screen.shares(begin_s, end_s)]
 
 
 class Pixels(Protocol):

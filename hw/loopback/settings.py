@@ -59,6 +59,9 @@ class LoopbackSettings(BaseModel):
     room: SimulatedRigSettings = Field(
         default_factory=lambda: SimulatedRigSettings.model_validate({}), description="The room."
     )
+    projector_poses: tuple[int, ...] = Field(
+        default=(), description="Places of several projectors, one for each screen; without any, the room's own."
+    )
     conditions: Conditions = Field(default=Conditions(), description="Those at the start.")
     white_exposure_us: float = Field(
         default=USUAL_EXPOSURE_US,

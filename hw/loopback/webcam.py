@@ -9,7 +9,7 @@ from typing import Self
 import cv2
 import numpy as np
 
-from hw.loopback.screen import ScreenHistory
+from hw.loopback.screen import ScreenLight
 from hw.loopback.settings import Conditions, WebcamSettings
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
@@ -31,7 +31,7 @@ class Webcam:
     def __init__(
         self,
         room: SimulatedRoom,
-        screen: ScreenHistory,
+        screen: ScreenLight,
         settings: WebcamSettings,
         white_exposure_us: float,
         send: Callable[[bytes], None],

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import Pipe
 from typing import Any, Self
 
@@ -15,7 +16,7 @@ import numpy as np
 from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.optional_parts import RIG
-from hw.projector.screens import Screen, choose_screen
+from hw.projector.screens import Screen, choose_screen, display_of
 from hw.timing.devices import Swap
 
 # Timeouts. The first start after an installation compiles shaders and byte code.
@@ -24,9 +25,9 @@ _SHOW_TIMEOUT_S = 10.0
 
 
 class _WindowProcess:
-    """The child process and the connection to it."""
+    """The child process and the connection to it. `display`: the X display, None for the desktop's."""
 
-    def __init__(self) -> None:
+    def __init__(self, display: str | None = None) -> None:
         if importlib.util.find_spec("pyglet") is None:
             raise DeviceError(RIG.missing("the projector", "pyglet"))
         self._unanswered = False
@@ -36,6 +37,7 @@ class _WindowProcess:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hw.projector.pyglet_window", str(descriptor)],
             pass_fds=[descriptor],
+            env=None if display is None else {**os.environ, "DISPLAY": display},
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,
@@ -96,7 +98,9 @@ class _WindowProcess:
         return " ".join(lines[-2:]) if lines else f"exit code {self._process.returncode}"
 
 
-def _display() -> str:
+def _display(named: str | None = None) -> str:
+    if named is not None:
+        return f"the display {named!r}"
     return f"the display {os.environ['DISPLAY']!r}" if os.environ.get("DISPLAY") else "no display (DISPLAY is not set)"
 
 
@@ -115,18 +119,22 @@ def list_screens() -> list[Screen]:
 class ScreenProjector:
     """A projector that is a screen of this computer, from opening to closing (a context manager).
 
-    `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height). Raises
-    DeviceError if there is no such screen, if it has another size, or if it does not show pixels unchanged.
+    `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height); or an X display,
+    for the only one there. Raises DeviceError if there is no such screen, if it has another size, or if it does not
+    show pixels unchanged.
     """
 
     def __init__(self, wanted: int | str | None, size: tuple[int, int]) -> None:
         self.size = size
-        self._name = f"projector on {_display()}"
-        self._process = _WindowProcess()
+        display = display_of(wanted)
+        self._name = f"projector on {_display(display)}"
+        self._process = _WindowProcess(display)
         try:
             with self._errors():
                 screens: list[Screen] = self._process.receive(_START_TIMEOUT_S)
-            self.screen = choose_screen(screens, wanted, size)
+            self.screen = choose_screen(
+                [replace(screen, display=display) for screen in screens], None if display else wanted, size
+            )
             self._name = f"projector on {self.screen}"
             with self._errors():
                 self.renderer = str(self._process.ask("open", self.screen, _START_TIMEOUT_S))

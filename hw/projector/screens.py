@@ -9,7 +9,9 @@ from hw.errors import DeviceError
 
 @dataclass(frozen=True)
 class Screen:
-    """A screen of the desktop: number, name, position and size in pixels; `refresh_hz` is None if unknown."""
+    """A screen of the desktop: number, name, position and size in pixels; `refresh_hz` is None if unknown. `display`:
+    the X display, if it is not the desktop's.
+    """
 
     number: int
     name: str
@@ -18,6 +20,7 @@ class Screen:
     width: int
     height: int
     refresh_hz: float | None
+    display: str | None = None
 
     @property
     def geometry(self) -> str:
@@ -26,7 +29,13 @@ class Screen:
 
     def __str__(self) -> str:
         rate = "refresh rate unknown" if self.refresh_hz is None else f"{self.refresh_hz:.4g} Hz"
-        return f"screen {self.number} '{self.name}', {self.geometry}, {rate}"
+        where = f" of {self.display}" if self.display else ""
+        return f"screen {self.number} '{self.name}'{where}, {self.geometry}, {rate}"
+
+
+def display_of(wanted: int | str | None) -> str | None:
+    """The X display that a rig's `screen` names, as in :1 or :0.1; None for a screen of the desktop."""
+    return wanted if isinstance(wanted, str) and re.fullmatch(r":\d+(\.\d+)?", wanted) else None
 
 
 def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tuple[int, int]) -> Screen:

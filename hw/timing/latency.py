@@ -4,15 +4,16 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import cycle, islice
-from math import inf, isfinite
+from math import isfinite
 from statistics import median
 
 import numpy as np
 
-from calib.numerics import Image
+from calib.numerics import Floats, Image
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frame
-from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.rig import Frames
+from hw.timing.camera_group import CameraGroup
+from hw.timing.devices import ATTEMPTS, BufferedProjector, Swap
 from hw.timing.resting import RestingLight
 
 LONGEST_LATENCY_S = 0.3
@@ -50,7 +51,7 @@ class Latency:
     """The latency from a swap to the light of its picture, in seconds, as the range over several flashes.
 
     Light arrives no sooner than `soonest_s` after the swap's begin, and no later than `latest_s` after its end. Swaps
-    took up to `swapping_s`; the camera's median time from trigger to frame is `cycle_s`.
+    took up to `swapping_s`; the median time from trigger to frame is `cycle_s`.
     """
 
     soonest_s: float
@@ -60,118 +61,133 @@ class Latency:
 
 
 class LatencyCalibration:
-    """Measures with black and white pictures which share of a new picture's light an exposure missed.
+    """Measures with black and white pictures which share of a new picture's light an exposure missed, in each camera.
 
-    Construction records both pictures at rest. Raises DeviceError if the camera sees no difference.
+    Construction records both pictures at rest. `tolerances` (C,): the smallest share in each camera that exceeds noise.
+    Raises DeviceError if a camera sees no difference.
     """
 
-    def __init__(self, projector: BufferedProjector, camera: TriggeredCamera) -> None:
+    def __init__(self, projector: BufferedProjector, cameras: CameraGroup) -> None:
         self._projector = projector
-        self._camera = camera
+        self._cameras = cameras
         width, height = projector.size
         self._pictures = tuple(np.full((height, width), level, np.uint8) for level in (0, 255))
         dark, bright = self._resting(0), self._resting(1)
         self._shown = 1
         self._cycles_s: list[float] = []
-        self._rest = RestingLight(camera, dark, bright)
-        self.tolerance = self._rest.tolerance
-        self.sums = self._rest.sums
+        self._rests = [
+            RestingLight(camera, of_black, of_white)
+            for camera, of_black, of_white in zip(
+                cameras.cameras, zip(*dark, strict=True), zip(*bright, strict=True), strict=True
+            )
+        ]
+        self.tolerances = np.array([rest.tolerance for rest in self._rests])
+        self.sums = tuple(rest.sums for rest in self._rests)
 
     def latency(self) -> Latency:
-        """Measure the latency from several flashes.
+        """Measure the latency from several flashes, which all cameras see: the range over all of them.
 
         If light arrives during an exposure, the missing share gives its time. Exposures in a row after the first flash
-        find it approximately; later exposures are placed so that light arrives in their middle. Raises DeviceError if
-        the light does not arrive, or if frames do not.
+        find it approximately; later exposures are placed so that light arrives in their middle, of each camera in turn.
+        Raises DeviceError if the light does not arrive, or if frames do not.
         """
-        seen: list[_Arrival] = []
-        soonest_s, first_s = inf, 0.0
+        seen: list[list[_Arrival]] = [[] for _ in self._rests]
+        flashes: list[list[_Arrival]] = []
+        first_s = 0.0
         for number in range(_FLASHES_AT_MOST):
-            waits_s = self._camera.wait_s if isfinite(self._camera.wait_s) else 0.0
+            waits_s = self._cameras.wait_s if isfinite(self._cameras.wait_s) else 0.0
             # Light may always arrive before a free-running camera begins to expose.
-            arrival = self._flash(first_s, _AT_ONCE_S + waits_s * (number > 2 * _FLASHES))
-            if arrival is None:
+            arrivals = self._flash(first_s, _AT_ONCE_S + waits_s * (number > 2 * _FLASHES))
+            if arrivals is None:
                 continue
-            if arrival.observed:
-                seen.append(arrival)
-            if len(seen) == _FLASHES:
+            flashes.append(arrivals)
+            for each, arrival in zip(seen, arrivals, strict=True):
+                each += [arrival] if arrival.observed else []
+            if min(map(len, seen)) >= _FLASHES:
+                observed = [arrival for each in seen for arrival in each]
                 return Latency(
-                    min(each.soonest_s for each in seen),
-                    max(each.after_s for each in seen),
-                    max(each.swapping_s for each in seen),
+                    min(each.soonest_s for each in observed),
+                    max(each.after_s for each in observed),
+                    max(each.swapping_s for each in observed),
                     median(self._cycles_s),
                 )
-            soonest_s = min(soonest_s, arrival.after_s)  # late exposures only give an upper limit
-            early_s = (
-                self._camera.exposure_s / 2 + waits_s * (number % _FLASHES) / _FLASHES
-            )  # vary the phase of a free-running camera
+            aimed = number % len(seen)
+            soonest_s = min(each[aimed].after_s for each in flashes)  # late exposures only give an upper limit
+            # Vary the phase of a free-running camera.
+            early_s = self._cameras.cameras[aimed].exposure_s / 2 + waits_s * (number % _FLASHES) / _FLASHES
             first_s = max(0.0, soonest_s - early_s)
         raise DeviceError(
-            f"camera {self._camera.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
+            f"camera {self._cameras.name}: {_FLASHES_AT_MOST} flashes did not tell when the projector's light comes: "
             "frames were lost, or the light does not come evenly. Check the camera's cable and network, turn off the "
             "projector's automatics, then rerun."
         )
 
-    def largest_missing_share(
-        self, frames: Callable[[Iterable[Image]], Iterator[Frame]], count: int = _REHEARSED
-    ) -> float:
-        """Take frames of black and white alternately with `frames`; returns the largest share by which a band of rows
-        differs from rest."""
+    def missing_shares(self, acquire: Callable[[Iterable[Image]], Iterator[Frames]], count: int = _REHEARSED) -> Floats:
+        """Take frames of black and white alternately with `acquire`; returns for each camera the largest share (C,) by
+        which a band of rows differs from rest."""
         targets = list(islice(cycle((1 - self._shown, self._shown)), count))
-        taken = frames(self._pictures[target] for target in targets)
+        taken = acquire(self._pictures[target] for target in targets)
         shares = [
-            float(np.abs(self._rest.missing(frame.image, target)).max())
-            for target, frame in zip(targets, taken, strict=True)
+            [np.abs(rest.missing(frame.image, target)).max() for rest, frame in zip(self._rests, frames, strict=True)]
+            for target, frames in zip(targets, taken, strict=True)
         ]
         self._shown = targets[-1]
-        return max(shares)
+        largest: Floats = np.max(shares, axis=0)
+        return largest
 
-    def _flash(self, first_s: float, at_once_s: float) -> "_Arrival | None":
-        """Change the picture, and expose from `first_s` after the flip until it is at rest.
+    def _flash(self, first_s: float, at_once_s: float) -> list[_Arrival] | None:
+        """Change the picture, and expose from `first_s` after the flip until it is at rest, in each camera.
 
         None if a lost frame hid the change.
         """
         self._shown = 1 - self._shown
         self._projector.prepare(self._pictures[self._shown])
         swap = self._projector.flip()
-        flipped_s = swap.done_s
-        time.sleep(max(0.0, flipped_s + first_s - time.monotonic()))
-        arrival: _Arrival | None = None
+        time.sleep(max(0.0, swap.done_s + first_s - time.monotonic()))
+        arrivals: dict[int, _Arrival] = {}
         hidden = False
-        while time.monotonic() - flipped_s < _LONGEST_FLASH_S:
-            begin_s = self._camera.expose()
+        missing = np.ones(len(self._rests))
+        while time.monotonic() - swap.done_s < _LONGEST_FLASH_S:
+            begin_s = self._cameras.expose()
             try:
-                frame = self._camera.collect()
+                frames = self._cameras.collect()
                 self._cycles_s.append(time.monotonic() - begin_s)
-                missing = float(self._rest.missing(frame.image, self._shown).mean())
             except FrameLostError:
-                hidden = hidden or arrival is None
+                hidden = hidden or len(arrivals) < len(self._rests)
                 continue
-            if arrival is None and missing < 1 - _EDGE:
-                late_s = self._camera.late_s + max(0.0, missing) * self._camera.exposure_s
-                after_s, swapping_s = begin_s - flipped_s + late_s, flipped_s - swap.begun_s
-                if missing > _EDGE:
-                    arrival = _Arrival(after_s, True, after_s + swapping_s, swapping_s)
-                else:
-                    arrival = _Arrival(after_s, begin_s - flipped_s < at_once_s, 0.0, swapping_s)
-            if arrival is not None and missing < _EDGE:
-                return arrival if arrival.observed or not hidden else None
+            for number, (rest, frame) in enumerate(zip(self._rests, frames, strict=True)):
+                missing[number] = rest.missing(frame.image, self._shown).mean()
+                if number not in arrivals and missing[number] < 1 - _EDGE:
+                    arrivals[number] = self._arrival(number, float(missing[number]), swap, at_once_s)
+            if np.all(missing < _EDGE):
+                found = [arrivals[number] for number in range(len(missing))]
+                return found if not hidden or all(each.observed for each in found) else None
+        blind = self._cameras.cameras[int(missing.argmax())]
         raise DeviceError(
-            f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {self._camera.name} still does "
-            "not see the new one. Check that it looks at the projector's light, and that its frames arrive, then rerun."
+            f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {blind.name} still does not "
+            "see the new one. Check that it looks at the projector's light, and that its frames arrive, then rerun."
         )
 
-    def _grab(self) -> Image:
+    def _arrival(self, number: int, missing: float, swap: Swap, at_once_s: float) -> _Arrival:
+        """By the first frame of a camera that shows a new picture, with a share of it missing."""
+        camera, after_s = self._cameras.cameras[number], self._cameras.triggered_s[number] - swap.done_s
+        swapping_s = swap.done_s - swap.begun_s
+        light_s = after_s + camera.late_s + max(0.0, missing) * camera.exposure_s
+        if missing > _EDGE:
+            return _Arrival(light_s, True, light_s + swapping_s, swapping_s)
+        return _Arrival(light_s, after_s < at_once_s, 0.0, swapping_s)
+
+    def _grab(self) -> tuple[Image, ...]:
         for _ in range(ATTEMPTS):
             try:
-                return self._camera.grab().image
+                return tuple(frame.image for frame in self._cameras.grab())
             except FrameLostError as error:
                 lost = error
         raise DeviceError(
-            f"camera {self._camera.name}: its frames do not arrive ({lost}), {ATTEMPTS} times in a row. {LOST_ADVICE}"
+            f"camera {lost.camera}: its frames do not arrive ({lost}), {ATTEMPTS} times in a row. {LOST_ADVICE}"
         )
 
-    def _resting(self, which: int) -> list[Image]:
+    def _resting(self, which: int) -> list[tuple[Image, ...]]:
         self._projector.show(self._pictures[which])
         time.sleep(LONGEST_LATENCY_S)
         return [self._grab() for _ in range(_RESTING_FRAMES)]

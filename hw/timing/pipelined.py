@@ -8,7 +8,8 @@ An exposure must fit between the latest light of its picture and the earliest li
 the measured times of the swaps. A frame counts if it was triggered in time, if the camera's clock agrees, and if it
 passes verification by complementary sums (`complementary_sums.py`) or parity (`parity_check.py`). A missed picture is
 shown again behind those on their way. After many misses the next ones are taken at rest, more each time. The period
-adapts to the jitter of the last frames (`jitter.py`).
+adapts to the jitter of the last frames (`jitter.py`). With the pace `AT_REST` all frames are taken at rest: they are
+verified and repeated alike, because a window system may show a picture late.
 """
 
 import logging
@@ -18,9 +19,10 @@ from contextlib import suppress
 
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frame
+from hw.rig import Frames
+from hw.timing.camera_group import CameraGroup
 from hw.timing.complementary_sums import ComplementarySums
-from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.timing.devices import ATTEMPTS, BufferedProjector
 from hw.timing.jitter import TriggerJitter
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import WithParity, with_parity
@@ -42,17 +44,17 @@ class PipelinedAcquisition:
     def __init__(
         self,
         projector: BufferedProjector,
-        camera: TriggeredCamera,
+        cameras: CameraGroup,
         sequential: SequentialAcquisition,
         rhythm: Pace,
-        sums: ComplementarySums,
+        sums: Sequence[ComplementarySums],
     ) -> None:
         self._projector = projector
-        self._camera = camera
+        self._cameras = cameras
         self._sequential = sequential
         self.rhythm = rhythm
         self._sums = sums
-        self._exposure_s = camera.exposure_s
+        self._exposure_s = cameras.exposure_s
         self._schedule = TriggerSchedule(projector, rhythm)
         self._jitter = TriggerJitter(rhythm)
         self.missed = 0
@@ -70,32 +72,30 @@ class PipelinedAcquisition:
 
     @property
     def possible(self) -> bool:
-        """Whether the exposure is still the one that the pace was measured with."""
-        return self._camera.exposure_s == self._exposure_s
+        """Whether the exposure is still the one of the calibration."""
+        return self._cameras.exposure_s == self._exposure_s
 
     def frames(
         self, images: Iterable[Image], level: Sequence[Sequence[int]], unpaired: Sequence[Sequence[int]] = ()
-    ) -> Iterator[Frame]:
-        """Yield a verified frame of each image, in order. `level`: groups of image numbers that sum to uniform light;
-        `unpaired`: groups of binary images to verify by parity. Images in no group are taken at rest.
+    ) -> Iterator[Frames]:
+        """Yield the verified frames of each image, in order. `level`: groups of image numbers that sum to uniform
+        light; `unpaired`: groups of binary images to verify by parity. Images in no group are taken at rest.
 
         Raises DeviceError, and whatever `images` raises.
         """
         self.tally.begin()
         self.missed = self.doubted = 0
-        taken: dict[int, Frame] = {}
+        taken: dict[int, Frames] = {}
         following = 0
         shown = with_parity(images, level, unpaired)
-        for number, frame in self._series(shown):
-            taken[number] = frame
-            self._verification.note(number, frame.image)
+        for number, frames in self._series(shown):
+            taken[number] = frames
+            self._verification.note(number, frames)
             if not self._schedule.outstanding:
                 self._verification.judge()  # otherwise during the next exposure
             while self._verification.judged:
                 for group in [*self._verification.judged]:
-                    foreign = self._verification.foreign_share(
-                        group
-                    )  # again, because neighbouring frames may have been repeated
+                    foreign = self._verification.foreign(group)  # again: neighbouring frames may have been repeated
                     if not self._repeats_pipelined(group, foreign):
                         self._prove(group, foreign, taken)
                         self._verification.settle(group)
@@ -109,11 +109,11 @@ class PipelinedAcquisition:
                 following += 1
                 self._pictures.forget(following)
 
-    def rehearse(self, images: Iterable[Image]) -> Iterator[Frame]:
+    def rehearse(self, images: Iterable[Image]) -> Iterator[Frames]:
         """Frames in order, checked by their timing only: the caller verifies them."""
         return (frame for _, frame in self._series(with_parity(images, (), ()), proven=False))
 
-    def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frame]]:
+    def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frames]]:
         """Numbers and frames; the caller may repeat others in between, after `_stop_pipelining`. Grouped pictures are
         pipelined. Without verification (`proven` False) all are, and frames come in order.
         """
@@ -147,14 +147,16 @@ class PipelinedAcquisition:
         if len(found) < len(self._again):
             return found
         number = self._next
-        while self._pictures.has(number) and (
-            len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number)
+        while (
+            len(found) < _MOST_AT_REST
+            and self._pictures.has(number)
+            and (len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number))
         ):
             found.append(number)
             number += 1
         return found
 
-    def _at_rest(self, numbers: Sequence[int]) -> Iterator[tuple[int, Frame]]:
+    def _at_rest(self, numbers: Sequence[int]) -> Iterator[tuple[int, Frames]]:
         self._stopped = True
         for number, frame in self._rest(numbers):
             self._rested.add(number)
@@ -166,7 +168,7 @@ class PipelinedAcquisition:
             if not self._stopped:
                 break  # others were shown meanwhile and replaced the picture on its way
 
-    def _rest(self, numbers: Sequence[int], twice: Collection[int] = ()) -> Iterator[tuple[int, Frame]]:
+    def _rest(self, numbers: Sequence[int], twice: Collection[int] = ()) -> Iterator[tuple[int, Frames]]:
         """Frames of pictures at rest. Those in `twice` are taken twice and the second counts: by then nothing of the
         previous pictures is on the wall. The first picture also needs this after one of its own group, because equal
         shares of each other cancel in the sum.
@@ -201,10 +203,10 @@ class PipelinedAcquisition:
         return self._unverifiable and self._rested.issuperset(group)
 
     def _may_be_pipelined(self, number: int) -> bool:
-        return self._in_order or self._verification.lacks(number)
+        return self.rhythm.pipelines and (self._in_order or self._verification.lacks(number))
 
-    def _catch(self) -> tuple[int, Frame | None]:
-        """Expose the next picture on its way; returns its number and frame, or None if it was missed or lost."""
+    def _catch(self) -> tuple[int, Frames | None]:
+        """Expose the next picture on its way; returns its number and frames, or None if it was missed or lost."""
         schedule = self._schedule
         if not schedule.outstanding:  # the first picture is shown as soon as it is drawn
             self._schedule_next(most=1)
@@ -221,11 +223,11 @@ class PipelinedAcquisition:
             return number, None
         number = schedule.pass_on(begin_s)
         self._verification.stood_beside(number, beside)
-        triggered_s = self._camera.expose(self._while_exposed)
+        triggered_s = self._cameras.expose(self._while_exposed)
         try:
-            frame = self._camera.collect()
+            frames = self._cameras.collect()
             self._jitter.ready(time.monotonic() - triggered_s)
-            begun_s = triggered_s + self._camera.late_s
+            begun_s = triggered_s + self._cameras.late_s
             self._jitter.begun(begun_s - light_s)
             if begun_s > latest_s:
                 raise FrameLostError(f"{1e3 * (begun_s - latest_s):.1f} ms too late for its picture")
@@ -234,7 +236,7 @@ class PipelinedAcquisition:
             self.tally.retriggered += 1
             return number, None
         self._schedule.captured()
-        return number, frame
+        return number, frames
 
     def _while_exposed(self) -> None:
         """Work done during the exposure."""
@@ -277,9 +279,9 @@ class PipelinedAcquisition:
 
         Not if several groups failed, nor for parity groups or groups that were partly taken at rest.
         """
-        if foreign <= self._verification.tolerance or group in self._doubts or self._is_unverifiable(group):
+        if foreign <= 1 or group in self._doubts or self._is_unverifiable(group):
             return False
-        log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
+        log.info("frames %s: foreign by %.1f times the tolerance", group, foreign)
         several = self._unfounded > 0 or any(self._verification.lacks(other[0]) for other in self._doubts)
         self._doubts.add(group)
         self.doubted += len(self._verification.suspects(group))
@@ -291,8 +293,8 @@ class PipelinedAcquisition:
         self._verification.reopen(group)
         return True
 
-    def _prove(self, group: Group, foreign: float, taken: dict[int, Frame]) -> None:
-        """Repeat the frames of a group at rest until they pass; `foreign` is the share of other pictures so far.
+    def _prove(self, group: Group, foreign: float, taken: dict[int, Frames]) -> None:
+        """Repeat the frames of a group at rest until they pass; `foreign`: what their verification says so far.
 
         Frames at rest can be wrong, too. If repeated frames look the same, the scene is the cause.
         """
@@ -300,21 +302,21 @@ class PipelinedAcquisition:
             return
         verification, last = self._verification, None
         for attempt in range(ATTEMPTS):
-            if foreign <= verification.tolerance:
+            if foreign <= 1:
                 return
             suspects = verification.suspects(group)
             if last is None:
                 self._rest_a_while()
-            elif verification.is_as_before(last) and last.frames.keys() >= {*suspects}:
+            elif verification.is_as_before(last) and last.beside.keys() >= {*suspects}:
                 break
             self.tally.retriggered += len(suspects)
             last = verification.look(suspects)
             self._stop_pipelining()
             # Reverse the order: the same late picture would otherwise leave the same trace.
             order = suspects if attempt % 2 else suspects[::-1]
-            for number, frame in self._rest(order, twice=order if attempt or verification.is_even(group) else ()):
-                taken[number] = frame
-                verification.note(number, frame.image)
-            foreign = verification.foreign_share(group)
-            log.info("frames %s, at rest: %.1f %% are foreign", group, 100 * foreign)
+            for number, frames in self._rest(order, twice=order if attempt or verification.is_even(group) else ()):
+                taken[number] = frames
+                verification.note(number, frames)
+            foreign = verification.foreign(group)
+            log.info("frames %s, at rest: foreign by %.1f times the tolerance", group, foreign)
         self._unfounded += 1

@@ -15,8 +15,9 @@ from itertools import chain, count, cycle
 
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frame, exposure_control
-from hw.timing.devices import ATTEMPTS, BufferedProjector, TriggeredCamera
+from hw.rig import Frames
+from hw.timing.camera_group import CameraGroup
+from hw.timing.devices import ATTEMPTS, BufferedProjector
 from hw.timing.latency import LOST_ADVICE
 from hw.timing.timed_rig import Tally
 
@@ -38,9 +39,9 @@ class Timing:
 class SequentialAcquisition:
     """Takes frames of images one after the other; `tally` has counts and times."""
 
-    def __init__(self, projector: BufferedProjector, camera: TriggeredCamera, timing: Timing) -> None:
+    def __init__(self, projector: BufferedProjector, cameras: CameraGroup, timing: Timing) -> None:
         self._projector = projector
-        self._camera = camera
+        self._cameras = cameras
         self._delay_s = timing.delay_s
         self._overlaps = timing.overlaps
         self._flipped_s = 0.0
@@ -48,15 +49,15 @@ class SequentialAcquisition:
 
     @property
     def exposure_s(self) -> float:
-        """The camera's exposure in seconds."""
-        return self._camera.exposure_s
+        """The exposure in seconds."""
+        return self._cameras.exposure_s
 
     def period_s(self, cycle_s: float) -> float:
         """The shortest time per frame, if the camera delivers a frame `cycle_s` after its trigger."""
         return max(cycle_s, self.exposure_s + self._delay_s) if self._overlaps else cycle_s + self._delay_s
 
-    def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frame]:
-        """Yield a frame of each image, taken on request. Exposures, if there are any, are used cyclically.
+    def frames(self, images: Iterable[Image], exposures_us: Sequence[float] = ()) -> Iterator[Frames]:
+        """Yield the frames of each image, taken on request. Exposures, if there are any, are used cyclically.
 
         An image that follows itself (the same array) is not shown again.
 
@@ -69,7 +70,7 @@ class SequentialAcquisition:
 
     def at_rest(
         self, images: Iterable[Image], exposures_us: Sequence[float] = (), numbers: Iterable[int] | None = None
-    ) -> Iterator[Frame]:
+    ) -> Iterator[Frames]:
         """As `frames`, without counting; `numbers` name the frames in messages."""
         exposures, numbered = cycle(exposures_us or (None,)), iter(count() if numbers is None else numbers)
         upcoming: Iterator[Image | None] = chain(images, [None])
@@ -99,26 +100,26 @@ class SequentialAcquisition:
     def _set_exposure(self, exposure_us: float | None) -> None:
         """Set the exposure between two frames, so that no frame mixes two exposures."""
         if exposure_us is not None:
-            exposure_control(self._camera).expose_for(exposure_us)
+            self._cameras.expose_for(exposure_us)
 
     def _expose(self) -> None:
         time.sleep(max(0.0, self._flipped_s + self._delay_s - time.monotonic()))
-        self._camera.expose()
+        self._cameras.expose()
 
-    def _collect(self, image: Image, changed: Image | None, number: int) -> Frame:
-        """The frame of `image`, repeated if it was lost; then the prepared image is shown."""
+    def _collect(self, image: Image, changed: Image | None, number: int) -> Frames:
+        """The frames of `image`, repeated if one was lost; then the prepared image is shown."""
         try:
-            frame = self._camera.collect()
+            frames = self._cameras.collect()
         except FrameLostError as lost:
-            frame = self._again(image, lost, number)
+            frames = self._again(image, lost, number)
             self._prepare(changed)
         else:
             if self._overlaps:
-                return frame
+                return frames
         self._flip(changed)
-        return frame
+        return frames
 
-    def _again(self, image: Image, lost: FrameLostError, number: int) -> Frame:
+    def _again(self, image: Image, lost: FrameLostError, number: int) -> Frames:
         for attempt in range(1, ATTEMPTS):
             log.warning("frame %d was lost (%s), attempt %d", number, lost, attempt)
             self.tally.retriggered += 1
@@ -126,9 +127,7 @@ class SequentialAcquisition:
             self._flip(image)
             self._expose()
             try:
-                return self._camera.collect()
+                return self._cameras.collect()
             except FrameLostError as error:
                 lost = error
-        raise DeviceError(
-            f"camera {self._camera.name}: frame {number} was lost {ATTEMPTS} times ({lost}). {LOST_ADVICE}"
-        )
+        raise DeviceError(f"camera {lost.camera}: frame {number} was lost {ATTEMPTS} times ({lost}). {LOST_ADVICE}")

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calib.numerics import Image
-from hw.rig import Frame
+from hw.rig import Frames
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
@@ -69,10 +69,10 @@ class StreamedRig(TimedRig):
         exposures_us: Sequence[float],
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
-    ) -> Iterator[Frame]:
+    ) -> Iterator[Frames]:
         reader = self.streaming.reader
         self._before.repeated, self._before.dropped = reader.repeated, reader.dropped
-        return self.acquisition.frames(images, exposures_us, level, unpaired)
+        return ((frame,) for frame in self.acquisition.frames(images, exposures_us, level, unpaired))
 
 
 def streamed(

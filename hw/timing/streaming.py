@@ -75,7 +75,7 @@ class StreamAcquisition:
             return
         shown = with_parity(images, level, unpaired)
         self._pictures = NumberedPictures(shown.images)
-        self._verification = FrameVerification(self._rest.sums, self._pictures, shown.level, shown.even)
+        self._verification = FrameVerification([self._rest.sums], self._pictures, shown.level, shown.even)
         self._even = {each for group in shown.even for each in group}
         self._taken: dict[int, Frame] = {}
         following = 0
@@ -146,11 +146,11 @@ class StreamAcquisition:
         """
         self._taken[number] = frame
         self._verification.stood_beside(number, [] if number in self._even or before < 0 else [before])
-        self._verification.note(number, frame.image)
+        self._verification.note(number, [frame])
 
     def _is_doubtful(self) -> bool:
         verification = self._verification
-        return any(verification.foreign_share(group) > verification.tolerance for group in verification.judged)
+        return any(verification.foreign(group) > 1 for group in verification.judged)
 
     def _verify(self, first: Appearance | None) -> None:
         for group in [*self._verification.judged]:
@@ -162,11 +162,11 @@ class StreamAcquisition:
         """
         verification = self._verification
         for attempt in range(ATTEMPTS):
-            foreign = verification.foreign_share(group)
-            if foreign <= verification.tolerance or self._unfounded >= _MOST_UNFOUNDED:
+            foreign = verification.foreign(group)
+            if foreign <= 1 or self._unfounded >= _MOST_UNFOUNDED:
                 break
             suspects = verification.suspects(group)
-            log.info("frames %s: %.1f %% are foreign", group, 100 * foreign)
+            log.info("frames %s: foreign by %.1f times the tolerance", group, foreign)
             self.doubted += 0 if attempt else len(suspects)
             self.tally.retriggered += len(suspects)
             looked = verification.look(suspects)

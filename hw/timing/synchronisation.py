@@ -9,15 +9,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+import numpy as np
+
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Frame
+from hw.rig import Frames, Rig
+from hw.timing.camera_group import CameraGroup
 from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
 from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.timed_rig import Tally, TimedRig
-from hw.timing.trigger_schedule import pace
+from hw.timing.trigger_schedule import AT_REST, pace
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +33,7 @@ _REHEARSED_PIPELINED = 8
 
 
 def _rehearsed_sequential(
-    calibration: LatencyCalibration, projector: BufferedProjector, camera: TriggeredCamera, latency_s: float
+    calibration: LatencyCalibration, projector: BufferedProjector, cameras: CameraGroup, latency_s: float
 ) -> Timing:
     """Find the shortest delay of sequential acquisition, by rehearsing it with frames of black and white.
 
@@ -39,14 +42,15 @@ def _rehearsed_sequential(
     """
     timing = Timing(latency_s, latency_s + _MARGIN_S, overlaps=latency_s > TRIGGER_LAG_S)
     for _ in range(_ROUNDS):
-        missing = calibration.largest_missing_share(SequentialAcquisition(projector, camera, timing).frames)
+        shares = calibration.missing_shares(SequentialAcquisition(projector, cameras, timing).frames)
+        missing = float(shares.max())
         log.info("%s: %.2f %% of the light missing", timing, 100 * missing)
-        if missing < calibration.tolerance:
+        if np.all(shares < calibration.tolerances):
             return timing
         if timing.overlaps:
             timing = replace(timing, overlaps=False)
         else:
-            late_s = max(_MARGIN_S, missing * camera.exposure_s)  # light may decay more slowly than its share suggests
+            late_s = max(_MARGIN_S, missing * cameras.exposure_s)  # light may decay more slowly than its share suggests
             timing = Timing(timing.latency_s + late_s, timing.delay_s + late_s, overlaps=False)
     raise DeviceError(
         f"projector: its light does not settle: {1e3 * timing.delay_s:.0f} ms after a flip, an exposure still differs "
@@ -59,7 +63,7 @@ def _rehearsed_pipelined(
     calibration: LatencyCalibration,
     measured: Latency,
     projector: BufferedProjector,
-    camera: TriggeredCamera,
+    cameras: CameraGroup,
     sequential: SequentialAcquisition,
 ) -> PipelinedAcquisition | None:
     """Find the shortest period of pipelined acquisition, by rehearsing it; None if it is not faster or not possible.
@@ -68,13 +72,13 @@ def _rehearsed_pipelined(
     their way.
     """
     for margin_s in _PIPELINED_MARGINS_S:
-        rhythm = pace(measured, camera, margin_s)
-        if rhythm.period_s > sequential.period_s(measured.cycle_s) + camera.wait_s:
+        rhythm = pace(measured, cameras, margin_s)
+        if rhythm.period_s > sequential.period_s(measured.cycle_s) + cameras.wait_s:
             break
-        pipelined = PipelinedAcquisition(projector, camera, sequential, rhythm, calibration.sums)
-        missing = calibration.largest_missing_share(pipelined.rehearse, _REHEARSED_PIPELINED)
-        log.info("%s: %.2f %% of the light missing, %d missed", rhythm, 100 * missing, pipelined.missed)
-        if missing < calibration.tolerance:
+        pipelined = PipelinedAcquisition(projector, cameras, sequential, rhythm, calibration.sums)
+        shares = calibration.missing_shares(pipelined.rehearse, _REHEARSED_PIPELINED)
+        log.info("%s: %.2f %% of the light missing, %d missed", rhythm, 100 * shares.max(), pipelined.missed)
+        if np.all(shares < calibration.tolerances):
             return pipelined
     return None
 
@@ -88,16 +92,22 @@ class _LastMode:
 
 @dataclass(frozen=True, kw_only=True)
 class SynchronisedRig(TimedRig):
-    """A rig with a triggered camera. Acquisition is pipelined where that works and each picture has one frame;
-    otherwise it is sequential.
+    """A rig with triggered cameras, which expose together. Acquisition is pipelined where that works and each camera
+    takes one frame of each picture; otherwise it is sequential. `verified` repeats frames that contain another picture,
+    in either mode.
     """
 
     lost_advice = LOST_ADVICE
 
     timing: Timing
     sequential: SequentialAcquisition
-    pipelined: PipelinedAcquisition | None = None
+    verified: PipelinedAcquisition | None = None
     _last_mode: _LastMode = field(default_factory=_LastMode)
+
+    @property
+    def pipelined(self) -> PipelinedAcquisition | None:
+        """The pipelined acquisition, if it works with these devices."""
+        return self.verified if self.verified is not None and self.verified.rhythm.pipelines else None
 
     @property
     def latency_s(self) -> float:
@@ -120,11 +130,12 @@ class SynchronisedRig(TimedRig):
         exposures_us: Sequence[float],
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
-    ) -> Iterator[Frame]:
-        pipelined = self.pipelined if (level or unpaired) and not exposures_us else None
-        self._last_mode.pipelined = pipelined is not None and pipelined.possible
-        if pipelined is not None and self._last_mode.pipelined:
-            return pipelined.frames(images, level, unpaired)
+    ) -> Iterator[Frames]:
+        verified = self.verified if (level or unpaired) and not exposures_us else None
+        if verified is not None and verified.possible:
+            self._last_mode.pipelined = verified.rhythm.pipelines
+            return verified.frames(images, level, unpaired)
+        self._last_mode.pipelined = False
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
@@ -142,25 +153,41 @@ class SynchronisedRig(TimedRig):
 
 
 def synchronised(
-    projector: BufferedProjector, camera: TriggeredCamera, identity: dict[str, str], refresh_hz: float | None = None
+    projector: BufferedProjector,
+    camera: TriggeredCamera,
+    identity: dict[str, str],
+    refresh_hz: float | None = None,
+    others: Sequence[tuple[TriggeredCamera, dict[str, str]]] = (),
 ) -> SynchronisedRig:
-    """Calibrate the latency, rehearse the acquisition (about four seconds), and return the rig.
+    """Calibrate the latency, rehearse the acquisition (about four seconds), and return the rig; `others`: further
+    cameras with their identities.
 
-    For a camera without a clock, the delay is the longest latency of any projector. Raises DeviceError if the camera
-    does not see the projector, or if its light does not settle.
+    If a camera has no clock, the delay is the longest latency of any projector. Raises DeviceError if a camera does not
+    see the projector, or if its light does not settle.
     """
-    calibration = LatencyCalibration(projector, camera)
-    if not camera.capabilities.clock:  # flashes measure nothing if the begin of exposures is unknown
-        timing = _rehearsed_sequential(calibration, projector, camera, LONGEST_LATENCY_S)
-        known = identity | {"light after a flip": f"within {1e3 * timing.delay_s:.0f} ms (waited for)"}
-        sequential = SequentialAcquisition(projector, camera, timing)
-        return SynchronisedRig(projector, camera, known, refresh_hz, timing=timing, sequential=sequential)
-    measured = calibration.latency()
-    timing = _rehearsed_sequential(calibration, projector, camera, measured.latest_s)
-    sequential = SequentialAcquisition(projector, camera, timing)
-    known_when = isfinite(camera.wait_s)
-    pipelined = _rehearsed_pipelined(calibration, measured, projector, camera, sequential) if known_when else None
-    known = identity | {"light after a flip": f"{1e3 * timing.latency_s:.1f} ms (measured)"}
+    cameras = CameraGroup([camera, *(other for other, _ in others)])
+    calibration = LatencyCalibration(projector, cameras)
+    if not cameras.has_clock:  # flashes measure nothing if the begin of exposures is unknown
+        timing = _rehearsed_sequential(calibration, projector, cameras, LONGEST_LATENCY_S)
+        light = f"within {1e3 * timing.delay_s:.0f} ms (waited for)"
+    else:
+        measured = calibration.latency()
+        timing = _rehearsed_sequential(calibration, projector, cameras, measured.latest_s)
+        light = f"{1e3 * timing.latency_s:.1f} ms (measured)"
+    sequential = SequentialAcquisition(projector, cameras, timing)
+    verified = None
+    if cameras.has_clock and isfinite(cameras.wait_s):
+        verified = _rehearsed_pipelined(calibration, measured, projector, cameras, sequential)
+    if verified is None:
+        verified = PipelinedAcquisition(projector, cameras, sequential, AT_REST, calibration.sums)
+    found = {"light after a flip": light}
     return SynchronisedRig(
-        projector, camera, known, refresh_hz, timing=timing, sequential=sequential, pipelined=pipelined
+        projector,
+        camera,
+        identity | found,
+        refresh_hz,
+        others=tuple(Rig(projector, other, known | found, refresh_hz) for other, known in others),
+        timing=timing,
+        sequential=sequential,
+        verified=verified,
     )

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from calib.numerics import Image
 from hw.ahead import Ahead
-from hw.rig import Frame, Rig
+from hw.rig import Frame, Frames, Rig
 
 MOST_AHEAD = 16  # prefetched frames; one frame may complete the verification of eight, which then arrive at once
 
@@ -41,7 +41,7 @@ class Tally:
 class _Lately:
     """How the last frames were taken."""
 
-    ahead: Ahead[Frame] | None = None
+    ahead: Ahead[Frames] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +74,8 @@ class TimedRig(Rig):
         exposures_us: Sequence[float],
         level: Sequence[Sequence[int]],
         unpaired: Sequence[Sequence[int]],
-    ) -> Iterator[Frame]:
-        """The frames of `photograph`, each taken on request."""
+    ) -> Iterator[Frames]:
+        """The frames of `photograph_together`, each taken on request."""
         raise NotImplementedError
 
     def _measured(self) -> Mapping[str, object]:
@@ -89,7 +89,17 @@ class TimedRig(Rig):
         level: Sequence[Sequence[int]] = (),
         unpaired: Sequence[Sequence[int]] = (),
     ) -> Iterator[Frame]:
-        """A frame of each image, taken when its light is on the wall. Raises DeviceError.
+        """A frame of each image by the first camera, as `photograph_together` takes it."""
+        return (frames[0] for frames in self.photograph_together(images, exposures_us, level, unpaired))
+
+    def photograph_together(
+        self,
+        images: Iterable[Image],
+        exposures_us: Sequence[float] = (),
+        level: Sequence[Sequence[int]] = (),
+        unpaired: Sequence[Sequence[int]] = (),
+    ) -> Iterator[Frames]:
+        """A frame of each image by each camera, taken when its light is on the wall. Raises DeviceError.
 
         With groups to verify, frames are prefetched in a thread. Otherwise each is taken on request.
         """

@@ -5,10 +5,11 @@ A missed picture may get another slot later.
 
 import time
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf, isfinite
 
 from calib.numerics import Image
-from hw.timing.devices import BufferedProjector, Swap, TriggeredCamera
+from hw.timing.camera_group import CameraGroup
+from hw.timing.devices import BufferedProjector, Swap
 from hw.timing.latency import Latency
 
 _STILL_THERE = 2
@@ -36,6 +37,11 @@ class Pace:
     wait_s: float
 
     @property
+    def pipelines(self) -> bool:
+        """Whether pictures may follow each other before their frames are taken."""
+        return isfinite(self.least_s)
+
+    @property
     def period_s(self) -> float:
         """Initial time between pictures."""
         return max(self.least_s + SLACK_S, self.cycle_s + HEADWAY_S)
@@ -51,15 +57,19 @@ class Pace:
         return self.latest_s + self.swapping_s
 
 
-def pace(measured: Latency, camera: TriggeredCamera, margin_s: float) -> Pace:
+# Every frame is taken at rest.
+AT_REST = Pace(soonest_s=0.0, latest_s=inf, swapping_s=0.0, least_s=inf, cycle_s=inf, wait_s=inf)
+
+
+def pace(measured: Latency, cameras: CameraGroup, margin_s: float) -> Pace:
     """The shortest pace for a measured latency, with a margin on either side.
 
     The light of every picture lasts for a whole exposure, whenever the camera begins.
     """
     soonest_s, latest_s = measured.soonest_s - margin_s, measured.latest_s + margin_s
     uncertain_s = max(0.0, latest_s + measured.swapping_s - soonest_s)
-    wait_s = camera.wait_s
-    least_s = camera.exposure_s + uncertain_s + wait_s
+    wait_s = cameras.wait_s
+    least_s = cameras.exposure_s + uncertain_s + wait_s
     return Pace(soonest_s, latest_s, measured.swapping_s, least_s, measured.cycle_s + wait_s, wait_s)
 
 

@@ -3,50 +3,50 @@
 A group is judged once its frames are known, and those of the pictures that were on the wall before and after them.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
-from calib.numerics import Floats, Image
+from calib.numerics import Floats
+from hw.rig import Frame
 from hw.timing.complementary_sums import ComplementarySums
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import mixed_share, odd_share
 
+T = TypeVar("T")
 Group = tuple[int, ...]
+Seen = dict[int, Floats]  # the brightness of a camera's frames, by picture number
 
 
 @dataclass(frozen=True)
 class Look:
-    """Frames before they are repeated, and the pictures that were on the wall before and after each."""
+    """Frames of each camera before they are repeated, and the pictures on the wall before and after each."""
 
-    frames: dict[int, Floats]
+    frames: tuple[Seen, ...]
     beside: dict[int, set[int]]
 
 
 class FrameVerification:
-    """Verifies frames in groups of picture numbers: `level` groups sum to uniform light, `even` groups light every
+    """Verifies frames of one camera or several, for each of which there is one of `sums`.
+
+    Frames form groups of picture numbers: `level` groups sum to uniform light, `even` groups light every
     place an even number of times (`hw/timing/parity_check.py`). `judged`: groups that can be judged and are still open.
     """
 
     def __init__(
         self,
-        sums: ComplementarySums,
+        sums: Sequence[ComplementarySums],
         pictures: NumberedPictures,
         level: Iterable[Sequence[int]],
         even: Iterable[Sequence[int]] = (),
     ) -> None:
-        self._sums = sums
+        self._cameras: tuple[tuple[ComplementarySums, Seen], ...] = tuple((each, {}) for each in sums)
         self._pictures = pictures
         self._even = frozenset(map(tuple, even))
         self._unproven = {number: tuple(group) for group in [*level, *self._even] for number in group}
-        self._seen: dict[int, Floats] = {}
         self._beside: dict[int, set[int]] = {}
         self.judged: list[Group] = []
-
-    @property
-    def tolerance(self) -> float:
-        """The largest share of another picture that cannot be distinguished from noise."""
-        return self._sums.tolerance
 
     def lacks(self, number: int) -> bool:
         """Whether a picture's group still has to be verified."""
@@ -74,9 +74,10 @@ class FrameVerification:
         """Record that no other picture can have been on the wall."""
         self._beside[number] = set()
 
-    def note(self, number: int, image: Image) -> None:
-        """Record the frame of a picture."""
-        self._seen[number] = self._sums.brightness(image)
+    def note(self, number: int, frames: Sequence[Frame]) -> None:
+        """Record the frames of a picture, one of each camera."""
+        for (sums, seen), frame in zip(self._cameras, frames, strict=True):
+            seen[number] = sums.brightness(frame.image)
 
     def judge(self) -> None:
         """Add all groups that can be judged now to `judged`."""
@@ -84,12 +85,11 @@ class FrameVerification:
             if group not in self.judged and self._can_be_judged(group):
                 self.judged.append(group)
 
-    def foreign_share(self, group: Group) -> float:
-        """The share of other pictures in the present frames of a group."""
-        if self.is_even(group):
-            return max([odd_share(group, self._seen), *(self._mixed_share(number) for number in group[1:])])
-        pictures = [self._pictures[number] for number in group]
-        return self._sums.foreign_share(group, pictures, self._seen, self._beside)
+    def foreign(self, group: Group) -> float:
+        """The share of other pictures in the present frames of a group, relative to the largest that cannot be
+        distinguished from noise in their camera; the largest of all cameras. The frames pass if it is at most 1.
+        """
+        return self._worst(self._foreign_share, group)
 
     def is_even(self, group: Group) -> bool:
         """Whether the group lights every place an even number of times."""
@@ -97,37 +97,50 @@ class FrameVerification:
 
     def suspects(self, group: Group) -> Group:
         """The frames of a group whose share of another picture is too large, if they are known; otherwise all."""
-        if not self.is_even(group) or odd_share(group, self._seen) > self.tolerance:
+        if not self.is_even(group) or self._worst(_odd_share, group) > 1:
             return group
-        return tuple(number for number in group[1:] if self._mixed_share(number) > self.tolerance)
+        return tuple(number for number in group[1:] if self._worst(self._mixed_share, number) > 1)
 
     def look(self, group: Group) -> Look:
         """Keep the present frames, to compare them with the repeated ones."""
-        return Look(
-            {number: self._seen[number] for number in group}, {number: self._beside[number] for number in group}
-        )
+        frames = tuple({number: seen[number] for number in group} for _, seen in self._cameras)
+        return Look(frames, {number: self._beside[number] for number in group})
 
     def is_as_before(self, look: Look) -> bool:
         """Whether repeated frames look the same, whatever was on the wall before and after them."""
-        group = tuple(look.frames)
+        group = tuple(look.beside)
         pictures = [self._pictures[number] for number in group]
         either = {number: self._beside[number] | look.beside[number] for number in group}
-        return self._sums.changed_share(group, pictures, look.frames, self._seen, either) <= self.tolerance
+        return all(
+            sums.changed_share(group, pictures, before, seen, either) <= sums.tolerance
+            for before, (sums, seen) in zip(look.frames, self._cameras, strict=True)
+        )
 
     def reopen(self, group: Group) -> None:
         """Forget the frames of a group, because all are repeated and judged again."""
         self.judged.remove(group)
-        for number in group:
-            del self._seen[number]
+        for _, seen in self._cameras:
+            for number in group:
+                del seen[number]
 
     def settle(self, group: Group) -> None:
         """Close a group. It stays open if only neighbouring frames are wrong, and is judged again after those."""
         self.judged.remove(group)
-        if self.foreign_share(group) <= self.tolerance and not self._has_witnesses(group):
+        if self.foreign(group) <= 1 and not self._has_witnesses(group):
             return
         self._unproven = {number: of for number, of in self._unproven.items() if of != group}
 
-    def _mixed_share(self, number: int) -> float:
+    def _worst(self, share: Callable[[T, ComplementarySums, Seen], float], of: T) -> float:
+        """The largest share of all cameras, relative to the tolerance of each."""
+        return max(share(of, sums, seen) / sums.tolerance for sums, seen in self._cameras)
+
+    def _foreign_share(self, group: Group, sums: ComplementarySums, seen: Seen) -> float:
+        if self.is_even(group):
+            mixed = [self._mixed_share(number, sums, seen) for number in group[1:]]
+            return max([odd_share(group, seen), *mixed])
+        return sums.foreign_share(group, [self._pictures[number] for number in group], seen, self._beside)
+
+    def _mixed_share(self, number: int, sums: ComplementarySums, seen: Seen) -> float:
         """The share of other pictures in a frame of an even group; 1 if the neighbouring frames do not determine it.
 
         Frames at rest are checked as well: a picture may have arrived a refresh late.
@@ -135,20 +148,25 @@ class FrameVerification:
         beside = sorted(self._beside[number])
         if not beside:
             return 0.0
-        if not self._seen.keys() >= {*beside}:
+        if not seen.keys() >= {*beside}:
             return 1.0
-        share = mixed_share(self._seen[number], [self._seen[other] for other in beside], self.tolerance)
+        share = mixed_share(seen[number], [seen[other] for other in beside], sums.tolerance)
         return 1.0 if share is None else share
 
     def _can_be_judged(self, group: Group) -> bool:
-        return self._is_complete(group) and (self.foreign_share(group) > self.tolerance or self._has_witnesses(group))
+        return self._is_complete(group) and (self.foreign(group) > 1 or self._has_witnesses(group))
 
     def _is_complete(self, group: Group) -> bool:
-        return all(number in self._seen and self._beside[number] <= self._seen.keys() for number in group)
+        seen = self._cameras[0][1].keys()
+        return all(number in seen and self._beside[number] <= seen for number in group)
 
     def _has_witnesses(self, group: Group) -> bool:
         """Whether the neighbouring frames of an even group, whose edges are used, are verified themselves."""
         if not self.is_even(group):
             return True
         others = {self._unproven.get(other, group) for number in group for other in self._beside[number]} - {group}
-        return all(self._is_complete(other) and self.foreign_share(other) <= self.tolerance for other in others)
+        return all(self._is_complete(other) and self.foreign(other) <= 1 for other in others)
+
+
+def _odd_share(group: Group, _: ComplementarySums, seen: Seen) -> float:
+    return odd_share(group, seen)

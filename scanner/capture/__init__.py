@@ -15,4 +15,4 @@ from scanner.capture.single_pixels import (
     shows_single_pixels,
 )
 from scanner.capture.steady_camera import remarks_on_camera
-from scanner.capture.stream import Stream, capture, refuse_another_size
+from scanner.capture.stream import Stream, capture, capture_together, refuse_another_size

@@ -6,11 +6,11 @@ only has to see how bright they are. A picture that was scaled alone is as good 
 keystone is of oblong, skewed pixels, which three faces in one view hardly contradict.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calib.numerics import Image, grey
+from calib.numerics import Floats, Image, grey
 from hw.rig import Rig
 from scanner.capture.stream import refuse_another_size
 from scanner.patterns import Axis
@@ -29,9 +29,10 @@ _LEAST_BEND = 0.05
 _LEAST_KEPT, _UNCHANGED = 0.6, 0.9
 
 
-def measure_lines(rig: Rig) -> Mapping[str, object]:
-    """For the recording: what lines of one pixel keep of what they and grey differ by, from 0 to 1; nothing where the
-    camera cannot tell. Raises DeviceError if a device fails or the camera delivers frames of another size.
+def measure_lines(rig: Rig) -> list[Mapping[str, object]]:
+    """For the recording of each camera: what lines of one pixel keep of what they and grey differ by, from 0 to 1;
+    nothing where the camera cannot tell. Raises DeviceError if a device fails or a camera delivers frames of another
+    size.
     """
     size = rig.projector.size
     # A ghost of the picture before is of as much light, or of less by little.
@@ -42,11 +43,17 @@ def measure_lines(rig: Rig) -> Mapping[str, object]:
         lines_of_light("x", size, (_BLACK, _WHITE)),
         lines_of_light("y", size, (_BLACK, _WHITE)),
     ]
-    levels = []
-    for frame in rig.photograph(pictures):
-        refuse_another_size(frame, rig.camera.size)
-        # Of all pixels: a camera may resolve the lines, and some would beat.
-        levels.append(grey(frame.image).astype(np.float32))
+    levels: list[list[Floats]] = [[] for _ in rig.all]
+    for frames in rig.photograph_together(pictures):
+        for each, frame, of_camera in zip(rig.all, frames, levels, strict=True):
+            refuse_another_size(frame, each.camera.size)
+            # Of all pixels: a camera may resolve the lines, and some would beat.
+            of_camera.append(grey(frame.image).astype(np.float32))
+    return [_kept(of_camera) for of_camera in levels]
+
+
+def _kept(levels: Sequence[Floats]) -> Mapping[str, object]:
+    """By the brightness of each picture, (H, W)."""
     black, middle, wide, *thin = levels
     light = middle - black
     lit = light > max(_LIT * float(np.percentile(light, _BRIGHT_PERCENTILE)), 1.0)

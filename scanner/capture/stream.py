@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import groupby, tee
+from operator import itemgetter
 
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Frame, Rig, exposure_control
+from hw.rig import Camera, Frame, Frames, Rig, exposure_control
 from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups, unpaired_bits
 
 
@@ -39,7 +40,8 @@ def capture(
     exposures_us: tuple[float, ...] = (),
     response: ProjectorResponse | None = None,
 ) -> Stream:
-    """Project each pattern and grab a frame of it, or one at each of `exposures_us`, when the frame is asked for.
+    """Project each pattern and grab a frame of it, or one at each of `exposures_us`, when the frame is asked for, with
+    the rig's first camera.
 
     With a known `response` the projector is sent what makes its light proportional to the pattern. That is what the
     recording's patterns describe: it does not matter to who reads it how the light came about.
@@ -47,22 +49,48 @@ def capture(
     Raises DeviceError if the camera cannot expose for what is wanted, or makes the same of two exposures. Walking
     through `frames` raises DeviceError if a device fails or the camera delivers frames of another size.
     """
-    if exposures_us:
-        _try_exposures(rig, exposures_us)
+    return capture_together(rig, patterns, exposures_us, response)[0]
+
+
+def capture_together(
+    rig: Rig,
+    patterns: tuple[Pattern, ...],
+    exposures_us: tuple[float, ...] = (),
+    response: ProjectorResponse | None = None,
+) -> tuple[Stream, ...]:
+    """As `capture`: a stream for each of the rig's cameras, which all see each pattern when it is projected.
+
+    The streams are to be walked through side by side: frames that only one of them has passed on are kept in memory.
+    """
+    for each in rig.all if exposures_us else ():
+        _try_exposures(each.camera, exposures_us)
     repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
-    frames = _frames(rig, repeated, exposures_us, response)
-    devices = rig.identity if response is None else rig.identity | {"response": f"gamma {response.gamma:.2f}, undone"}
-    sizes = Size(*rig.projector.size), Size(*rig.camera.size)
-    return Stream(repeated, *sizes, frames, {"devices": devices}, rig.account)
+    undone = {} if response is None else {"response": f"gamma {response.gamma:.2f}, undone"}
+    taken = tee(_taken(rig, repeated, exposures_us, response), len(rig.all))
+    return tuple(
+        Stream(
+            repeated,
+            Size(*rig.projector.size),
+            Size(*each.camera.size),
+            _frames(each.camera, repeated, map(itemgetter(number), frames)),
+            {"devices": each.identity | undone},
+            rig.account,
+        )
+        for number, (each, frames) in enumerate(zip(rig.all, taken, strict=True))
+    )
 
 
-def _frames(
+def _taken(
     rig: Rig, patterns: tuple[Pattern, ...], exposures_us: tuple[float, ...], response: ProjectorResponse | None
-) -> Iterator[tuple[Pattern, Frame]]:
+) -> Iterator[Frames]:
+    """Nothing is shown before the first frame is asked for."""
     pictures = _pictures(patterns, rig.projector.size, response)
-    frames = rig.photograph(pictures, exposures_us, level_groups(patterns), unpaired_bits(patterns))
+    yield from rig.photograph_together(pictures, exposures_us, level_groups(patterns), unpaired_bits(patterns))
+
+
+def _frames(camera: Camera, patterns: tuple[Pattern, ...], frames: Iterator[Frame]) -> Iterator[tuple[Pattern, Frame]]:
     for pattern, frame in zip(patterns, frames, strict=True):
-        refuse_another_size(frame, rig.camera.size)
+        refuse_another_size(frame, camera.size)
         yield pattern, frame
 
 
@@ -84,10 +112,10 @@ def _pictures(
         yield from (picture for _ in repeated)
 
 
-def _try_exposures(rig: Rig, exposures_us: tuple[float, ...]) -> None:
+def _try_exposures(camera: Camera, exposures_us: tuple[float, ...]) -> None:
     """Check that the camera can set the exposures, before the first frame. Raises DeviceError."""
-    camera = exposure_control(rig.camera)
-    became = [camera.expose_for(exposure_us) for exposure_us in exposures_us]
+    control = exposure_control(camera)
+    became = [control.expose_for(exposure_us) for exposure_us in exposures_us]
     for number, (wanted, found) in enumerate(zip(exposures_us, became, strict=True)):
         if found in became[:number]:
             other = exposures_us[became.index(found)]

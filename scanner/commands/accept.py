@@ -48,7 +48,9 @@ def _accept(results: list[Path], ball_bar: str, terminal: Terminal) -> Acceptanc
         with terminal.step(f"Measuring {result}"):
             scan = read_finished_scan(result)
             if unit not in ("", scan.unit):
-                raise InputError(f"{result}: its unit is {scan.unit}, that of {results[0]} {unit}: give one kind")
+                raise InputError(
+                    f"{result}: its unit is {scan.unit}, but that of {results[0]} is {unit}: give results of one unit"
+                )
             unit = scan.unit
             bar = parse_ball_bar(ball_bar, unit)
             scene = read_scene(result, scan.calibration)

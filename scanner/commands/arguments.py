@@ -94,14 +94,18 @@ def of_import(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--from", dest="layout", metavar="FORMAT", help="program that took the frames (default: all)")
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
-    parser.add_argument("--cell", metavar="PX", help="projector pixels to a cell of the Gray code (default: 1)")
+    parser.add_argument("--cell", metavar="PX", help="projector pixels in a cell of the Gray code (default: 1)")
     parser.add_argument(
-        "--periods", metavar="N,…", help="periods to a picture, in the order of the frames, as in 59,64,70"
+        "--periods",
+        metavar="N,…",
+        help="numbers of fringe periods across the picture, in the order of the frames, as in 59,64,70",
     )
     parser.add_argument("--order", metavar="N", help="number in the list, if several orders fit")
     parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")
     parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
-    parser.add_argument("--out", type=Path, metavar="CAPTURE", help="folder to make (default: only recognise)")
+    parser.add_argument(
+        "--out", type=Path, metavar="CAPTURE", help="folder to make (default: only report what is recognised)"
+    )
     add_quiet(parser)
 
 
@@ -138,7 +142,7 @@ def of_patterns(parser: ArgumentParser) -> None:
         "--loops",
         type=int,
         metavar="N",
-        help="with --video: how often all are shown to and fro (default: 1)",
+        help="with --video: how many times the pictures are shown, forwards and backwards (default: 1)",
     )
     add_out(parser)
     add_quiet(parser)

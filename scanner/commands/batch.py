@@ -31,7 +31,7 @@ def run(args: Namespace) -> None:
     memory_bytes = None if args.memory is None else _bytes(args.memory)
     terminal = Terminal(quiet=args.quiet)
     if harmless(args.out) != args.out:
-        raise InputError(f"--out: expected a name of characters that can be shown, in UTF-8, found {shown(args.out)}")
+        raise InputError(f"--out: expected a name of printable UTF-8 characters, found {shown(args.out)}")
     asked = Request(args.config, tuple(args.set), args.calibration)
     asked.refuse_no_calibration()
     with terminal.step("Looking for captures"):

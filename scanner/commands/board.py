@@ -35,9 +35,9 @@ def run(args: Namespace) -> None:
         _print(args, terminal)
         return
     if bool(args.captures) == bool(args.config):
-        raise InputError(f"expected captures of a board, or --config to take them with, {_EXAMPLE}")
+        raise InputError(f"expected captures of a board, or --config FILE to take some, {_EXAMPLE}")
     if args.board is None or args.square is None:
-        raise InputError(f"expected which board it is and how large its squares are, {_EXAMPLE}")
+        raise InputError(f"expected --board and --square, the board and the size of its squares, {_EXAMPLE}")
     target = parse_target(args.board, parse_length(args.square, UNIT))
     out: Path = args.out or default_out("board", overwrite=args.overwrite)
     result = _live(args, target, out, terminal) if args.config else _from_captures(args, target, out, terminal)

@@ -39,8 +39,8 @@ NAMED = {
         arguments.of_batch,
         "batch",
         """
-A refusal or a crash is noted in the capture's row; the others go on. A batch that is interrupted, and repeated with
-the same arguments, does what is left. Sources and --out may be remote, as in s3://bucket/folder.
+A refusal or a crash is noted in the capture's row; the others go on. After an interruption, repeat the command: only
+what is left is done. Sources and --out may be remote, as in s3://bucket/folder.
 """,
     ),
     "patterns": Command(
@@ -61,7 +61,7 @@ the same arguments, does what is left. Sources and --out may be remote, as in s3
         """
 Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
 projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
-these lines change, and the file as it was before the first time is kept beside it as FILE.bak.
+these lines change, and the original file is kept as FILE.bak.
 
 Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused. The
 results so far are always shown.
@@ -131,7 +131,7 @@ Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the 
 """,
     ),
     "object": Command(
-        "Join stations of a thing before one calibrated rig: their poses, one surface, its volume.",
+        "Join stations of a thing seen by one calibrated rig: their poses, one surface, its volume.",
         arguments.of_object,
         "object",
         """
@@ -144,12 +144,12 @@ rotation is ambiguous, as for a ball.
 """,
     ),
     "live": Command(
-        "Show live clouds of a calibrated rig; clouds that are kept become stations of a thing or a room.",
+        "Show live clouds of a calibrated rig; kept ones become stations of a thing or a room.",
         arguments.of_live,
         "live",
         """
 Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
-keeps a cloud; scan object OUT, or scan room OUT, joins the kept clouds. Ctrl-C ends it; kept clouds stay.
+keeps a cloud; scan object OUT or scan room OUT joins them. Ctrl-C ends; kept clouds stay.
 """,
     ),
     "compare": Command(
@@ -157,8 +157,8 @@ keeps a cloud; scan object OUT, or scan room OUT, joins the kept clouds. Ctrl-C 
         arguments.of_compare,
         "compare",
         """
-Differences are given in projector pixels and as lengths, over the camera's picture and by depth, after the rigid motion
-that best aligns the two is removed. The exit code is 0 even if they differ; the last sentence says whether they do.
+Differences are in projector pixels and as lengths, over the camera's picture and by depth, after the best rigid
+alignment. The exit code is 0 even if the calibrations differ: the last sentence says whether they do.
 """,
     ),
     "import": Command(

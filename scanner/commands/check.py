@@ -47,4 +47,4 @@ def _write(path: Path, report: CheckReport) -> str:
     if not values:
         return f"{path} is unchanged: there is nothing to write"
     backup = set_keys(path, values)
-    return f"{path}: {' and '.join(values)} set; the original is kept in {backup.name}"
+    return f"{path}: {' and '.join(values)} set; the original file is {backup.name}"

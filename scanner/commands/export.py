@@ -15,7 +15,7 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     target = FORMATS[args.to]
     if args.points is not None and args.to != "colmap":
-        raise InputError(f"--points is for colmap; {args.to} takes all there are")
+        raise InputError(f"--points is for colmap; {args.to} takes all points")
     if args.points is not None and args.points < 1:
         raise InputError(f"--points: expected at least 1, found {args.points}")
     if args.to != "mapping" and not (args.eye is None and args.gamma is None):

@@ -100,7 +100,7 @@ def _only_one(
         for number, each in enumerate(differ, 1)
     )
     raise InputError(
-        f"{files.folder}: {files}; {fit}, say which with --order and its number, or with --from or --projector:{names}"
+        f"{files.folder}: {files}; {fit}, choose one with --order and its number, --from or --projector:{names}"
     )
 
 
@@ -148,7 +148,7 @@ def _periods(text: str | None) -> tuple[float, ...] | None:
     words = text.split(",")
     if len(words) > _MOST_PERIODS or not all(re.fullmatch(r"\d{1,4}(\.\d{1,6})?", word) for word in words):
         raise InputError(
-            f"--periods {text}: expected the numbers of periods to a picture, at most {_MOST_PERIODS} of them, in the "
+            f"--periods {text}: expected at most {_MOST_PERIODS} numbers of fringe periods across the picture, in the "
             "order of the frames, as in 59,64,70"
         )
     counts = tuple(map(float, words))

@@ -21,7 +21,7 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
     given = [option for name, option in _OF_FRAMES.items() if getattr(args, name) is not None]
     if given:
-        raise InputError(f"{', '.join(given)}: is for a folder of frames, not for a recording")
+        raise InputError(f"{', '.join(given)}: only for a folder of frames, not for a recording")
     if args.sequence is None:
         raise InputError(f"{args.folder}: is a file: a recording needs --sequence, the sequence.yaml of its video")
     if args.out is None:

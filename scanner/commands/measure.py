@@ -19,8 +19,8 @@ from scanner.results import path_beside, read_finished_scan
 from scanner.ui import Terminal
 
 _ASSUMED_ANGLES = (
-    "Note: these angles depend on the calibration's assumption about them (corner.squareness_deg). A ball, or a known "
-    "length that was not used, is an independent test."
+    "Note: the calibration's prior on these angles (corner.squareness_deg) is in them. An independent test is a "
+    "ball or a length that it did not use."
 )
 
 
@@ -35,8 +35,8 @@ def run(args: Namespace) -> None:
         measured = measure(scan, scene, diameters, [(x1, y1, x2, y2) for x1, y1, x2, y2 in args.distance])
     if measured.empty:
         raise InputError(
-            f"{args.result}: its matches have no faces, so there is nothing to measure unless you say what: a ball "
-            "with --sphere 50.8mm, or a distance with --distance X1 Y1 X2 Y2"
+            f"{args.result}: its matches have no faces to measure; give a ball with --sphere 50.8mm, or a distance "
+            "with --distance X1 Y1 X2 Y2"
         )
     for name in (MEASURE_FILE, FIGURE_FILE):
         refuse_existing(out / name, overwrite=args.overwrite)

@@ -20,7 +20,7 @@ def run(args: Namespace) -> None:
     known = KnownDistance.parse(args.distance) if args.distance else None
     config = load_config(args.config, args.set)
     if not args.captures and args.config is None:
-        raise InputError("name captures of pairs, or the devices that are to take them with --config")
+        raise InputError("give captures of pairs, or --config FILE with the devices to take them")
     how = partial(network, args.captures) if args.captures else scan_network
     solved = how(config, out, known=known, overwrite=args.overwrite, terminal=terminal)
     estimate = solved.estimate

@@ -28,7 +28,7 @@ def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[st
     if truth:
         terminal.show(truth_line(calibration, truth))
     if only := scan.newest.decoded.only_axis:
-        terminal.show(f"Note: only {only} was measured; nothing checks whether the calibration fits.")
+        terminal.show(f"Note: only the {only} coordinate was measured, so nothing checks whether the calibration fits.")
     for remark in (*scan.remarks, *remarks):
         terminal.show(f"Note: {remark}")
     titles = titles_of([capture.decoded for capture in scan.captures])

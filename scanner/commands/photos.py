@@ -37,7 +37,7 @@ def run(args: Namespace) -> None:
     exif = "EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})"
     notes = [exif]
     if photos[0].reduced > 1:
-        notes.append(f"Photos: reduced {photos[0].reduced} times, to {size} pixels; the results are in these")
+        notes.append(f"Photos: reduced {photos[0].reduced} times, to {size} pixels; results are in pixels of that size")
     show_outcome(scan, args.out, terminal, notes)
 
 

@@ -33,7 +33,7 @@ def show_room(solved: SolvedRoom, out: Path, terminal: Terminal) -> None:
     unit = shown_unit(solved.unit)
     for station in solved.stations[1:]:
         sigma = float(sum(station.sigma**2) ** 0.5)
-        terminal.show(f"{station.name}: {len(station.decoded.matches):,} matches, its place ± {unit.error(sigma)}")
+        terminal.show(f"{station.name}: {len(station.decoded.matches):,} matches, its position ± {unit.error(sigma)}")
     verdict = verdict_on(solved)
     terminal.show(f"Result: {out} (report.html, room.ply, room.glb, floorplan.svg, floorplan.dxf, room.yaml)")
     terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))

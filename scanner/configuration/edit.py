@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,29 +63,33 @@ def _replace(path: Path, text: str) -> Path:
         fresh.replace(real)
     except OSError as error:
         fresh.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is as it was") from error
+        raise InputError(f"{path}: cannot be changed: {error.strerror}; it is unchanged") from error
     return backup
 
 
 def with_key(text: str, key: str, value: object, where: str) -> str:
-    """A YAML text in which 'section.name' has that value, and nothing else is changed. Raises InputError."""
-    section, name = key.split(".")
+    """A YAML text in which 'section.name', or 'section.section.name', has that value, and nothing else is changed.
+
+    Raises InputError.
+    """
+    *sections, name = key.split(".")
     before = parse_yaml(text, where)
     shown = flow_yaml(value)
-    changed = _changed(text, section, name, shown)
-    wanted = _with(before, section, name, value)
+    changed = _changed(text, sections, name, shown)
+    wanted = _with(before, [*sections, name], value)
     if changed is None or _parsed(changed, where) != wanted:
         raise InputError(
-            f"{where}: '{key}' cannot be set without touching more of the file; write this line into '{section}:' "
+            f"{where}: '{key}' cannot be set without changing other lines; write this one into '{'.'.join(sections)}:' "
             f"yourself: {name}: {shown}"
         )
     return changed
 
 
-def _with(data: Any, section: str, name: str, value: object) -> dict[str, Any]:
+def _with(data: Any, path: Sequence[str], value: object) -> Any:
+    if not path:
+        return value
     given = data if isinstance(data, dict) else {}
-    inner = given.get(section)
-    return {**given, section: {**(inner if isinstance(inner, dict) else {}), name: value}}
+    return {**given, path[0]: _with(given.get(path[0]), path[1:], value)}
 
 
 def _parsed(text: str, where: str) -> Any:
@@ -95,16 +99,18 @@ def _parsed(text: str, where: str) -> Any:
         return None
 
 
-def _changed(text: str, section: str, name: str, shown: str) -> str | None:
+def _changed(text: str, sections: Sequence[str], name: str, shown: str) -> str | None:
     """Return the edited text; None if its form is not supported."""
     root = yaml.compose(text, yaml.SafeLoader)
     newline = "\r\n" if "\r\n" in text else "\n"
     if not isinstance(root, yaml.MappingNode) or root.flow_style:
         return None
-    inner = _value_of(root, section)
+    inner: yaml.Node | None = root
+    for section in sections:
+        inner = _value_of(inner, section) if isinstance(inner, yaml.MappingNode) else None
     if inner is None:
         separator = "" if text.endswith("\n") else newline
-        return f"{text}{separator}{section}:{newline}  {name}: {shown}{newline}"
+        return None if len(sections) > 1 else f"{text}{separator}{sections[0]}:{newline}  {name}: {shown}{newline}"
     if not isinstance(inner, yaml.MappingNode) or not inner.value:
         return None
     old = _value_of(inner, name)

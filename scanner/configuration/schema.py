@@ -54,7 +54,7 @@ class Config(Section):
     earlier: tuple[Path, ...] = Field(
         default=(),
         max_length=_MOST_EARLIER,
-        description="Earlier results, or matches, of this unchanged rig to calibrate together with the new capture; "
+        description="Earlier results or matches of this unchanged rig, to calibrate together with the new capture; "
         "paths relative to this file.",
     )
 
@@ -96,15 +96,17 @@ class Config(Section):
         if self.rigs is None:
             raise InputError(
                 "the configuration has no 'rigs': name a network's devices, as in rigs: {cameras: {left: {}, right: "
-                "{rig: {serial: 1234}}}, projectors: {stage: {}}}"
+                "{rig: {camera: 1234}}}, projectors: {stage: {}}}"
             )
         common = self.model_dump(mode="json", exclude_unset=True, by_alias=True, exclude={"rigs"})
+        own = self.rigs
         return {
             (camera, projector): validate(
-                Config, _merged(_merged(common, of_camera), of_projector), f"rigs: {camera} with {projector}"
+                Config,
+                _merged(_merged(common, own.cameras[camera]), own.projectors[projector]),
+                f"rigs: {camera} with {projector}",
             )
-            for projector, of_projector in self.rigs.projectors.items()
-            for camera, of_camera in self.rigs.cameras.items()
+            for camera, projector in own.pairs
         }
 
     @property
@@ -143,7 +145,7 @@ class Config(Section):
             )
         x, y = setting.known
         if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside of the {camera_size} image")
+            raise InputError(f"camera.principal_point.known is ({x:g}, {y:g}), far outside the {camera_size} image")
         return PrincipalPoint((x, y), 0.0)
 
 
@@ -182,7 +184,7 @@ def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable
     """
     data = metadata.get(CONFIGURATION_KEY)
     if not isinstance(data, dict):
-        raise InputError(f"{where}: does not say with which configuration it was made: give it with --config FILE")
+        raise InputError(f"{where}: contains no configuration: give one with --config FILE")
     data = deepcopy(data)
     for override in overrides:
         _apply(override, data)

@@ -1,6 +1,7 @@
 """Sections of a configuration: devices, patterns and scene."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,8 +22,8 @@ Period = Annotated[Number, Field(ge=4, le=1024)]
 
 
 class _DeviceSettings(Section):
-    width: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Width of the image in pixels.")
-    height: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Height of the image in pixels.")
+    width: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Image width in pixels.")
+    height: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Image height in pixels.")
 
     @model_validator(mode="after")
     def _both_or_neither(self) -> "_DeviceSettings":
@@ -38,14 +39,17 @@ class _DeviceSettings(Section):
 
 
 class PrincipalPointSettings(Section):
-    """Prior knowledge of the camera's principal point: its position, or only that it is near the image's centre."""
+    """Prior knowledge of the camera's principal point: `known`, or `prior` with `sigma_px`."""
 
     known: Pair | None = Field(
-        default=None, description="(x, y) in pixels, if it was measured; the centre of the top left pixel is (0, 0)."
+        default=None, description="If it was measured; (0, 0) is the centre of the top left pixel."
     )
-    prior: Literal["centre"] | None = Field(default=None, description="Where it is expected, if it was not measured.")
+    prior: Literal["centre"] | None = Field(default=None, description="Expected at the image's centre.")
     sigma_px: Number | None = Field(
-        default=None, gt=0, le=_LARGEST_SIDE_PX, description="How far from there it may be; default 3 % of the width."
+        default=None,
+        gt=0,
+        le=_LARGEST_SIDE_PX,
+        description="Standard deviation of the prior; default: 3 % of the width.",
     )
 
     @model_validator(mode="after")
@@ -70,8 +74,8 @@ class ProjectorSettings(_DeviceSettings):
         default=None,
         min_length=2,
         max_length=256,
-        description="Light at equally spaced grey levels, from 0 for black to 1 for white, as scan check measures it; "
-        "pictures are then corrected so that fringes are sines. Left out, the decoder corrects the effect of gamma.",
+        description="Light at equally spaced grey levels, 0 for black to 1 for white, as `scan check --write` "
+        "measures it. Fringes are then projected as true sines; default: the decoder corrects gamma.",
     )
 
     @model_validator(mode="after")
@@ -87,28 +91,28 @@ class ProjectorSettings(_DeviceSettings):
 
 
 class SequenceSettings(Section):
-    """Which patterns are projected; a key that is given overrides the preset."""
+    """The projected patterns; each key overrides the preset's."""
 
     preset: PresetName = Field(
         default="standard",
-        description="The sequence to start from; left out with a camera that takes a second a frame, quick.",
+        description="The sequence to start from; photo cameras default to `quick`.",
     )
     code: Code | None = Field(
         default=None,
-        description="gray; or xor: the same cells in fine stripes, whose bits interreflection cannot invert; or both, "
-        "which must agree with each other, or one of them with the fringes.",
+        description="`gray`; `xor`, finer stripes that resist interreflection; or `both`, checked against each other "
+        "or the fringes.",
     )
-    cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe in projector pixels.")
-    inverses: Flag | None = Field(default=None, description="Whether each bit is followed by its inverse.")
+    cell: Whole | None = Field(default=None, ge=1, le=1024, description="Finest Gray code stripe, in projector pixels.")
+    inverses: Flag | None = Field(default=None, description="Each bit is followed by its inverse.")
     periods: tuple[Period, ...] | None = Field(
-        default=None, min_length=1, max_length=8, description="Periods of the fringes in projector pixels."
+        default=None, min_length=1, max_length=8, description="Fringe periods in projector pixels."
     )
     shifts: Whole | None = Field(
-        default=None, ge=0, le=64, description="Steps of each fringe, 3 or more; 0 for no fringes."
+        default=None, ge=0, le=64, description="Shifts of each fringe, 3 or more; 0 for no fringes."
     )
 
     exposures_us: tuple[Exposure, ...] = Field(
-        default=(), max_length=8, description="Exposures of each pattern; left out, the one that the rig is set to."
+        default=(), max_length=8, description="Two or more exposures of each pattern; default: the rig's one."
     )
 
     @model_validator(mode="after")
@@ -123,7 +127,7 @@ class SequenceSettings(Section):
         if chosen.shifts and chosen.cell > max(chosen.periods):
             raise ValueError(
                 f"cell ({chosen.cell}) must not exceed the longest period ({max(chosen.periods)}), "
-                "or fringes look alike"
+                "or fringes are ambiguous"
             )
         return self
 
@@ -146,29 +150,32 @@ class CornerSettings(Section):
         default=SQUARENESS_DEG,
         ge=0,
         le=10,
-        description="Standard deviation of the faces' angles around 90°; 0 if exact.",
+        description="Standard deviation of the faces' angles from 90°; 0 if exact.",
     )
-    same: Flag = Field(default=True, description="Whether several captures show the same corner.")
+    same: Flag = Field(
+        default=True,
+        description="Several captures show the same corner, share its angles and are merged. Captures that refute "
+        "this get angles of their own, and a note.",
+    )
 
 
 class LensSettings(Section):
-    """Prior knowledge of both lenses; values that are not given default to those of ordinary lenses."""
+    """Prior knowledge of both lenses."""
 
     decentering: Number | None = Field(
         default=None,
         ge=0,
         le=0.1,
-        description="Standard deviation of p1 and p2 of both devices; 0 for lenses that are not decentred at all; "
-        f"default {DECENTERING:g}.",
+        description=f"Standard deviation of p1 and p2 of both lenses; 0 for none; default {DECENTERING:g}.",
     )
     k3: Number | None = Field(
-        default=None, ge=0, le=10, description=f"Standard deviation of k3 of both devices; default {THIRD_RADIAL:g}."
+        default=None, ge=0, le=10, description=f"Standard deviation of k3 of both lenses; default {THIRD_RADIAL:g}."
     )
     source: Path | None = Field(
         default=None,
         alias="from",
-        description="A calibration.yaml, or a result that has one, such as of boards. Its lens terms and their sigmas "
-        "are the prior of devices with the same image size; paths relative to this file.",
+        description="A calibration.yaml, or a result that has one, whose lens terms and sigmas serve as the prior "
+        "for devices of the same image size; path relative to this file.",
     )
 
     @model_validator(mode="after")
@@ -179,15 +186,11 @@ class LensSettings(Section):
 
 
 class CharucoSettings(Section):
-    """A printed ChArUco board that lies flat somewhere in the scanned room, lit by the projector."""
+    """A printed ChArUco board that lies flat in the scanned room, lit by the projector."""
 
-    board: str = Field(
-        default="6x9", pattern=r"^\d{1,2}x\d{1,2}$", description="Squares across and down, as scan board counts them."
-    )
-    square_mm: Number = Field(gt=0, le=1e4, description="Side of a square, as it was measured on the print.")
-    sigma_mm: Number | None = Field(
-        default=None, gt=0, le=1e3, description="Standard deviation of that side; left out, it counts as exact."
-    )
+    board: str = Field(default="6x9", pattern=r"^\d{1,2}x\d{1,2}$", description="Squares across and down.")
+    square_mm: Number = Field(gt=0, le=1e4, description="Side of a square, measured on the print.")
+    sigma_mm: Number | None = Field(default=None, gt=0, le=1e3, description="Its standard deviation; default: exact.")
 
     @model_validator(mode="after")
     def _possible(self) -> "CharucoSettings":
@@ -209,14 +212,14 @@ class CharucoSettings(Section):
 
 
 class ScaleSettings(Section):
-    """One known length; without it, lengths are in units of the baseline."""
+    """One known length; without it, the baseline is the unit."""
 
     baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
     camera_to_corner_m: Number | None = Field(
-        default=None, gt=0, le=1e4, description="Distance from the camera to the point where the three faces meet."
+        default=None, gt=0, le=1e4, description="Distance from the camera to the corner's vertex."
     )
     sigma_m: Number | None = Field(
-        default=None, gt=0, le=1e4, description="Standard deviation of that length; left out, it counts as exact."
+        default=None, gt=0, le=1e4, description="Standard deviation of that length; default: exact."
     )
     charuco: CharucoSettings | None = Field(
         default=None, description="{square_mm: …, board: 6x9}: a printed sheet in the scene, in place of a length."
@@ -236,16 +239,21 @@ class ScaleSettings(Section):
 
 
 class NetworkSettings(Section):
-    """Named cameras and projectors of a network: for each what differs from the other keys of this file."""
+    """A network's cameras and projectors by name, each with the keys in which it differs."""
 
     cameras: dict[str, dict[str, Any]] = Field(
-        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {serial: 1234}}}."
+        min_length=1, max_length=_MOST_DEVICES, description="As in {left: {}, right: {rig: {camera: 1234}}}."
     )
     projectors: dict[str, dict[str, Any]] = Field(
         min_length=1,
         max_length=_MOST_DEVICES,
         description="As in {stage: {rig: {screen: 1}}, side: {rig: {screen: 2}}}.",
     )
+
+    @property
+    def pairs(self) -> Iterator[tuple[str, str]]:
+        """Each camera with each projector, projector by projector."""
+        return ((camera, projector) for projector in self.projectors for camera in self.cameras)
 
     @model_validator(mode="after")
     def _named(self) -> "NetworkSettings":

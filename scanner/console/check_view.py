@@ -23,6 +23,7 @@ class CheckView:
         self._rows: list[CheckRow] = []
         self._maps: list[viser.GuiImageHandle] = []
         self._exposure_us: float | None = None
+        self._section = "rig"
         self._folder = gui.add_folder("Check", visible=False)
         with self._folder:
             self._grade = gui.add_markdown("")
@@ -33,8 +34,9 @@ class CheckView:
         self._use.on_click(lambda _: self._take_exposure())
         self._save.on_click(lambda _: self._save_exposure())
 
-    def begin(self) -> None:
-        """Forget the last check."""
+    def begin(self, section: str) -> None:
+        """Forget the last check; `section` of the configuration is where the exposure of the next belongs."""
+        self._section = section
         self._folder.visible = True
         self._rows, self._exposure_us = [], None
         for image in self._maps:
@@ -67,7 +69,7 @@ class CheckView:
         if self._exposure_us is None:
             return
         try:
-            set_keys(self._config, {"rig.exposure_us": round(self._exposure_us, 1)})
+            set_keys(self._config, {f"{self._section}.exposure_us": round(self._exposure_us, 1)})
         except Exception as error:
             self._saved.content = bold(failure_of(error).message)
         else:

@@ -59,7 +59,7 @@ class ConfigurationView:
         text = self._text.value
         backup = write_text(self._path, text)
         self._as_read = text
-        return f"Saved. The file as it was at first is {escaped(str(backup))}."
+        return f"Saved. The original file is {escaped(str(backup))}."
 
     def _telling(self, action: Callable[[], str]) -> bool:
         """Do it, and say what came of it; False if it failed."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from scanner.errors import InputError
 from scanner.rendering import jpeg_uri
-from scanner.results import Grade, verdict_of
+from scanner.results import CAPTURES_FOLDER, Grade, verdict_of
 from scanner.viewing.white_picture import white_picture
 
 _SIDE = 192
@@ -31,5 +31,6 @@ def card_of(folder: Path, made_s: float) -> Card:
     except InputError:
         verdict = None
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
-    picture = white_picture(folder, _SIDE)
+    places = (folder, *sorted((folder / CAPTURES_FOLDER).glob("*/")))
+    picture = next((found for place in places if (found := white_picture(place, _SIDE)) is not None), None)
     return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))

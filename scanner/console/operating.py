@@ -12,8 +12,8 @@ from scanner.viewing.view_controls import PLAIN
 
 _MOST_CAPTURES = 8
 _KEYS = (
-    "Keys, each with Shift: S scan, C check, L live image, D live clouds, K keep one, X cancel; pages: I capture, "
-    "R result, H history."
+    "Keys, each with Shift: S scan, C check, L live image, D live clouds, K keep one, N network, X cancel; pages: "
+    "I capture, R result, H history."
 )
 
 
@@ -33,6 +33,7 @@ class Operating:
         self._check = gui.add_button("Check", color=PLAIN, hint="Look at devices, light and lenses first")
         self._live = gui.add_button("Live image", color=PLAIN, hint="Show what the camera sees")
         self._clouds = gui.add_button("Live clouds", color=PLAIN, hint="Of a calibrated rig: what it sees, in 3-D")
+        self._network = gui.add_button("Network", color=PLAIN, hint="All devices of rigs: capture and calibrate them")
         with gui.add_folder("Next scan", expand_by_default=False):
             self._name = gui.add_text("Name", "", hint="Of the next result, in scans/; empty: the configuration's")
             self._captures = gui.add_number(
@@ -50,12 +51,17 @@ class Operating:
         self._go_on.visible = self._enough.visible = asked
         self._scan.visible, self._cancel.visible = not busy, busy
         self._cancel.disabled = status.cancelling
-        self._check.disabled = self._live.disabled = self._clouds.disabled = busy
+        for button in (self._check, self._live, self._clouds, self._network):
+            button.disabled = busy
         self._bar.visible = busy and not asked
         counted = status.stage is not None and status.stage.total > 0
         self._bar.value = status.stage.percent if status.stage and counted else 100.0
         self._bar.animated = not counted  # what cannot be counted moves without getting on
         self._live.label = "Stop the live image" if status.activity is Activity.LIVE else "Live image"
+
+    def prefer_network(self, preferred: bool) -> None:
+        """Whether one presses Network next, or Scan."""
+        self._network.color, self._scan.color = (None, PLAIN) if preferred else (PLAIN, None)
 
     def tick(self, status: Status) -> None:
         """Say how long it will take, as time goes by."""
@@ -74,6 +80,7 @@ class Operating:
             (self._check, "Check", "C", begin_check),
             (self._live, "Live image", "L", self._toggle_live),
             (self._clouds, "Live clouds", "D", lambda: worker.request(Activity.CLOUDS)),
+            (self._network, "Network", "N", lambda: worker.request(Activity.NETWORK)),
             (self._cancel, "Cancel", "X", worker.cancel),
         ):
             self._bind(gui, button, label, key, action)

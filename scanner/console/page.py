@@ -13,13 +13,14 @@ from scanner.console.check_view import CheckView
 from scanner.console.configuration_view import ConfigurationView
 from scanner.console.history import History
 from scanner.console.live_view import LiveView
+from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
+from scanner.networks.sights import Sight
 from scanner.results import REFUSAL_FILE, Scan
 from scanner.viewing.first_look import first_look
-from scanner.viewing.panel import ResultPanel
-from scanner.viewing.result import ViewedResult
+from scanner.viewing.panel import ResultPanel, reading
 from scanner.viewing.scale import KnownScale
 from scanner.viewing.server import Serving, add_style
 
@@ -48,8 +49,9 @@ class ConsolePage:
             # Above the camera, so that it is in view when it ends.
             self._live = LiveView(served.server, self.on_frame)
             self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
+            self._network = NetworkView(gui, self._worker.change, self._operating.prefer_network)
             with gui.add_folder("Camera"):
-                self._camera = CameraView(gui, settings.load().required_rig, self._worker.change)
+                self._camera = CameraView(gui, settings.in_turn()[0].load().required_rig, self._worker.change)
             with gui.add_folder("Configuration", expand_by_default=False):
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:
@@ -59,6 +61,7 @@ class ConsolePage:
             self._history = History(gui, self._open, served.served_files.link)
         for name, key in zip(_PAGES, _KEYS, strict=True):
             self._add_key(gui, name, key)
+        self._network.follow(settings)
 
     def start(self) -> None:
         """Open the rig and show what its camera sees."""
@@ -75,14 +78,21 @@ class ConsolePage:
     def on_status(self, status: Status) -> None:
         """Say it, and offer what can be done now."""
         self._operating.show(status)
+        self._network.show(status)
 
     def on_camera(self, rig: Rig) -> None:
         """The live image begins."""
         self._camera.on_camera(rig)
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame, camera: str = "") -> None:
         """Show it."""
         self._camera.on_frame(frame)
+        if camera:
+            self._network.on_frame(camera, frame)
+
+    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+        """Show it in the graph."""
+        self._network.on_sight(sight, frame)
 
     def on_captured(self) -> None:
         """Sound, if that is wanted."""
@@ -114,7 +124,7 @@ class ConsolePage:
     def _begin_check(self) -> None:
         if self._worker.request(Activity.CHECKING):
             self._turn_to(CAPTURE)
-            self._check.begin()
+            self._check.begin(self._worker.settings.rig_key)
 
     def _turn_to(self, page: str) -> None:
         for name, folder in self._pages.items():
@@ -133,14 +143,16 @@ class ConsolePage:
         """Time goes by, and scans that are made elsewhere appear by themselves."""
         while not self._closed.wait(_LOOKED_EVERY_S):
             self._operating.tick(self._worker.status)
+            self._network.tick()
+            self._network.follow(self._worker.settings)
             self._history.refresh()
             self._configuration.follow()
 
     def _open(self, folder: Path) -> None:
         if (folder / REFUSAL_FILE).is_file():
-            self._result.open_refused(folder)
+            self._result.open_verdict(folder)
         else:
-            self._result.open(ViewedResult(folder))
+            reading(folder)(self._result)
         self._turn_to_result()
 
     def _turn_to_result(self) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import saturation_level
+from scanner.rendering import reduced_size
 
 # Okabe and Ito's vermilion: told from every grey by every kind of colour vision.
 CLIPPED_COLOUR = (213, 94, 0)
@@ -48,14 +49,14 @@ def histogram(image: Image, highest_level: int) -> tuple[Floats, Floats]:
     return middles, counts.astype(np.float64)
 
 
-def shown(image: Image, highest_level: int, *, mark_clipped: bool) -> NDArray[np.uint8]:
-    """RGB of at most 720 pixels, brightness as the camera has it; clipped pixels in `CLIPPED_COLOUR` if wanted.
+def shown(
+    image: Image, highest_level: int, *, mark_clipped: bool, longest_side: int = _LONGEST_SIDE
+) -> NDArray[np.uint8]:
+    """RGB, reduced to a `longest_side`, brightness as the camera has it; clipped pixels in `CLIPPED_COLOUR` if wanted.
 
     A mark is as large as a pixel of the reduced picture at least, so that no clipped pixel is lost in it.
     """
-    height, width = image.shape[:2]
-    factor = min(1.0, _LONGEST_SIDE / max(width, height))
-    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    size = reduced_size(image.shape[1], image.shape[0], longest_side)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32) * np.float32(255 / highest_level)
     grey = np.rint(np.minimum(small, np.float32(255))).astype(np.uint8)
     rgb = np.asarray(cv2.cvtColor(grey, cv2.COLOR_BGR2RGB if grey.ndim == 3 else cv2.COLOR_GRAY2RGB), np.uint8)

@@ -12,6 +12,7 @@ from threading import Event
 from typing import TypeVar
 
 from hw.rig import Frame
+from scanner.networks.sights import frames_in
 
 T = TypeVar("T")
 
@@ -84,8 +85,8 @@ class StagedProgress:
         usual_s = self._durations_s.get(what)
         self._tell(Stage(what, 0, total, began_s, usual_s))
         for done, item in enumerate(items, start=1):
-            if isinstance(item, tuple) and isinstance(item[-1], Frame):  # (pattern, frame)
-                self._on_frame(item[-1])
+            for frame in frames_in(item)[:1]:
+                self._on_frame(frame)
                 frames = True
             yield item
             self._tell(Stage(what, done, total, began_s, usual_s))

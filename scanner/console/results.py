@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from scanner.io import MATCHES_FILE
-from scanner.results import CALIBRATION_FILE, LOG_FILE, OBJECT_FILE, ROOM_FILE
+from scanner.results import CALIBRATION_FILE, LOG_FILE, NETWORK_FILE, OBJECT_FILE, REFUSAL_FILE, ROOM_FILE
 
 SCANS = Path("scans")
-_TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE)
+_TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE, NETWORK_FILE, REFUSAL_FILE)
 
 
 def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:

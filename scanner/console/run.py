@@ -16,7 +16,7 @@ def console(settings: Settings, host: str, port: int | None, terminal: Terminal,
 
     A scan that is running then is cancelled: what it has captured is kept, and the terminal says where.
     """
-    config = settings.load()
+    config = settings.in_turn()[0].load()
     required = (config.required_rig, config.camera_size, config.projector_size)  # said in the terminal if missing
     log.info("console for %s", required)
     with serving(f"Console: {settings.config.stem}", host, port) as served:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanner.configuration import Config, load_config
+from scanner.errors import InputError
+from scanner.networks.captures import Pair
 from scanner.patterns import Black, Pattern, Phase, White, draw
 from scanner.results import default_out
 
@@ -29,7 +31,9 @@ class Settings:
     """The configuration's file and overrides, and on top of them what was changed on the page; None: left as it is.
 
     `name`: of the next result; '' for the configuration's. `captures`: how many a scan takes.
-    `calibration`: of the rig, for live clouds; None for the newest result's.
+    `calibration`: of the rig, for live clouds; None for the newest result's. Of a network, `pair` is the camera and the
+    projector that are looked at, checked and scanned with, None for all cameras in turn; `distance` is known between
+    two devices, as in left,stage,2.35m.
     """
 
     config: Path
@@ -40,15 +44,45 @@ class Settings:
     name: str = ""
     captures: int = 1
     calibration: Path | None = None
+    pair: Pair | None = None
+    distance: str = ""
+
+    @property
+    def rig_key(self) -> str:
+        """The section of the configuration with the exposure of what is looked at."""
+        return "rig" if self.pair is None else f"rigs.cameras.{self.pair[0]}.rig"
+
+    def load_whole(self) -> Config:
+        """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
+        whole = load_config(self.config, self.overrides)
+        set_here = {"exposure_us": self.exposure_us, "gain": self.gain}
+        changed = [f"{key}={value!r}" for key, value in set_here.items() if value is not None]
+        if not changed:
+            return whole
+        sections = [self.rig_key]
+        if whole.rigs is not None and self.pair is None:
+            sections = [f"rigs.cameras.{camera}.rig" for camera in whole.rigs.cameras]
+        return load_config(self.config, [*self.overrides, *(f"{each}.{key}" for each in sections for key in changed)])
 
     def load(self) -> Config:
-        """The configuration as it is now, also if the file was edited meanwhile. Raises InputError."""
-        changed: list[str] = []
-        if self.exposure_us is not None:
-            changed.append(f"rig.exposure_us={self.exposure_us!r}")
-        if self.gain is not None:
-            changed.append(f"rig.gain={self.gain!r}")
-        return load_config(self.config, [*self.overrides, *changed])
+        """The same, or of a network that of the pair. Raises InputError, also if no pair is chosen."""
+        whole = self.load_whole()
+        if whole.rigs is None:
+            return whole
+        if self.pair is None:
+            raise InputError(f"{self.config} names several devices: choose a camera and a projector, or press Network")
+        pairs = whole.pairs
+        if self.pair not in pairs:
+            raise InputError(f"{self.config} names no camera {self.pair[0]} with a projector {self.pair[1]} any more")
+        return pairs[self.pair]
+
+    def in_turn(self) -> tuple["Settings", ...]:
+        """What to look at: the rig or the pair, or else each camera of a network in the first projector's light."""
+        rigs = self.load_whole().rigs
+        if rigs is None or self.pair is not None:
+            return (self,)
+        projector = next(iter(rigs.projectors))
+        return tuple(replace(self, pair=(camera, projector)) for camera in rigs.cameras)
 
     def destination(self, ending: str = "") -> Path:
         """Return the next result's folder: a new one in scans/, named as typed or else after the configuration."""

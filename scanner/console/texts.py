@@ -1,13 +1,16 @@
 """Texts of the page, as Markdown and HTML."""
 
 import time
+from collections.abc import Iterable, Mapping
 from datetime import datetime
 
 from markupsafe import escape
 
 from scanner.checking.report import CheckRow, State
 from scanner.console.history_cards import Card
+from scanner.console.progress import Stage
 from scanner.console.worker import Status
+from scanner.networks.sights import Sight
 from scanner.results import SIGNS
 from scanner.viewing.texts import bold, escaped
 
@@ -25,15 +28,50 @@ def status_text(status: Status) -> str:
         return f"**{status.activity}**: stopping after the present step …"
     if status.stage is None:
         return f"**{status.activity}**"
-    counted = f", {status.stage.done} of {status.stage.total}" if status.stage.total else ""
-    return f"**{status.activity}**: {escaped(status.stage.what)}{counted}{_time_text(status)}"
+    time_left = _time_text(status.stage) if status.busy else ""
+    return f"**{status.activity}**: {escaped(stage_text(status.stage))}{time_left}"
 
 
-def _time_text(status: Status) -> str:
+def stage_text(stage: Stage) -> str:
+    """What is being done, and how much of it is."""
+    return stage.what + (f", {stage.done} of {stage.total}" if stage.total else "")
+
+
+def stages_html(stages: Iterable[Stage], *, timed: bool) -> str:
+    """Bars of what is done one after the other, with the time left if `timed`."""
+    return "".join(
+        f'<div class="scan-stage"><p>{escape(_stage_words(stage, timed=timed))}</p><progress aria-label='
+        f'"{escape(stage.what)}" max="{stage.total}" value="{stage.done}"></progress></div>'
+        for stage in stages
+    )
+
+
+def _stage_words(stage: Stage, *, timed: bool) -> str:
+    if stage.done == stage.total:
+        return f"{stage.what}: done"
+    if not stage.done:
+        return f"{stage.what}: waiting"
+    return f"{stage_text(stage)} frames{_time_text(stage) if timed else ''}"
+
+
+def pictures_html(pictures: Mapping[str, tuple[str, str]]) -> str:
+    """Small pictures of cameras by their names, each a caption and a data URI."""
+    figures = (
+        f'<figure><img alt="what {escape(name)} sees" src="{uri}"><figcaption>{escape(caption)}</figcaption></figure>'
+        for name, (caption, uri) in pictures.items()
+    )
+    return f'<div class="scan-pictures">{"".join(figures)}</div>'
+
+
+def failures_html(sights: Iterable[Sight]) -> str:
+    """Why there is no capture of a network's cameras."""
+    return "".join(
+        f'<p class="scan-link">{escape(f"{sight.name} {sight.text}")}</p>' for sight in sights if sight.failure
+    )
+
+
+def _time_text(stage: Stage) -> str:
     """Return the remaining time or, where it is unknown, the elapsed time; '' during the first moment."""
-    stage = status.stage
-    if stage is None or not status.busy:
-        return ""
     now_s = time.monotonic()
     left_s = stage.left_s(now_s)
     if left_s is None:

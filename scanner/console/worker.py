@@ -2,8 +2,12 @@
 
 import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import count
+from math import inf
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event, Lock, Thread
@@ -22,12 +26,17 @@ from scanner.errors import InputError
 from scanner.jobs import scan
 from scanner.live.jobs import Watcher, Wishes, scan_live
 from scanner.live.texts import result_texts
+from scanner.networks.captures import Pair
+from scanner.networks.job import scan_network
+from scanner.networks.sights import Sight
+from scanner.networks.solve import KnownDistance
 from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
 
 log = logging.getLogger(__name__)
 
 _FRAME_S = 0.2  # no more live frames than this: a page and a network have to keep up
+_TURN_S = 2.0  # of one camera after another
 _LEAVING_S = 30.0
 
 
@@ -39,6 +48,7 @@ class Activity(StrEnum):
     CLOUDS = "Live clouds"
     CHECKING = "Checking"
     SCANNING = "Scanning"
+    NETWORK = "Network"
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ class Status:
     @property
     def busy(self) -> bool:
         """Whether something is running that ends by itself or by being cancelled."""
-        return self.activity in (Activity.CLOUDS, Activity.CHECKING, Activity.SCANNING)
+        return self.activity not in (Activity.NOTHING, Activity.LIVE)
 
 
 class Page(Protocol):
@@ -70,8 +80,11 @@ class Page(Protocol):
     def on_camera(self, rig: Rig) -> None:
         """The rig is open."""
 
-    def on_frame(self, frame: Frame) -> None:
-        """The camera has taken a frame."""
+    def on_frame(self, frame: Frame, camera: str = "") -> None:
+        """The camera has taken a frame; of a network it has a name."""
+
+    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+        """A camera of a network has taken a frame in a projector's light, or it is known what it sees there."""
 
     def on_captured(self) -> None:
         """Called when all frames of a capture are taken."""
@@ -181,15 +194,18 @@ class Worker:
         )
         match activity:
             case Activity.LIVE:
-                while not self._leave_live.is_set():
-                    self._live(self._settings)
+                for turn in count():
+                    if self._leave_live.is_set():
+                        return
+                    cameras = self._settings.in_turn()
+                    self._live(cameras[turn % len(cameras)], for_s=_TURN_S if len(cameras) > 1 else inf)
             case Activity.CLOUDS:
                 self._clouds(progress)
             case Activity.CHECKING:
                 self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
-                out, captures = self._settings.destination(), self._settings.captures
-                try:
+                captures = self._settings.captures
+                with self._leaving_result() as out:
                     scan(
                         self._settings.load(),
                         out,
@@ -198,21 +214,41 @@ class Worker:
                         progress=progress,
                         on_cloud=self._on_cloud,
                     )
-                finally:
-                    if out.is_dir():  # a refused capture is a result, too
-                        self._page.on_result(out)
+            case Activity.NETWORK:
+                settings = self._settings
+                with self._leaving_result() as out:
+                    known = KnownDistance.parse(settings.distance) if settings.distance else None
+                    scan_network(
+                        settings.load_whole(), out, known=known, progress=progress, on_sight=self._page.on_sight
+                    )
 
-    def _live(self, settings: Settings) -> None:
-        """Show what the camera sees, until something else is wanted, or a setting that an open rig cannot change."""
-        config = settings.load()
+    @contextmanager
+    def _leaving_result(self) -> Iterator[Path]:
+        """Where the block is to make the next result, which is shown: a refused capture is one, too."""
+        out = self._settings.destination()
+        try:
+            yield out
+        finally:
+            if out.is_dir():
+                self._page.on_result(out)
+
+    def _live(self, settings: Settings, for_s: float) -> None:
+        """Show what the camera sees, for a while, until something else is wanted, or a setting that an open rig cannot
+        change.
+        """
+        config, chosen = settings.load(), self._settings.pair
+        camera = settings.pair[0] if settings.pair else ""
+        seen = f"What {camera or 'the camera'} sees"
         self._on_stage(Stage("Preparing the rig"))
-        with opened(config) as rig:
+        with _naming(settings.pair), opened(config) as rig:
             self._page.on_camera(rig)
-            self._on_stage(Stage("What the camera sees"))
+            self._on_stage(Stage(seen))
             patterns = config.sequence.patterns(rig.projector.size)
-            picture, lost = None, 0
+            picture, lost, end_s = None, 0, time.monotonic() + for_s
             while not self._leave_live.is_set():
                 began_s, wanted = time.monotonic(), self._settings
+                if began_s > end_s or wanted.pair != chosen:
+                    return
                 if wanted.gain != settings.gain or not _expose(rig, settings, wanted):
                     return
                 try:
@@ -222,10 +258,10 @@ class Worker:
                         frame = rig.camera.grab()
                 except FrameLostError as error:
                     lost += 1
-                    self._on_stage(Stage(f"What the camera sees ({lost} frames were lost; the last: {error})"))
+                    self._on_stage(Stage(f"{seen} ({lost} frames were lost; the last: {error})"))
                 else:
                     settings, picture = wanted, wanted.picture
-                    self._page.on_frame(frame)
+                    self._page.on_frame(frame, camera)
                 self._leave_live.wait(max(0.0, began_s + _FRAME_S - time.monotonic()))
 
     def _clouds(self, progress: StagedProgress) -> None:
@@ -267,6 +303,17 @@ class Worker:
     def _tell(self, status: Status) -> None:
         self._status = status
         self._page.on_status(status)
+
+
+@contextmanager
+def _naming(pair: Pair | None) -> Iterator[None]:
+    """An error of the block says with which devices of a network it came."""
+    try:
+        yield
+    except Exception as error:
+        if pair is not None:
+            error.add_note(f"This was {pair[0]} with {pair[1]}.")
+        raise
 
 
 def _expose(rig: Rig, now: Settings, wanted: Settings) -> bool:

@@ -5,7 +5,7 @@ the frame that it is compared with, or its threshold, is available.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import cast
@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import Floats32, Part
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.fringe_fold import FringeFold
 from scanner.decoding.light.bits_without_inverse import BitLevels, levels_of_bit, white_of
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.equalise import PairEqualiser
-from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+
+# Yields the index and the image of each pattern in a part of the picture.
+Frames = Callable[[Part], Iterable[tuple[int, Image]]]
 
 
 class Accumulators:
@@ -32,15 +35,14 @@ class Accumulators:
     """
 
     def __init__(self, plan: SequencePlan, first: Image, pairs: PairEqualiser, pixels: NDArray[np.int64]) -> None:
-        self.plan = plan
+        self.plan = self._shown = plan
         self._equaliser, self._pixels = pairs, pixels
         self._of_bits: list[BitLevels] = []
+        self._thresholds: dict[int, Image] = {}
         self.log_exposure: Floats32 | None = None
         shape = first.shape[0], first.shape[1]
         self.codes = [
-            GrayFold(code, shape, first.dtype, contrast=not axis.fringes, edges=not plan.fringes)
-            for axis in plan.axes
-            for code in axis.codes
+            GrayFold(code, shape, first.dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
         ]
         self._waiting: dict[int, Image] = {}  # references to the stored frames, no copies
         self.fringes = [FringeFold(fringe, shape, first.dtype, self._waiting) for fringe in plan.fringes]
@@ -61,18 +63,13 @@ class Accumulators:
         self._pair_of = {frame: pair for pair in self._pairs for frame in pair}
         self._steps = {frame: (fold, step) for fold in self.fringes for step, frame in enumerate(fold.fringe.frames)}
 
-    def add(self, index: int, grey: Image) -> dict[int, Image]:
-        """Fold in frame `index`, (H, W), which must not be modified afterwards.
-
-        Returns the frames that were folded in, by index. A pattern and its inverse are returned together, equalised,
-        when the second of them arrives.
-        """
-        folded = {index: grey}
+    def add(self, index: int, grey: Image) -> None:
+        """Fold in frame `index`, (H, W), which must not be modified afterwards."""
         if index in self._steps:
             fold, step = self._steps[index]
             fold.fold(step, grey, self.peak)
         elif index in self._pair_of:
-            folded = self._add_of_pair(index, grey)
+            self._add_of_pair(index, grey)
         elif index in self._alone:
             self._waiting[index] = grey
         elif index == self.plan.white:
@@ -84,7 +81,36 @@ class Accumulators:
         if self._darkest is not None:
             np.minimum(self._darkest, grey, out=self._darkest)
         self._fold_alone()
-        return folded
+
+    def alike(self, frames: Iterable[Image], part: Part) -> Iterator[tuple[int, Image]]:
+        """Yield the index and the image of each pattern, equalised as it was folded.
+
+        `frames`: a part of all frames of the capture, in the order in which they were shown.
+        """
+        found = self._equaliser.found
+        for place, frame in enumerate(frames):
+            index = self.plan.shown[place]
+            if index in self.plan.shown[:place]:
+                continue
+            pair = self._pair_of.get(index)
+            if pair in found and found[pair].matter:
+                yield index, found[pair].equalised(pair.index(index), frame, part[0])
+            else:
+                yield index, frame
+
+    def thresholds_in(self, part: Part) -> dict[int, Image]:
+        """Return, without fringes, the threshold of each bit without an inverse in a part, by the frame's index."""
+        return {index: image[part] for index, image in self._thresholds.items()}
+
+    def with_edges(self, axis: AxisPlan) -> GrayFold | None:
+        """Return the finest code of an axis whose stripe edges bound its cells; None with fringes, or if there is none.
+
+        Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
+        displaced too.
+        """
+        whole = [] if self._shown.fringes else [code for code in self._shown.codes if code.base is None]
+        folds = [fold for fold in self.codes if fold.code in axis.codes and fold.code in whole]
+        return min(folds, key=lambda fold: fold.code.cell, default=None)
 
     def finish(self) -> float:
         """Fold in the frames whose threshold needs the whole sequence.
@@ -150,21 +176,20 @@ class Accumulators:
         darkest = self._darkest if black is None else black
         return self.brightest // 2 if darkest is None else _mean(self.brightest, darkest)
 
-    def _add_of_pair(self, index: int, grey: Image) -> dict[int, Image]:
+    def _add_of_pair(self, index: int, grey: Image) -> None:
         normal, inverse = pair = self._pair_of[index]
         other = self._waiting.pop(inverse if index == normal else normal, None)
         if other is None:
             self._waiting[index] = grey
-            return {}
+            return
         bright, dark = (grey, other) if index == normal else (other, grey)
         gains = self._equaliser.gains(pair)
         if gains is not None:
-            bright, dark = gains.equalised(0, bright), gains.equalised(1, dark)
+            bright, dark = (gains.equalised(k, image, slice(None)) for k, image in enumerate((bright, dark)))
         for fold, bit in self._pairs[pair]:
             fold.fold(bit, bright, dark)
         if self._threshold is None and (self._alone or self.plan.black is None):
             self._threshold = _mean(bright, dark)
-        return {normal: bright, inverse: dark}
 
     def _fold_alone(self) -> None:
         """Fold in the bits without an inverse as soon as their threshold is known."""
@@ -180,6 +205,8 @@ class Accumulators:
             if levels is not None:
                 threshold = levels.threshold(threshold, self.brightest)
                 self._of_bits.append(levels)
+            if not self._shown.fringes:
+                self._thresholds[index] = threshold
             for fold, bit in self._alone[index]:
                 bright, dark = (threshold, frame) if bit in fold.code.inverse else (frame, threshold)
                 fold.fold(bit, bright, dark, half=True)

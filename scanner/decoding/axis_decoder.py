@@ -229,8 +229,7 @@ class AxisDecoder:
         note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
             note_contrast(least, least_certain, contrast, least_seen, against)
-        # Uniform distribution over the interval.
-        variance = np.float32(1 / 12) * (interval.high - interval.low) ** 2
+        variance = interval.variance(self.plan.cell)
         shape = signals.shape
         return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scanner.decoding.accumulators import Accumulators
+from scanner.decoding.accumulators import Accumulators, Frames
 from scanner.decoding.checks.cycle_checks import check_cycles
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
@@ -14,7 +14,12 @@ from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
 
 
 def checked_maps(
-    accumulators: Accumulators, calibrated: CalibratedDecoders, observed: Observations, *, is_anomalous: bool
+    accumulators: Accumulators,
+    frames: Frames,
+    calibrated: CalibratedDecoders,
+    observed: Observations,
+    *,
+    is_anomalous: bool,
 ) -> tuple[Maps, bool]:
     """Return the maps, and whether each pixel has its own coordinate (from fringes or stripe edges) or that of its
     cell.
@@ -33,7 +38,7 @@ def checked_maps(
     leave_out_stray_light(accumulators, maps)
     check_roughness(plan, maps)
     widen_by_roughness(plan, maps)
-    refined = refine_by_edges(accumulators, maps, observed.noise, undecided)
+    refined = refine_by_edges(accumulators, frames, maps, observed.noise, undecided)
     with blaming_shifts(plan, observed.code_shifts):
         check_cycles(plan, maps.projector_px)
     if is_anomalous and observed.moved is None and plan.fringes:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Ints, compiled, in_parallel
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.arrays import Floats32, Reasons
+from scanner.decoding.arrays import Floats32, Part, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_of
 from scanner.decoding.discontinuities import breaks
@@ -42,6 +42,11 @@ class Maps:
     reason: Reasons
     counts: Ints
     footprint_px2: float = 0.0
+
+    def within(self, part: Part) -> "Maps":
+        """Return a view of a part of the image."""
+        images = self.projector_px[part], self.variance[part], self.reason[part]
+        return Maps(*images, self.counts, self.footprint_px2)
 
 
 def coordinate_maps(

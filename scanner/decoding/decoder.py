@@ -6,8 +6,9 @@ noise, saturation and tolerances are measured from the capture.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import hypot
-from typing import Literal, cast, overload
+from typing import Literal, overload
 
 import cv2
 import numpy as np
@@ -17,13 +18,13 @@ from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from calib.refinement import Shift
 from scanner.decoding.ambient_light_change import AmbientLightChange
-from scanner.decoding.between_axes import motion_between
+from scanner.decoding.between_axes import halves_of, motion_between
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.folded import Folded, folded
+from scanner.decoding.folded import Folded, folded, frames_alike
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.fringes.unchecked import remark_on, shift_of
@@ -133,11 +134,12 @@ class Decoder:
             self._fold(merged)
 
     def _fold(self, image: Image) -> None:
-        grey = _grey(image)
-        if self._stack is None or self._folded is None:
-            self._stack = Stack(len(self._plan.shown), grey, codes_alone=not self._plan.fringes)
+        if self._stack is None:
+            self._stack = Stack(len(self._plan.shown), image, codes_alone=not self._plan.fringes)
+        grey = self._stack.keep(image)
+        if self._folded is None:
             self._folded = Folded(self._plan, grey)
-        self._folded.add(self._stack.keep(grey))
+        self._folded.add(grey)
         number = self._plan.shown[self._count]
         if number not in self._plan.shown[: self._count]:
             self._note_texture(image, number)
@@ -157,7 +159,7 @@ class Decoder:
         noise = self._folded.noise() if reading.response else None
         if not reading.is_plain:
             self._read(frames, reading)
-        found = self._decode(as_taken=self._as_taken or reading.ghost is not None)
+        found = self._decode(frames, reading, as_taken=self._as_taken or reading.ghost is not None)
         if isinstance(found, AmbientLightChange):
             reading, found = self._without_ambient_change(frames, replace(reading, switch=found))
         for sentence in reading.remarks(self._plan):
@@ -174,32 +176,34 @@ class Decoder:
         """
         self._read(frames, reading)
         try:
-            return reading, self._decode(as_taken=True)
+            return reading, self._decode(frames, reading, as_taken=True)
         except InputError as without:
             reading = replace(reading, switch=None)
             self._read(frames, reading)
             try:
-                return reading, self._decode(as_taken=True)
+                return reading, self._decode(frames, reading, as_taken=True)
             except InputError:
                 raise without from None
 
     @overload
-    def _decode(self, *, as_taken: Literal[True]) -> Decoding: ...
+    def _decode(self, frames: Image, reading: Reading, *, as_taken: Literal[True]) -> Decoding: ...
 
     @overload
-    def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange: ...
+    def _decode(self, frames: Image, reading: Reading, *, as_taken: bool) -> Decoding | AmbientLightChange: ...
 
-    def _decode(self, *, as_taken: bool) -> Decoding | AmbientLightChange:
-        """Decode the folded frames and release them. Unless `as_taken`, return a harmful ambient light change if there
-        is one.
+    def _decode(self, frames: Image, reading: Reading, *, as_taken: bool) -> Decoding | AmbientLightChange:
+        """Decode the kept frames (N, H, W), once folded, and release what was folded.
+
+        Unless `as_taken`, return a harmful ambient light change if there is one.
         """
         if self._folded is None or self._texture is None:
             raise RuntimeError("no frames were folded")
         whole, self._folded = self._folded, None
-        accumulators, sample, lit = whole.accumulators, whole.sample, whole.lit
+        accumulators, sample = whole.accumulators, whole.sample
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
         observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
+        alike = partial(frames_alike, accumulators, reading, frames)
         del whole
         anomalies: list[Anomaly] = []
         with blaming_motion(lambda: observed.motion, observed.broken):
@@ -207,18 +211,18 @@ class Decoder:
                 calibrated = check_and_calibrate(accumulators, sample, observed, anomalies, as_taken=as_taken)
                 if isinstance(calibrated, AmbientLightChange):
                     return calibrated
-                maps, by_pixel = checked_maps(accumulators, calibrated, observed, is_anomalous=bool(anomalies))
+                maps, by_pixel = checked_maps(accumulators, alike, calibrated, observed, is_anomalous=bool(anomalies))
                 stripes = finest_stripes(accumulators, sample, maps)
                 del sample
                 motion = observed.motion
-                if lit is not None:
-                    motion = motion_between(lit, accumulators.plan, maps.projector_px, self._projector_size, motion)
-                    del lit
+                if halves := halves_of(self._plan):
+                    seen = accumulators.plan, maps.projector_px, self._projector_size
+                    motion = motion_between(halves, alike, *seen, motion)
                 if motion is not None and motion.significant and not motion.is_too_large:
                     motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches and no longer needed.
                 plan, brightest = accumulators.plan, accumulators.brightest
-                del accumulators
+                del accumulators, alike
             with blaming_shifts(plan, observed.code_shifts):
                 with suspecting(anomalies):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
@@ -270,10 +274,6 @@ class Decoder:
             self._texture = image.copy()
         elif self._plan.white is None:
             cv2.max(self._texture, image, dst=self._texture)
-
-
-def _grey(image: Image) -> Image:
-    return cast(Image, cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if image.ndim == 3 else image
 
 
 def _form(image: Image) -> str:

@@ -3,19 +3,18 @@
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Ints, compiled
-from scanner.decoding.accumulators import Accumulators
+from calib.numerics import Bools, Image, Ints, compiled
+from scanner.decoding.accumulators import Accumulators, Frames
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
-from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate
-from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.tiles import in_strips, widened
+from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.decoding.tiles import around, in_strips, widened
 
 _UNKNOWN = np.float32(np.nan)
 _STRIP = 32
@@ -33,32 +32,48 @@ _KEPT, _UNDECIDED, _ISOLATED = (
 )
 
 
-def refine_by_edges(accumulators: Accumulators, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
+def refine_by_edges(
+    accumulators: Accumulators, frames: Frames, maps: Maps, noise: NoiseModel, undecided: Bools
+) -> bool:
     """Interpolate coordinates between stripe edges, in place; return False if too few pixels lie between edges.
 
     Pixels that were `undecided` (H, W) are kept if they lie between edges. A pixel that is not between edges along an
     axis keeps its cell's centre there, if the cell is short and continues the pixels around it.
     """
     measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
-    folds = [fold for number in measured if (fold := _finest(accumulators, number)) is not None]
-    if len(folds) < len(measured):  # before full-size images are allocated; with fringes there are no edges
+    folds = [fold for number in measured if (fold := accumulators.with_edges(accumulators.plan.axes[number]))]
+    if len(folds) < len(measured):
         return False
-    kept = maps.reason == _KEPT
-    # Undecided pixels form lines along edges; where there are more of them, it is too dark for edges as well.
-    around = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    usable = kept | (undecided & (maps.reason == _UNDECIDED) & (around >= _FEWEST_AROUND))
+    usable = _usable(maps, undecided)
+    if not usable.any():
+        return False
+    part = around(usable)
+    seen, usable = maps.within(part), usable[part]
+    kept = seen.reason == _KEPT
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
     variance = np.full(value.shape, np.inf, np.float32)
     for fold, *into in zip(folds, value, variance, strict=True):
-        _interpolate(accumulators, fold, noise, usable, *into)
+        shown = {index: image for index, image in frames(part) if index in fold.code.frames}
+        levels = levels_of_bits(fold.code, shown, accumulators.thresholds_in(part))
+        images = (image[part] for image in (fold.words, accumulators.middle, accumulators.brightest))
+        _interpolate(fold.code, noise, levels, [usable, *images, *into])
     between = np.isfinite(variance).all(axis=0)
     if np.count_nonzero(between & kept) < max(1.0, _MOSTLY * np.count_nonzero(kept)):
         return False
     apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True)], np.float32)
-    _take_over(value, variance, np.array(measured), apart, usable, maps.projector_px, maps.variance, maps.reason)
-    _mask_breaks(accumulators.plan, maps)
+    _take_over(value, variance, np.array(measured), apart, usable, seen.projector_px, seen.variance, seen.reason)
+    _mask_breaks(accumulators.plan, seen)
     widen_between_edges(accumulators.plan, maps)
     return True
+
+
+def _usable(maps: Maps, undecided: Bools) -> Bools:
+    """Return the pixels (H, W) between which edges count."""
+    kept = maps.reason == _KEPT
+    # Undecided pixels form lines along edges; where there are more of them, it is too dark for edges as well.
+    near = cv2.boxFilter(kept.view(np.uint8), cv2.CV_8U, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    usable: Bools = kept | (undecided & (maps.reason == _UNDECIDED) & (near >= _FEWEST_AROUND))
+    return usable
 
 
 def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
@@ -82,34 +97,33 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
     np.copyto(maps.reason, _ISOLATED, where=kept & broken)
 
 
-def _finest(accumulators: Accumulators, axis: int) -> GrayFold | None:
-    """Return the finest plain code of an axis with its edges, None if they were not kept."""
-    codes = accumulators.plan.axes[axis].codes
-    folds = [fold for fold in accumulators.codes if fold.code in codes and fold.edges is not None]
-    return min(folds, key=lambda fold: fold.code.cell, default=None)
-
-
 def _interpolate(
-    accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, usable: Bools, value: Floats32, variance: Floats32
+    code: GrayCode, noise: NoiseModel, levels: tuple[list[Image], list[Image]], images: list[np.ndarray]
 ) -> None:
-    """Write the coordinates (H, W) from a code's edges to `value`, NaN where unknown, and their `variance`."""
-    edges, fold.edges = fold.edges, None
-    if edges is None:
-        return
-    for direction, turned in enumerate((False, True)):
-        images = (fold.words, usable, accumulators.middle, accumulators.brightest)
-        all_images = (*images, edges.packed[direction], edges.contrast[direction], value, variance)
-        turned_images = [image.T if turned else image for image in all_images]
+    """Write the coordinates (H, W) between a code's edges, NaN where unknown, and their variance.
 
-        def along(some: slice, images: list[np.ndarray] = turned_images) -> None:
-            words, lit, middle, brightest, packed, contrast, *into = (image[some] for image in images)
-            least, _ = least_contrasts(noise, middle)
-            interpolate(fold.code, noise, Lines(words, lit, least, middle, brightest, packed, contrast), *into)
+    `images` (H, W): which pixels are usable, the code's words, the levels half-way and when lit; coordinates, variance.
+    """
+    for turned in (False, True):
 
-        in_strips(len(turned_images[0]), _STRIP, along)
-    value *= np.float32(fold.code.cell)
-    value -= np.float32(fold.code.offset + 0.5)
-    variance *= np.float32(fold.code.cell**2)
+        def along(some: slice, turned: bool = turned) -> None:
+            part = (slice(None), some) if turned else (some, slice(None))
+            lit, words, middle, brightest, *into = (_lines(image[part], turned) for image in images)
+            if lit.any():
+                of_bits = np.stack([np.stack([image[part] for image in each]) for each in levels])
+                least, _ = least_contrasts(noise, middle)
+                interpolate(code, noise, Lines(words, lit, least, middle, brightest, _lines(of_bits, turned)), *into)
+
+        in_strips(images[0].shape[turned], _STRIP, along)
+    *_, value, variance = images
+    value *= np.float32(code.cell)
+    value -= np.float32(code.offset + 0.5)
+    variance *= np.float32(code.cell**2)
+
+
+def _lines(image: np.ndarray, turned: bool) -> np.ndarray:
+    """Return the rows of an image (…, H, W), or its columns."""
+    return image.swapaxes(-2, -1) if turned else image
 
 
 def _apart(value: Floats32, cell: int) -> float:

@@ -1,13 +1,13 @@
 """Everything that is computed from the frames one by one, as they arrive from a camera or are read again."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain
 
 import numpy as np
 
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
-from scanner.decoding.between_axes import EvenlyLit, halves_of
+from scanner.decoding.arrays import Part
 from scanner.decoding.light.camera_response import camera_response
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import find_ghost
@@ -20,10 +20,7 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 class Folded:
-    """Full-size running images, and samples of all frames: single pixels, tiles, and coarse images.
-
-    `lit`: the evenly lit scene from either half of the capture, if all frames of one axis precede those of the other.
-    """
+    """Full-size running images, and samples of all frames: single pixels, tiles, and coarse images."""
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
         shape = first.shape[0], first.shape[1]
@@ -31,8 +28,6 @@ class Folded:
         pairs = PairEqualiser(plan, self.sample, shape)
         self.accumulators = Accumulators(plan, first, pairs, self.sample.pixels)
         self.tiles, self.coarse = TileSample(shape), CoarseFrames(shape)
-        halves = halves_of(plan)
-        self.lit = EvenlyLit(halves, shape) if halves else None
         self._plan, self._count = plan, 0
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
 
@@ -45,9 +40,7 @@ class Folded:
         if number not in self._plan.shown[: self._count]:
             self.sample.add(grey)
             self.coarse.add(grey)
-            for frame, made_alike in self.accumulators.add(number, grey).items():
-                if self.lit is not None:
-                    self.lit.add(frame, made_alike)
+            self.accumulators.add(number, grey)
         self._count += 1
 
     def reading(self) -> Reading:
@@ -74,3 +67,10 @@ def folded(plan: SequencePlan, frames: Iterable[Image]) -> Folded:
     for frame in chain([first], remaining):
         found.add(frame)
     return found
+
+
+def frames_alike(
+    accumulators: Accumulators, reading: Reading, frames: Image, part: Part
+) -> Iterator[tuple[int, Image]]:
+    """Yield the index of each pattern, and a part of its image as it was folded, from the kept frames (N, H, W)."""
+    return accumulators.alike(reading.undone(frames, accumulators.plan, part), part)

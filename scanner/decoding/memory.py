@@ -5,7 +5,7 @@ from pathlib import Path
 from scanner.errors import InputError
 
 # Peak use, with 16-bit frames and a match at every pixel; with codes only, edges and all pairs are kept as well.
-_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 152
+_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 136
 _MEMINFO = Path("/proc/meminfo")
 
 

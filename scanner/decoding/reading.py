@@ -1,10 +1,11 @@
 """Effects on all frames of a capture that are corrected before decoding."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from calib.numerics import Image
 from scanner.decoding.ambient_light_change import AmbientLightChange, without_light
+from scanner.decoding.arrays import WHOLE, Part
 from scanner.decoding.light.camera_response import CameraResponse
 from scanner.decoding.light.ghost import Ghost, without_ghost
 from scanner.decoding.sequence_plan import SequencePlan
@@ -27,11 +28,13 @@ class Reading:
         """Whether the frames need no correction."""
         return self == Reading()
 
-    def undone(self, frames: Image, plan: SequencePlan) -> Iterator[Image]:
-        """Yield the corrected frames of a capture, from the kept frames (N, H, W)."""
-        light = None if self.switch is None else self.switch.image(self._steady(frames), frames.shape[1:], plan)
-        read = self._steady(frames)
-        return read if light is None or self.switch is None else without_light(read, light, plan, self.switch)
+    def undone(self, frames: Image, plan: SequencePlan, part: Part = WHOLE) -> Iterator[Image]:
+        """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W)."""
+        read = self._steady(frames, part)
+        if self.switch is None:
+            return read
+        light = self.switch.image(self._steady(frames, part), frames[0][part].shape, plan)
+        return without_light(read, light, plan, self.switch)
 
     def remarks(self, plan: SequencePlan) -> Iterator[str]:
         """Yield sentences for the operator."""
@@ -40,6 +43,8 @@ class Reading:
         if self.switch:
             yield f"{self.switch.description(plan)}, and was taken out. Better: leave the room's light as it is."
 
-    def _steady(self, frames: Iterable[Image]) -> Iterator[Image]:
-        light = iter(frames) if self.response is None else map(self.response.light_of, frames)
-        return light if self.ghost is None else without_ghost(light, self.ghost)
+    def _steady(self, frames: Image, part: Part) -> Iterator[Image]:
+        # A ghost depends on the row, and on what is clipped anywhere in the frame.
+        seen = frames[:, *part] if self.ghost is None else frames
+        light = iter(seen) if self.response is None else map(self.response.light_of, seen)
+        return light if self.ghost is None else (image[part] for image in without_ghost(light, self.ghost))

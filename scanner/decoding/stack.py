@@ -1,8 +1,11 @@
 """Store the frames of a capture as taken: in memory, or in a memory-mapped file if they are large."""
 
 import os
+from math import prod
 from tempfile import TemporaryFile
+from typing import Any
 
+import cv2
 import numpy as np
 
 from calib.numerics import Image
@@ -22,10 +25,10 @@ class Stack:
 
     def __init__(self, count: int, first: Image, *, codes_alone: bool) -> None:
         shape = first.shape[0], first.shape[1]
-        needed, memory = count * first.nbytes, total_bytes()
+        needed, memory = count * shape[0] * shape[1] * first.itemsize, total_bytes()
         is_mapped = memory is not None and needed > _MOST_OF_MEMORY * memory
         require_memory(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
-        frames = _mapped((count, *shape), first) if is_mapped else np.empty((count, *shape), first.dtype)
+        frames = _mapped((count, *shape), first.dtype) if is_mapped else np.empty((count, *shape), first.dtype)
         self._frames: Image = frames
         self._count = 0
 
@@ -34,22 +37,25 @@ class Stack:
         """(N, H, W): the frames kept so far."""
         return self._frames[: self._count]
 
-    def keep(self, grey: Image) -> Image:
-        """Store the next frame (H, W); return the stored copy."""
+    def keep(self, image: Image) -> Image:
+        """Store the next frame, (H, W) grey or (H, W, 3) BGR; return the stored grey copy."""
         kept: Image = self._frames[self._count]
-        np.copyto(kept, grey)
+        if image.ndim == 3:
+            cv2.cvtColor(image, cv2.COLOR_BGR2GRAY, dst=kept)
+        else:
+            np.copyto(kept, image)
         self._count += 1
         return kept
 
 
-def _mapped(shape: tuple[int, int, int], like: Image) -> Image:
+def _mapped(shape: tuple[int, int, int], dtype: np.dtype[Any]) -> Image:
     """Return an array of this shape, mapped from a file that is deleted when the array is released."""
-    count = shape[0] * like.nbytes
+    count = prod(shape) * dtype.itemsize
     try:
         with TemporaryFile(prefix="roomscan-") as file:
             # Allocate it now: running out of room while writing to the mapping would kill the program.
             os.posix_fallocate(file.fileno(), 0, count)
-            frames: Image = np.memmap(file, like.dtype, "r+", shape=shape)
+            frames: Image = np.memmap(file, dtype, "r+", shape=shape)
             return frames
     except OSError as error:
         raise InputError(

@@ -4,7 +4,10 @@ from collections.abc import Callable
 from math import ceil
 from typing import TypeVar
 
-from calib.numerics import in_parallel, in_slices
+import numpy as np
+
+from calib.numerics import Bools, in_parallel, in_slices
+from scanner.decoding.arrays import Part
 
 # Larger tiles cost memory; smaller ones cost time between the loops, where the interpreter runs one thread at a time.
 _TILE_PX = (120, 1224)
@@ -29,6 +32,15 @@ def _parts(size: int, most: int) -> list[slice]:
     """Split into parts of nearly equal size, even except for the last."""
     length = 2 * ceil(size / ceil(size / most) / 2)
     return [slice(start, min(start + length, size)) for start in range(0, size, length)]
+
+
+def around(pixels: Bools, margin: int = 0) -> Part:
+    """Return the rows and columns that hold all the chosen pixels (H, W), at least one, and a margin."""
+    spans = []
+    for size, across in zip(pixels.shape, (1, 0), strict=True):
+        found = np.flatnonzero(pixels.any(axis=across))
+        spans.append(slice(max(0, int(found[0]) - margin), min(size, int(found[-1]) + 1 + margin)))
+    return spans[0], spans[1]
 
 
 def widened(part: slice, by: int, size: int) -> tuple[slice, slice]:

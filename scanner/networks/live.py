@@ -1,21 +1,18 @@
-"""Captures of a network by its own devices: each projector shows its sequence to one camera after the other."""
+"""Captures of a network by its own devices: projector by projector shows its sequence, and all cameras see it."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from itertools import groupby
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
-
 from calib.geometry import Size
-from hw.projector.process import ScreenProjector
-from hw.settings import CameraRigSettings
+from hw.open_rig import OpenedNetwork, PairSettings, open_network
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
-from scanner.pipeline import take
+from scanner.networks.sights import OnSight, Sight, Watched, nobody
+from scanner.pipeline import PlannedCapture, take_together
 from scanner.results import CAPTURES_FOLDER, Decoded
-from scanner.ui import Terminal
+from scanner.ui import Progress
 
 
 def pairs_to_take(config: Config) -> dict[Pair, Config]:
@@ -39,35 +36,47 @@ def pairs_to_take(config: Config) -> dict[Pair, Config]:
     return pairs
 
 
-def take_pairs(pairs: Mapping[Pair, Config], folder: Path, terminal: Terminal) -> Captures:
-    """Capture each pair in turn, each recorded in a folder of its own, while all other projectors show black.
+def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, on_sight: OnSight = nobody) -> Captures:
+    """Capture all pairs, each recorded in a folder of its own: projector by projector, while all others show black.
 
     Raises DeviceError, StorageError; what was captured before stays.
     """
     decoded: dict[Pair, Decoded] = {}
     sizes: dict[str, Size] = {}
-    for projector, alike in groupby(pairs, key=lambda pair: pair[1]):
-        with _others_black(pairs, projector):
-            for camera, _ in alike:
-                config = pairs[camera, projector]
-                place = folder / CAPTURES_FOLDER / f"{camera}-{projector}"
+    for pair in pairs:
+        on_sight(Sight(*pair), None)
+    wanted = {pair: PairSettings(own.required_rig, own.camera_size, own.projector_size) for pair, own in pairs.items()}
+    with ExitStack() as devices:
+        with progress.step("Opening all devices"):
+            network = devices.enter_context(open_network(wanted))
+        for together in _shown_once(pairs, network):
+            planned: list[PlannedCapture] = []
+            for camera, projector in together:
+                config, place = pairs[camera, projector], folder / CAPTURES_FOLDER / f"{camera}-{projector}"
                 place.mkdir(parents=True)
-                name = f"{camera} sees {projector} ({len(decoded) + 1} of {len(pairs)})"
-                taken = take(config.required_rig, config, place, terminal, name)
-                decoded[camera, projector] = labelled(taken, config)
+                name = f"{camera} sees {projector} ({len(decoded) + len(planned) + 1} of {len(pairs)})"
+                planned.append(PlannedCapture(name, config, place))
                 sizes |= {camera: config.camera_size, projector: config.projector_size}
+            rig = network.rig(together[0][1], [camera for camera, _ in together])
+            with Watched(together, progress, on_sight) as watched:
+                for pair, each in zip(together, take_together(rig, planned, watched), strict=True):
+                    decoded[pair] = labelled(each, pairs[pair])
+                    watched.decoded(pair, each)
     return Captures(decoded, sizes)
 
 
-@contextmanager
-def _others_black(pairs: Mapping[Pair, Config], projector: str) -> Iterator[None]:
-    """Black on the screens of all other projectors; in a simulated room they are dark by themselves."""
-    others = {name: own for (_, name), own in pairs.items() if name != projector}
-    with ExitStack() as screens:
-        for own in others.values():
-            rig, (width, height) = own.required_rig, own.projector_size
-            if isinstance(rig, CameraRigSettings):
-                screen = screens.enter_context(ScreenProjector(rig.screen, (width, height)))
-                screen.prepare(np.zeros((height, width), np.uint8))
-                screen.flip()
-        yield
+def _shown_once(pairs: Mapping[Pair, Config], network: OpenedNetwork) -> Iterator[Sequence[Pair]]:
+    """Pairs whose cameras see one and the same sequence of a projector, by projector."""
+    for projector in dict.fromkeys(projector for _, projector in pairs):
+        for cameras in network.together(projector):
+            alike: list[list[Pair]] = []
+            for pair in ((camera, projector) for camera in cameras):
+                own = pairs[pair]
+                for others in alike:
+                    first = pairs[others[0]]
+                    if (first.sequence, first.projector) == (own.sequence, own.projector):
+                        others.append(pair)
+                        break
+                else:
+                    alike.append([pair])
+            yield from alike

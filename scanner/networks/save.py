@@ -10,6 +10,8 @@ from calib.numerics import Floats
 from calib.pointcloud import colours_of
 from scanner.configuration import Config
 from scanner.io import write_room, write_room_ply
+from scanner.networks.graph import network_graph
+from scanner.networks.sights import Sight
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import shown_unit
 from scanner.rendering import environment
@@ -130,19 +132,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
                 "held" if name == estimate.names[0] else unit.error(network.factor * float(np.linalg.norm(sigma[11:]))),
             )
         )
-    cameras = [name for name in estimate.names if any(name == camera for camera, _ in network.captures.decoded)]
-    seen = [
-        (
-            camera,
-            *(
-                f"{len(network.captures.decoded[camera, projector].matches):,}"
-                if (camera, projector) in network.captures.decoded
-                else "–"
-                for projector in network.surfaces
-            ),
-        )
-        for camera in cameras
-    ]
+    cameras = {camera for camera, _ in network.captures.decoded}
     page = (
         environment()
         .get_template("network.html")
@@ -151,8 +141,7 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
             provenance=provenance(path.parent, config),
             subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
             devices=rows,
-            projectors=list(network.surfaces),
-            seen=seen,
+            graph=network_graph([Sight.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
             unit=network.unit,
         )
     )

@@ -1,6 +1,6 @@
 """Captures of pairs → one estimate of all devices, and one cloud from all rays."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,11 +44,11 @@ class KnownDistance:
         return cls(parts[0], parts[1], parse_length(parts[2], _METRES))
 
 
-def refuse_unknown(known: KnownDistance | None, captures: Captures) -> None:
-    """Raises InputError for devices that the captures do not have."""
+def refuse_unknown(known: KnownDistance | None, devices: Collection[str]) -> None:
+    """Raises InputError for devices that are none of these."""
     for name in (known.first, known.second) if known else ():
-        if name not in captures.sizes:
-            raise InputError(f"--distance: no device is called '{name}'; there are {', '.join(sorted(captures.sizes))}")
+        if name not in devices:
+            raise InputError(f"--distance: no device is called '{name}'; there are {', '.join(sorted(devices))}")
     if known and known.first == known.second:
         raise InputError(f"--distance: {known.first} is given twice; a distance is between two devices")
 

@@ -16,14 +16,10 @@ _APART, _FAR_APART, _OF_SIGMAS = 0.002, 0.02, 3.0
 _STRAINED, _FOREIGN = 3.0, 15.0
 _STRAINED_PX, _FOREIGN_PX = 0.1, 0.3
 _NO_WALLS = 0.005  # of the distance: heights over planes that are none
-# χ² of pixels that are not square, and by how much: walls that are not flat make 15 of it, one per cent of keystone
-# correction more than 200, and focal lengths that are off by a tenth.
-_SKEWED, _SKEW = 50.0, 0.001
 
 MOVED = "Something moved between the captures, or a folder has another device's name: take these two again."
-KEYSTONE = (
-    "Turn off keystone correction, digital zoom and aspect correction in the projectors' menus, and take all again."
-)
+AS_SENT = "turn off keystone correction, digital zoom and aspect correction in its menu"
+AS_SEEN = "turn off what its driver changes in its pictures, as lens correction does"
 CHECK = "Check that nothing moved between the captures, and that the projectors correct no keystone."
 
 _Finding = tuple[Grade, str, str]  # with headline and advice
@@ -43,17 +39,11 @@ def _together(network: SolvedNetwork) -> str:
 
 def _refusals(network: SolvedNetwork) -> Iterator[_Finding]:
     estimate = network.estimate
-    skewed = any(each.significance > _SKEWED and each.off_square > _SKEW for each in estimate.shapes)
+    yield from _warped(network)
     pair, strain = max(estimate.strains.items(), key=lambda each: each[1].across_px)
     if strain.across_px > max(_FOREIGN_PX, _FOREIGN * strain.noise_px):
         off = f"off by {strain.across_px:.2g} projector px"
-        yield (
-            "refused",
-            f"{pair[0]} in the light of {pair[1]} contradicts the others: {off}.",
-            KEYSTONE if skewed else MOVED,
-        )
-    if skewed:
-        yield "refused", "The devices cannot all have square pixels, as all have that correct no keystone.", KEYSTONE
+        yield "refused", f"{pair[0]} in the light of {pair[1]} contradicts the others: {off}.", MOVED
     pair, strain = max(estimate.strains.items(), key=lambda each: each[1].uneven)
     if strain.uneven > _NO_WALLS:
         off = f"off flat by {percent(strain.uneven)} of their distance"
@@ -62,6 +52,30 @@ def _refusals(network: SolvedNetwork) -> Iterator[_Finding]:
         if each.relative > max(_FAR_APART, _OF_SIGMAS * each.expected):
             off = f"they are {percent(each.relative)} apart"
             yield "refused", f"{each.first} and {each.second} do not see one surface: {off}.", MOVED
+
+
+def _warped(network: SolvedNetwork) -> Iterator[_Finding]:
+    """Pictures that are not shown as they are sent, or not recorded as they are seen."""
+    warps, projectors = network.estimate.warps, network.surfaces
+    if warps.several:
+        advice = f"For every projector {AS_SENT}, for every camera {AS_SEEN}, and take all captures again."
+        yield "refused", "Pictures of several devices are warped, as by keystone correction.", advice
+    if not warps.alone:
+        return
+    names = [each.name for each in warps.alone]
+    remedies = [f"for {name} {AS_SENT if name in projectors else AS_SEEN}" for name in names]
+    remedy = ", or ".join(remedies)
+    advice = f"{remedy[0].upper()}{remedy[1:]}. Then take its captures again."
+    if len(names) > 1:
+        either = f"{', '.join(names[:-1])} or {names[-1]}"
+        yield (
+            "refused",
+            f"The picture of {either} is warped, as by keystone correction; any of them explains it.",
+            advice,
+        )
+        return
+    off = f"one edge is {percent(warps.alone[0].trapezoid)} longer than the one opposite, where it should be as long"
+    yield "refused", f"The picture of {names[0]} is warped, as by keystone correction: {off}.", advice
 
 
 def _doubts(network: SolvedNetwork) -> Iterator[_Finding]:

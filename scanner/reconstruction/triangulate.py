@@ -71,8 +71,8 @@ def _refuse_uncrossed(decoding: Decoding) -> None:
         )
     if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:
         raise RefusalError(
-            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels see an impossible stripe: "
-            "their epipolar lines cross it outside the projector's image, or behind a device.",
+            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels see a stripe that their "
+            "epipolar line meets only outside the projector's image, or behind a device.",
             _OF_ANOTHER_RIG,
         )
 

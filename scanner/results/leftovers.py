@@ -114,15 +114,29 @@ def kept_text(kept: Path, *, refuted: bool = False) -> str:
     """State where the frames are, and what can be done with them; `refuted`: they cannot be reconstructed as they
     are.
     """
+    captures = _whole(kept)
+    if captures and not (kept / CAPTURE_FOLDER).is_dir():  # of a network or of stations
+        whole = sum(_is_complete(each / CAPTURE_FOLDER) for each in captures)
+        taken_by = "scan network" if "-" in captures[0].name else "scan room, object or board"
+        return (
+            f"What was captured so far is kept in {kept / CAPTURES_FOLDER}: {whole} of {len(captures)} captures are "
+            f"whole, and {taken_by} takes those."
+        )
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
+    if not frames:
+        complete = sum(_is_complete(each / CAPTURE_FOLDER) for each in _whole(kept))
+        return (
+            f"What was captured so far is kept in {kept / CAPTURES_FOLDER}: {complete} of {len(_whole(kept))} captures "
+            "are complete; scan calibrate takes them, or scan network those of a network."
+        )
     if _is_complete(recording):
         makes = "gives the same refusal" if refuted else "makes a result of them"
         to_do = f"none is missing, and scan replay {recording} {makes}"
     else:
         to_do = f"scan --resume {kept} takes the missing ones, and scan replay {recording} reconstructs what there is"
-    if not _whole(kept):
+    if not captures:
         return f"The {frames} frames captured so far are in {recording}: {to_do}."
-    finished = len(_whole(kept))
+    finished = len(captures)
     return (
         f"What was captured so far is kept: {finished} complete capture{'s' if finished > 1 else ''} in "
         f"{kept / CAPTURES_FOLDER}, which scan calibrate takes, and {frames} frames in {recording}: {to_do}."

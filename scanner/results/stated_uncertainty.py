@@ -13,7 +13,7 @@ from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
 from scanner.io import Entry, Number, block_yaml, read_yaml, validate
-from scanner.results.names import CALIBRATION_FILE, REFUSAL_FILE
+from scanner.results.names import CALIBRATION_FILE, NETWORK_FILE, REFUSAL_FILE
 from scanner.results.verdict import Grade, Verdict
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
@@ -108,7 +108,7 @@ def read_verdict(path: Path) -> Verdict | None:
 
 def verdict_of(folder: Path) -> Verdict | None:
     """The verdict of a result, or of a refusal; None where no file says one. Raises InputError."""
-    files = (folder / name for name in (REFUSAL_FILE, CALIBRATION_FILE))
+    files = (folder / name for name in (REFUSAL_FILE, CALIBRATION_FILE, NETWORK_FILE))
     path = next((path for path in files if path.is_file()), None)
     return None if path is None else read_verdict(path)
 

@@ -13,6 +13,8 @@ from scanner.results import (
     CALIBRATION_FILE,
     CLOUD_FILE,
     MERGED_FILE,
+    NETWORK_CLOUD_FILE,
+    NETWORK_FILE,
     OBJECT_CLOUD_FILE,
     OBJECT_MESH_FILE,
     REFUSAL_FILE,
@@ -24,7 +26,7 @@ from scanner.ui import failure_of
 from scanner.viewing.texts import bold, link_html
 from scanner.viewing.view_controls import PLAIN
 
-_OF_ALL = (ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
+_OF_ALL = (NETWORK_FILE, NETWORK_CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
 _FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, *_OF_ALL, REFUSAL_FILE)
 
 

@@ -8,19 +8,21 @@ from threading import Lock
 import viser
 
 from calib.numerics import Floats
-from scanner.results import REFUSAL_FILE, Verdict, read_verdict
+from scanner.results import NETWORK_FILE, Verdict, verdict_of
 from scanner.ui import failure_of
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import whole
 from scanner.viewing.decimation import statement
 from scanner.viewing.files import add_files
+from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import Scene
 from scanner.viewing.texts import bold, calibration_text, corner_text, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls
 
 LinkTo = Callable[[Path], str]
+Show = Callable[["ResultPanel"], None]
 
 
 class ResultPanel:
@@ -86,16 +88,25 @@ class ResultPanel:
             self._scene.show(some)
             self._scene.draw_points(1.0, Colouring.CAMERA, whole(some))
 
-    def open_refused(self, folder: Path) -> None:
-        """Show why a capture was refused, in place of the last result. Raises InputError."""
-        verdict = read_verdict(folder / REFUSAL_FILE)
+    def open_verdict(self, folder: Path, cloud: ViewedCloud | None = None) -> None:
+        """Show why a capture was refused, or a network with its cloud, in place of the last result.
+
+        Raises InputError.
+        """
+        verdict = verdict_of(folder)
         with self._lock, self._place:
             self._remove()
             self._scene.clear()
             with self._folder(f"Result: {folder.name}"):
                 self._gui.add_markdown(verdict_text(verdict))
                 add_files(self._gui, folder, self._link)
+            if cloud is not None:
+                with self._folder("View"):
+                    controls = ViewControls(self._gui, self._scene, cloud, folder.name)
+                self._scene.show(cloud)
             self._add_notes(verdict)
+        if cloud is not None:
+            controls.draw()
 
     def _add_notes(self, verdict: Verdict | None) -> None:
         if text := notes_text(verdict):
@@ -130,3 +141,13 @@ class ResultPanel:
         clicking = self._clicking
         if clicking is not None:
             clicking.pick(origin, direction)
+
+
+def reading(folder: Path) -> Show:
+    """Read a result; returns what shows it on a panel. Raises InputError if it is none, or refused, or damaged."""
+    if (folder / NETWORK_FILE).is_file():
+        cloud = network_cloud(folder)
+        return lambda panel: panel.open_verdict(folder, cloud)
+    result = ViewedResult(folder)
+    result.cloud(result.names[0])
+    return lambda panel: panel.open(result)

@@ -45,12 +45,15 @@ _AT_ONCE = 100_000  # covariances are large
 
 @dataclass(frozen=True)
 class PlacedRig:
-    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's."""
+    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's, if
+    there is one. `names` of camera and projector, where they have any.
+    """
 
     calibration: Calibration
     rotation: Floats
     position: Floats
-    picture: NDArray[np.uint8]
+    picture: NDArray[np.uint8] | None
+    names: tuple[str, str] | None = None
 
     @property
     def projector_centre(self) -> Floats:

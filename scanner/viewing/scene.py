@@ -79,7 +79,8 @@ class Scene:
         for parent in (CLOUD, RIGS, FACES, LABELS):
             self._scene.add_frame(parent, show_axes=False)
         for number, rig in enumerate(reversed(cloud.rigs), start=1):
-            self._draw_rig(f"{RIGS}/{number}", rig, device_names(rig.calibration, number, len(cloud.rigs)))
+            first, second = device_names(rig.calibration, number, len(cloud.rigs))
+            self._draw_rig(f"{RIGS}/{number}", rig, rig.names or (first.capitalize(), second.capitalize()))
         if cloud.corner is not None:
             self._draw_corner(cloud.corner, cloud.rigs[0])
         self._draw_ruler(cloud)
@@ -198,16 +199,17 @@ class Scene:
         self._lines(f"{name}/camera", frustum_lines(of_camera) @ rig.rotation.T + rig.position, BLUE)
         self._lines(f"{name}/projector", _pyramid(centre, of_projector), VERMILION)
         self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
-        self._draw_picture(f"{name}/picture", rig, of_camera)
+        if rig.picture is not None:
+            self._draw_picture(f"{name}/picture", rig, rig.picture, of_camera)
         for label, place, anchor in zip(names, (rig.position, centre), ("bottom-right", "bottom-left"), strict=True):
-            self._label(f"{LABELS}/{label}", label.capitalize(), place, anchor)
+            self._label(f"{LABELS}/{label}", label, place, anchor)
 
-    def _draw_picture(self, name: str, rig: PlacedRig, corners: Floats) -> None:
+    def _draw_picture(self, name: str, rig: PlacedRig, picture: NDArray[np.uint8], corners: Floats) -> None:
         """The camera's picture where its frustum ends; a picture lies in its own x, y plane, y down."""
         width, height = corners[2, :2] - corners[0, :2]
         self._scene.add_image(
             name,
-            rig.picture,
+            picture,
             render_width=float(self._factor * width),
             render_height=float(self._factor * height),
             wxyz=_quaternion(rig.rotation),

@@ -3,22 +3,20 @@
 from pathlib import Path
 
 from scanner.ui import Terminal
-from scanner.viewing.panel import ResultPanel
-from scanner.viewing.result import ViewedResult
+from scanner.viewing.panel import ResultPanel, reading
 from scanner.viewing.server import add_style, announce_page, serving, wait
 
 
 def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
     """Serve a result until Ctrl-C, which raises KeyboardInterrupt. Raises InputError."""
     with terminal.step("Reading the result"):
-        result = ViewedResult(folder)
-        result.cloud(result.names[0])
+        show = reading(folder)
     with serving(f"Result {folder.resolve().name}", host, port) as served:
         gui = served.server.gui
         gui.main_panel.dock_right()
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result") as tab:
             add_style(gui)
-        ResultPanel(served.server, tab, served.served_files.link).open(result)
+        show(ResultPanel(served.server, tab, served.served_files.link))
         announce_page(served.address, host, terminal, browser=browser)
         wait()

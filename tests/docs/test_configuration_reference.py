@@ -31,7 +31,7 @@ def test_the_reference_has_every_key() -> None:
     written = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     keys = set(known_keys(Config))
     sections = {key for key in keys if any(other.startswith(f"{key}.") for other in keys)}
-    assert [key for key in sorted(keys - sections) if f"| `{key}` |" not in written] == []
+    assert [key for key in sorted(keys - sections) if f"|`{key}` |" not in written] == []
     assert [key for key in sorted(sections) if f"`{key}:`" not in written] == []
 
 

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import calib
 from tests.support.documented import PAGES
 from tests.support.places import ROOT
 
@@ -42,8 +41,3 @@ def test_the_site_builds(tmp_path: Path) -> None:
     assert [page.name for page, html in pages.items() if loaded.search(html)] == []
     assert "<math" in pages[tmp_path / "site" / "method" / "index.html"]
     assert "arithmatex" not in pages[tmp_path / "site" / "method" / "index.html"]
-
-
-def test_the_api_page_lists_every_name() -> None:
-    page = (ROOT / "docs" / "python-names.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^::: calib\.\w+\.(\w+)$", page, flags=re.MULTILINE)) == calib.__all__

@@ -9,6 +9,7 @@ from hw.errors import DeviceError
 from hw.rig import Capabilities, Rig, exposure_control
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera
+from hw.timing.camera_group import CameraGroup
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.synchronisation import synchronised
 from scanner.capture.stream import capture
@@ -37,7 +38,7 @@ def test_the_exposure_changes_when_the_frame_before_has_arrived(monkeypatch: pyt
     bench = AdjustableBench().install(monkeypatch)
     picture = np.full(SIZE[::-1], 200, np.uint8)
     list(
-        SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(
+        SequentialAcquisition(bench, CameraGroup([bench]), Timing(0.05, 0.054, overlaps=True)).frames(
             [picture] * 3, (10_000.0, 20_000.0)
         )
     )

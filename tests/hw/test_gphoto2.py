@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hw import open_rig
+from hw import real_devices
 from hw.backends import BACKENDS
 from hw.errors import DeviceError
 from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
@@ -57,7 +57,7 @@ def device(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Device:
         yield SimulatedWindow(PROJECTOR, projector.show)
 
     monkeypatch.setitem(sys.modules, "gphoto2", fake_gphoto2)
-    monkeypatch.setattr(open_rig, "ScreenProjector", window)
+    monkeypatch.setattr(real_devices, "ScreenProjector", window)
     for module in (latency, synchronisation):
         monkeypatch.setattr(module, "LONGEST_LATENCY_S", 0.0)
     fake_gphoto2.device = Device(lambda: cv2.cvtColor(camera.grab().image, cv2.COLOR_GRAY2BGR))

@@ -257,27 +257,40 @@ def test_a_free_running_camera_has_one_frame_between_two_pictures(
     assert (rig.pipelined is not None) == (latency_ms >= 50)
 
 
-def test_a_camera_with_unknown_exposure_times_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Untold(Bench):
-        """Exposes on a trigger, without stating its capability."""
+class _UnknownBegin(Bench):
+    """Exposes on a trigger; nobody knows when."""
 
-        @property
-        def wait_s(self) -> float:  # type: ignore[override]
-            return float("inf") if self.exposures in range(10**9) and self._asked else 0.0
+    _asked = False
 
-        _asked = False
+    @property
+    def wait_s(self) -> float:  # type: ignore[override]
+        return float("inf") if self._asked else 0.0
 
-        def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
-            self._asked = False
-            moment = super().expose(meanwhile)
-            self._asked = True
-            return moment
+    def expose(self, meanwhile: Callable[[], None] = nothing) -> float:
+        self._asked = False
+        moment = super().expose(meanwhile)
+        self._asked = True
+        return moment
 
-    bench = Untold(0.05).install(monkeypatch)
+
+def test_a_camera_that_exposes_at_an_unknown_time_is_not_pipelined(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = _UnknownBegin(0.05).install(monkeypatch)
     assert synchronised(bench, bench, {}).pipelined is None
 
 
-def test_a_frame_lost_repeatedly_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("overlaps", [False, True])
+def test_late_pictures_of_a_sequential_acquisition_are_repeated(
+    monkeypatch: pytest.MonkeyPatch, overlaps: bool
+) -> None:
+    bench = _UnknownBegin(0.05 if overlaps else 0.0, transfer_s=0.02)
+    rig = scanned(monkeypatch, bench, late_every=9, foreign=_UNTOLD)
+    assert rig.pipelined is None
+    assert rig.timing.overlaps == overlaps
+    assert 4 <= rig.sequential.tally.retriggered <= 16
+    assert len(list(rig.photograph(pictures(), level=pairs()))) == COUNT
+
+
+def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench._lost = frozenset(range(bench.exposures + 6, 10_000))

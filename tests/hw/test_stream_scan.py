@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hw import open_rig, opencv
+from hw import opencv, real_devices
 from hw.rig import settable_exposure
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
@@ -46,7 +46,7 @@ def phone(monkeypatch: pytest.MonkeyPatch, room: SimulatedRoom) -> Iterator[Phon
             yield SimulatedWindow(PROJECTOR, phone.light)
 
         phone.light(np.zeros(PROJECTOR[::-1], np.uint8))
-        monkeypatch.setattr(open_rig, "ScreenProjector", window)
+        monkeypatch.setattr(real_devices, "ScreenProjector", window)
         monkeypatch.setattr(stream_calibration, "_LONGEST_LATENCY_S", 0.3)
         monkeypatch.setattr(stream_calibration, "_WATCHED_S", 0.5)
         monkeypatch.setattr(frame_reader, "_NOTHING_S", 0.8)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
+from hw.timing.camera_group import CameraGroup
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.synchronisation import synchronised
 from tests.support.rig_bench import SIZE, Bench
@@ -61,7 +62,7 @@ def test_retriggered_frames_are_counted(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    sequential = SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True))
+    sequential = SequentialAcquisition(bench, CameraGroup([bench]), Timing(0.05, 0.054, overlaps=True))
     list(sequential.frames(pictures(3)))
     assert bench.log == [
         *("prepare", "flip", "prepare", "expose", "flip", "collect"),
@@ -71,13 +72,13 @@ def test_the_next_picture_goes_up_while_the_last_frame_is_transferred(monkeypatc
 
 def test_without_overlap_a_picture_waits_for_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    list(SequentialAcquisition(bench, bench, Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
+    list(SequentialAcquisition(bench, CameraGroup([bench]), Timing(0.0, 0.004, overlaps=False)).frames(pictures(2)))
     assert bench.log == ["prepare", "flip", "prepare", "expose", "collect", "flip", "expose", "collect"]
 
 
 def test_a_frame_is_taken_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    frames = SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
+    frames = SequentialAcquisition(bench, CameraGroup([bench]), Timing(0.05, 0.054, overlaps=True)).frames(pictures(3))
     assert bench.exposures == 0
     next(frames)
     assert bench.exposures == 1
@@ -106,7 +107,7 @@ def test_with_a_rolling_shutter_pictures_do_not_overlap(monkeypatch: pytest.Monk
 
 def test_without_pictures_no_frames_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench().install(monkeypatch)
-    assert list(SequentialAcquisition(bench, bench, Timing(0.05, 0.054, overlaps=True)).frames([])) == []
+    assert list(SequentialAcquisition(bench, CameraGroup([bench]), Timing(0.05, 0.054, overlaps=True)).frames([])) == []
 
 
 @pytest.mark.parametrize(

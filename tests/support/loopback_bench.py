@@ -98,15 +98,15 @@ def broken_off(config: Path, number: signal.Signals) -> tuple[int, str]:
         return process.returncode, message
 
 
-def digits(room: SimulatedRoom, pattern: Pattern) -> np.ndarray:
-    """Expected noise-free frame of a pattern."""
-    return room.electrons(draw(pattern, PROJECTOR)) * (255 / room.sensor.full_well_electrons)
+def digits(room: SimulatedRoom, pattern: Pattern, size: tuple[int, int]) -> np.ndarray:
+    """Expected noise-free frame of a pattern of this size, (width, height)."""
+    return room.electrons(draw(pattern, size)) * (255 / room.sensor.full_well_electrons)
 
 
-def wrong_frames(recording: Recording, room: SimulatedRoom) -> list[str]:
-    """Errors of frames that do not show exactly their own pattern."""
+def wrong_frames(recording: Recording, room: SimulatedRoom, most: float = 0.02) -> list[str]:
+    """Errors of frames that do not show their own pattern with less than the share `most` of a neighbouring one."""
     frames = [frame.image.astype(float) for _, frame in recording.stream().frames]
-    seen = [digits(room, pattern) for pattern in recording.patterns]
+    seen = [digits(room, pattern, recording.projector_size) for pattern in recording.patterns]
     wrong = []
     for index, (frame, own) in enumerate(zip(frames, seen, strict=True)):
         if np.sqrt(np.mean((frame - own) ** 2)) >= 2.5:
@@ -114,7 +114,7 @@ def wrong_frames(recording: Recording, room: SimulatedRoom) -> list[str]:
         for other in seen[max(0, index - 1) : index] + seen[index + 1 : index + 2]:
             towards = other - own
             share = np.sum(towards * (frame - own)) / np.sum(towards**2)
-            if abs(share) >= 0.02:
+            if abs(share) >= most:
                 wrong.append(f"{100 * share:.1f} % of frame {index} are of a neighbouring pattern")
     return wrong
 

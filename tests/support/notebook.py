@@ -8,6 +8,7 @@ from hw.rig import Frame, Rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.console.worker import Status
 from scanner.live.jobs import Watcher
+from scanner.networks.sights import Sight
 from scanner.results import Scan
 
 
@@ -17,6 +18,8 @@ class Notebook:
     def __init__(self) -> None:
         self.statuses: list[Status] = []
         self.frames: list[Frame] = []
+        self.cameras: list[str] = []
+        self.sights: list[Sight] = []
         self.rigs: list[Rig] = []
         self.clouds: list[Scan] = []
         self.results: list[Path] = []
@@ -28,8 +31,12 @@ class Notebook:
     def on_camera(self, rig: Rig) -> None:
         self.rigs.append(rig)
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame, camera: str = "") -> None:
         self.frames.append(frame)
+        self.cameras.append(camera)
+
+    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
+        self.sights.append(sight)
 
     def on_captured(self) -> None:
         self.captured += 1

@@ -135,13 +135,16 @@ class Bench:
         return triggered
 
     def collect(self) -> Frame:
-        self._sleep(self._transfer_s + self.late_s)
+        self._sleep(self._until_transferred_s())
         self.log.append("collect")
         if self.exposures - 1 in self._lost:
             raise FrameLostError("incomplete: missing-packets")
         rows = [self._seen(row) for row in range(self.size[1])]
         image = self._gain * np.stack(rows) + self._noise * self._rng.standard_normal(self.size[::-1])
         return Frame(np.rint(image).clip(0, 4095).astype(np.uint16))
+
+    def _until_transferred_s(self) -> float:
+        return self._transfer_s + self.late_s
 
     def grab(self) -> Frame:
         self.expose()

@@ -1,6 +1,6 @@
 """Motion between the axes, in captures that show all patterns of one axis before all of the other."""
 
-from scanner.decoding.between_axes.evenly_lit import EvenlyLit, halves_of
+from scanner.decoding.between_axes.evenly_lit import halves_of
 from scanner.decoding.between_axes.measure import motion_between
 
-__all__ = ["EvenlyLit", "halves_of", "motion_between"]
+__all__ = ["halves_of", "motion_between"]

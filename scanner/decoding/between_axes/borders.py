@@ -10,6 +10,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles, moments_of_tiles
 from scanner.decoding.motion.pixels import MOST_ROUGH_PX
 from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.tiles import around
 
 # Decoded pixels at most this far from the border, in projector px, locate it to this many camera px.
 _NEAR_PX = 6.0
@@ -112,14 +113,12 @@ def part_around(projector_px: Floats32) -> tuple[slice, slice]:
     All of the image if none is known.
     """
     known = _known(projector_px)
-    margin = (_BEYOND_TILES + _AROUND_TILES) * TILE_PX
-    parts = []
-    for size, across in zip(known.shape, (1, 0), strict=True):
-        found = np.flatnonzero(known.any(axis=across)) if known.any() else np.arange(size)
-        first = max(0, int(found[0]) - margin) // TILE_PX
-        last = min(size // TILE_PX, (int(found[-1]) + margin) // TILE_PX + 1)
-        parts.append(slice(first * TILE_PX, last * TILE_PX))
-    return parts[0], parts[1]
+    part = around(known if known.any() else ~known, (_BEYOND_TILES + _AROUND_TILES) * TILE_PX)
+    rows, columns = (
+        slice(each.start // TILE_PX * TILE_PX, min(size // TILE_PX, -(-each.stop // TILE_PX)) * TILE_PX)
+        for each, size in zip(part, known.shape, strict=True)
+    )
+    return rows, columns
 
 
 def lit_in(projector_px: Floats32) -> Bools:
@@ -140,10 +139,7 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
     height, width, _ = projector_px.shape
     known = _known(projector_px)
-    # Relative to the middle of the image, to limit rounding errors.
-    x = np.broadcast_to(np.arange(width, dtype=np.float32) - width / 2, known.shape)
-    y = np.broadcast_to((np.arange(height, dtype=np.float32) - height / 2)[:, None], known.shape)
-    moments = moments_of_tiles([np.ones_like(x), x, y, projector_px[..., 0], projector_px[..., 1]], known)
+    moments = moments_of_tiles(projector_px, known)
     around = cv2.boxFilter(
         moments.reshape(*moments.shape[:2], -1),
         -1,

@@ -5,8 +5,7 @@ All patterns along x together thus give one picture of the scene, those along y 
 axis is shown before all of the other, since no fringe observes a motion in between.
 """
 
-from collections.abc import Iterator, Sequence
-from copy import copy
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -68,40 +67,37 @@ def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
         yield dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
 
 
+@dataclass(frozen=True)
 class EvenlyLit:
-    """Accumulates the two pictures of the scene, (H, W) each, from frames as they arrive."""
+    """The two `pictures` of the scene, (H, W) each.
 
-    def __init__(self, halves: tuple[Half, Half], shape: tuple[int, int]) -> None:
-        self.halves = halves
-        self.pictures: tuple[Floats32, Floats32] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        # Means of pattern and inverse, for codes alone, in order of display.
-        self.of_pairs: dict[tuple[int, int], Image] = {}
-        self._pairs = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
+    `of_pairs` (H, W): means of pattern and inverse, for codes alone, in order of display. If pattern and inverse differ
+    in brightness, stripes remain, which move with neither device.
+    """
 
-    def add(self, number: int, grey: Image) -> None:
-        """Add the frame (H, W) of pattern `number`, if it belongs to a half.
-
-        If pattern and inverse differ in brightness, stripes remain, which move with neither device.
-        """
-        for half, picture in zip(self.halves, self.pictures, strict=True):
-            if weight := half.weights.get(number):
-                cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
-        if (pair := self._pairs.get(number)) is not None:
-            other = self.of_pairs.get(pair)
-            self.of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
-
-    def within(self, part: tuple[slice, slice]) -> "EvenlyLit":
-        """Return a crop to a part of the camera's picture (rows, columns)."""
-        found = copy(self)
-        before, after = self.pictures
-        found.pictures = np.ascontiguousarray(before[part]), np.ascontiguousarray(after[part])
-        found.of_pairs = {pair: picture[part] for pair, picture in self.of_pairs.items()}
-        return found
+    halves: tuple[Half, Half]
+    pictures: tuple[Floats32, Floats32]
+    of_pairs: dict[tuple[int, int], Image]
 
     def pictures_of(self, before: Sequence[int], after: Sequence[int]) -> tuple[Floats32, Floats32]:
         """Return the mean pictures (H, W) of two groups of pairs, given by number."""
         of_pairs = [*self.of_pairs.values()]
         return _mean([of_pairs[k] for k in before]), _mean([of_pairs[k] for k in after])
+
+
+def evenly_lit(halves: tuple[Half, Half], frames: Iterable[tuple[int, Image]], shape: tuple[int, int]) -> EvenlyLit:
+    """Add up the frames (H, W) of a capture, by index, that belong to a half."""
+    pictures = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    of_pairs: dict[tuple[int, int], Image] = {}
+    pair_of = {frame: pair for half in halves for pair in pairs_of(half.axis).values() for frame in pair}
+    for number, grey in frames:
+        for half, picture in zip(halves, pictures, strict=True):
+            if weight := half.weights.get(number):
+                cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
+        if (pair := pair_of.get(number)) is not None:
+            other = of_pairs.get(pair)
+            of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
+    return EvenlyLit(halves, pictures, of_pairs)
 
 
 def _mean(pictures: Sequence[Image]) -> Floats32:

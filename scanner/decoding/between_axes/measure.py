@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.numerics import Floats
+from scanner.decoding.accumulators import Frames
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.between_axes.borders import part_around, places_of_tiles
 from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion_of
 from scanner.decoding.between_axes.edges import Edges
-from scanner.decoding.between_axes.evenly_lit import EvenlyLit, pairs_of
+from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.moment import Moment, moment_of
 from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
@@ -60,13 +61,14 @@ _BETWEEN = _Timing()
 
 
 def motion_between(
-    lit: EvenlyLit,
+    halves: tuple[Half, Half],
+    frames: Frames,
     plan: SequencePlan,
     projector_px: Floats32,
     projector_size: tuple[int, int],
     within: MotionFound | None,
 ) -> MotionFound:
-    """Return the motion of the devices between the two halves of a capture; sizes are (width, height).
+    """Return the motion of the devices between the two `halves` of a capture; sizes are (width, height).
 
     `projector_px` (H, W, 2): coordinates of all camera pixels, NaN where unknown. A larger motion `within` a half takes
     precedence; the uncertainty of the motion between the halves is then added to it.
@@ -76,9 +78,10 @@ def motion_between(
     # Codes alone give coordinates in steps.
     step_px = 0.0 if plan.fringes else max(axis.cell for axis in plan.axes)
     rows, columns = part = part_around(projector_px)
-    lit, projector_px = lit.within(part), np.ascontiguousarray(projector_px[part])
+    projector_px = np.ascontiguousarray(projector_px[part])
+    lit = evenly_lit(halves, frames(part), (projector_px.shape[0], projector_px.shape[1]))
     places = places_of_tiles(projector_px, step_px)
-    first, second = lit.halves
+    first, second = halves
     shares = np.array([axis.axis == second.axis.axis for axis in plan.axes], np.float64)
     edges = Edges(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)

@@ -4,7 +4,6 @@ For each tile, the shift d explains the difference of the pictures, D = g M + o 
 M is the mean of both pictures, so that features of one of them alone, such as fringe ripple, cause no shift.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from scanner.decoding.slopes import LEVEL, SLOPE
 TILE_PX = 16
 _FEWEST_PX = 24
 _OF_LIGHT, _OF_SHIFT = 2, 2
+_OF_PLANE = 5
 _SINGULAR = 1e-6
 _REACH = 2  # taps to either side
 _WINDOW = TILE_PX + 2 * _REACH
@@ -74,13 +74,13 @@ def differences(pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp) 
     return _sum_differences(*pictures, chosen, warp.place, warp.turned, _EVERY)
 
 
-def moments_of_tiles(pictures: Sequence[Floats32], chosen: Bools) -> Floats:
-    """Return the sums (rows, columns, N, N) of products of N pictures (H, W) over the `chosen` pixels (H, W) of each
-    tile.
+def moments_of_tiles(projector_px: Floats32, chosen: Bools) -> Floats:
+    """Return the sums (rows, columns, 5, 5), over the `chosen` pixels (H, W) of each tile, of products of 1, the
+    pixel's column and row from the middle of the image, and its coordinates (H, W, 2).
     """
     rows, columns = (size // TILE_PX for size in chosen.shape)
-    moments = np.zeros((rows, columns, len(pictures), len(pictures)))
-    _sum_moments_of(tuple(np.ascontiguousarray(picture) for picture in pictures), chosen, moments)
+    moments = np.zeros((rows, columns, _OF_PLANE, _OF_PLANE))
+    _sum_moments_of(projector_px, chosen, moments)
     return moments
 
 
@@ -92,8 +92,9 @@ def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
 
 
 @compiled
-def _sum_moments_of(pictures: tuple[Floats32, ...], chosen: Bools, moments: Floats) -> None:
+def _sum_moments_of(projector_px: Floats32, chosen: Bools, moments: Floats) -> None:
     rows, columns, count, _ = moments.shape
+    height, width = chosen.shape
     values = np.empty((count, TILE_PX * TILE_PX))
     for row in range(rows):
         for column in range(columns):
@@ -101,8 +102,8 @@ def _sum_moments_of(pictures: tuple[Floats32, ...], chosen: Bools, moments: Floa
             for y in range(row * TILE_PX, (row + 1) * TILE_PX):
                 for x in range(column * TILE_PX, (column + 1) * TILE_PX):
                     if chosen[y, x]:
-                        for a in range(count):
-                            values[a, found] = pictures[a][y, x]
+                        values[0, found], values[1, found], values[2, found] = 1.0, x - width / 2, y - height / 2
+                        values[3, found], values[4, found] = projector_px[y, x, 0], projector_px[y, x, 1]
                         found += 1
             if found:
                 _sum_products(values, found, moments[row, column])

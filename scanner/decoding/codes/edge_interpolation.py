@@ -1,9 +1,16 @@
 """Interpolate the projector coordinate at camera pixels between the stripe edges on either side.
 
+An edge is where pattern and inverse are equally bright (Trobina, Error model of a coded-light range sensor, ETH Zürich,
+1995). Symmetric blur and the camera's response curve leave it in place. The difference of the two is interpolated
+linearly between two camera pixels; it is divided by their sum, so that a change of albedo between the pixels does not
+move the edge. Each edge of a Gray code belongs to one bit, the coarsest in which the pixels differ, and to one
+projector coordinate.
+
 Along rows, and along columns, each edge is a sub-pixel camera position of known projector coordinate. Between
 successive edges the coordinate is interpolated linearly. The results of the two directions are averaged.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +18,6 @@ import numpy as np
 from calib.numerics import Bools, Floats, Image, Ints, compiled
 from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.codes.gray_code import cell_numbers
-from scanner.decoding.codes.stripe_edges import Packed, unpacked
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode
 
@@ -44,7 +50,7 @@ class Lines:
     """L rows, or columns, of N pixels: (L, N) each.
 
     `words`: of the code. `usable`: lit, and with a code. `least`: least contrast of a certain edge. `middle` and
-    `brightest`: as in `Signals`. `packed` and `contrast`: as in `StripeEdges`, towards the next pixel of the line.
+    `brightest`: as in `Signals`. `levels` (2, bits, L, N): as returned by `levels_of_bits`.
     """
 
     words: Words
@@ -52,8 +58,25 @@ class Lines:
     least: Floats32
     middle: Image
     brightest: Image
-    packed: Packed
-    contrast: Image
+    levels: Image
+
+
+def levels_of_bits(
+    code: GrayCode, frames: Mapping[int, Image], thresholds: Mapping[int, Image]
+) -> tuple[list[Image], list[Image]]:
+    """Return, per bit of a code, the bright and the dark image (H, W) that were compared.
+
+    `frames`: by index. `thresholds`: per frame of a bit without an inverse, in place of the other image.
+    """
+    bright, dark, nothing = [], [], next(iter(frames.values()))
+    for bit in range(code.bits):
+        normal, inverse = code.normal.get(bit), code.inverse.get(bit)
+        only = normal if inverse is None else inverse
+        # Pixels do not differ in a bit that was never shown: any image will do.
+        lone = nothing if only is None else thresholds.get(only, nothing)
+        bright.append(lone if normal is None else frames[normal])
+        dark.append(lone if inverse is None else frames[inverse])
+    return bright, dark
 
 
 def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32, variance: Floats32) -> None:
@@ -62,8 +85,7 @@ def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32
 
     The variance is infinite where nothing is known, and stays so where no edge is found.
     """
-    # Variance of each bit's difference, in units of a pixel's.
-    factors = np.array([_HALF if bit in code.unpaired else _PAIR for bit in range(code.bits)])
+    threshold = np.array([int(bit in code.normal) if bit in code.unpaired else -1 for bit in range(code.bits)])
     numbers = cell_numbers(lines.words).astype(np.int32)
     _interpolate(
         numbers,
@@ -73,9 +95,8 @@ def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32
         lines.brightest,
         value,
         variance,
-        *unpacked(lines.packed),
-        lines.contrast,
-        factors,
+        lines.levels,
+        threshold,
         noise.at_black,
         noise.gain,
     )
@@ -90,21 +111,20 @@ def _interpolate(
     brightest: Image,
     value: Floats32,
     variance: Floats32,
-    bit: Ints,
-    part: Floats32,
-    contrast: Image,
-    factors: Floats,
+    levels: Image,
+    threshold: Ints,
     at_black: float,
     per_level: float,
 ) -> None:
     """Average the interpolated coordinates along lines (L, N) into `value`, in cells, and `variance`.
 
-    `numbers`: of the cells. `bit` and `part`: as returned by `unpacked`.
+    `numbers`: of the cells. `threshold` (bits,): which of a bit's two `levels` (2, bits, L, N) is a threshold; −1 for
+    none.
     """
     edges = np.empty((_ROWS, numbers.shape[1]))
     for line in range(len(numbers)):
-        of_line = numbers[line], usable[line], least[line], bit[line], part[line], contrast[line]
-        of_noise = middle[line], brightest[line], factors, at_black, per_level
+        of_line = numbers[line], usable[line], least[line], levels[:, :, line], threshold
+        of_noise = middle[line], brightest[line], at_black, per_level
         count = _list_edges(of_line, of_noise, edges)
         for k in range(1, count):
             if edges[_FOLLOWS, k]:
@@ -115,42 +135,63 @@ def _interpolate(
 
 @compiled
 def _list_edges(
-    of_line: tuple[Ints, Bools, Floats32, Ints, Floats32, Image],
-    of_noise: tuple[Image, Image, Floats, float, float],
+    of_line: tuple[Ints, Bools, Floats32, Image, Ints],
+    of_noise: tuple[Image, Image, float, float],
     edges: Floats,
 ) -> int:
     """List the edges along a line (N,) in columns of `edges` (rows, N); return their number."""
-    numbers, usable, least, bit, part, contrast = of_line
-    middle, brightest, factors, at_black, per_level = of_noise
-    bits, most = len(factors), 2 * CELLS_PER_PIXEL
+    numbers, usable, least, levels, threshold = of_line
+    middle, brightest, at_black, per_level = of_noise
+    bits, most = len(threshold), 2 * CELLS_PER_PIXEL
     count, goes_on = 0, False
     for i in range(len(numbers) - 1):
         if not (usable[i] and usable[i + 1]):
             goes_on = False
             continue
-        if bit[i] >= bits or contrast[i] < least[i]:
-            continue
         low, high = min(numbers[i], numbers[i + 1]), max(numbers[i], numbers[i + 1])
-        size = bits - 1 - bit[i]
-        number = (high >> size) << size
-        if number <= low or (number >> size) & 1 == 0 or high - low > most:
+        if low == high:
+            continue
+        size = 0
+        while (low ^ high) >> size > 1:
+            size += 1
+        bit, number = bits - 1 - size, (high >> size) << size
+        part, contrast = edge_between(levels[:, bit, i], levels[:, bit, i + 1], threshold[bit])
+        if contrast < least[i]:
+            continue
+        if high - low > most:
             goes_on = False
             continue
         level = np.float64(middle[i])
-        sharp = contrast[i] / max(np.float64(brightest[i]) - level, 1.0)
-        place = i + _of_blurred(np.float64(part[i]), sharp)
-        noise = factors[bit[i]] * (at_black + per_level * level) / (2.0 * contrast[i]) ** 2
+        sharp = contrast / max(np.float64(brightest[i]) - level, 1.0)
+        place = i + _of_blurred(part, sharp)
+        noise = (_PAIR if threshold[bit] < 0 else _HALF) * (at_black + per_level * level) / (2.0 * contrast) ** 2
         before = max(count - 1, 0)
         apart = abs(number - edges[_EDGE, before]) if goes_on else 0.0
         if goes_on and apart == 0 and place - edges[_PLACE, before] < _SAME_EDGE_PX:
             edges[_PLACE, before] = 0.5 * (edges[_PLACE, before] + place)
             continue
         edges[_PLACE, count], edges[_EDGE, count], edges[_STEP, count] = place, number, high - low
-        edges[_SPREAD, count] = ((1 - part[i]) ** 2 + part[i] ** 2) * noise + _SHAPE_PX**2 + (_STRAY / sharp) ** 2
+        edges[_SPREAD, count] = ((1 - part) ** 2 + part**2) * noise + _SHAPE_PX**2 + (_STRAY / sharp) ** 2
         edges[_FOLLOWS, count] = 0 < apart <= most
         goes_on = True
         count += 1
     return count
+
+
+@compiled
+def edge_between(here: Image, there: Image, threshold: int) -> tuple[float, float]:
+    """Return where between two pixels their bright and dark levels (2,) cross, from 0 to 1, and the mean contrast,
+    in whole grey levels.
+
+    `threshold`: which of the two levels is half-way between lit and unlit; −1 if neither is. Twice it then replaces
+    their sum, and the difference is half.
+    """
+    one, other = (1, 1) if threshold == 1 else (0, 0 if threshold == 0 else 1)
+    difference, difference_there = abs(float(here[0]) - here[1]), abs(float(there[0]) - there[1])
+    near = difference * (float(there[one]) + there[other])
+    far = difference_there * (float(here[one]) + here[other])
+    contrast = np.floor((difference + difference_there) * (0.5 if threshold < 0 else 1.0) + 0.5)
+    return near / max(near + far, 1e-6), float(contrast)
 
 
 @compiled

@@ -29,6 +29,12 @@ class Interval:
         """The middle of the interval."""
         return _HALF * (self.low + self.high)
 
+    def variance(self, cell: float) -> Floats32:
+        """Return that of a uniform distribution over the interval; where two codes' cells only touch, over a cell."""
+        length = self.high - self.low
+        variance: Floats32 = np.float32(1 / 12) * np.where(length > 0, length, np.float32(cell)) ** 2
+        return variance
+
     @property
     def possible(self) -> Bools:
         """True where the codes are neither outside nor contradictory."""

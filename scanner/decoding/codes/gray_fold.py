@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.codes.stripe_edges import StripeEdges
 from scanner.decoding.sequence_plan import GrayCode
 
 Planes = NDArray[np.uint8]
@@ -25,13 +24,10 @@ class GrayFold:
     `least` and `contrast` (H, W): smallest and largest |bright − dark| among the bits, in grey levels. `contrast` is
     None where fringes show what is lit. Without fringes, each of the finest bits has its own contrast image in `fine`,
     by bit, and is not included in `least`: whether the camera resolves it is decided after all frames. It may then
-    become `optional`. `edges`: the stripe edges, if they are kept; None for an XOR code, most of whose edges bound no
-    cell.
+    become `optional`.
     """
 
-    def __init__(
-        self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool, edges: bool = False
-    ) -> None:
+    def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
         self.code = code
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
@@ -39,7 +35,6 @@ class GrayFold:
         self.optional: dict[int, Image] = {}
         self._least_of_others = self.least
         self._keeps_fine = contrast and code.base is None
-        self.edges = StripeEdges(shape, dtype) if edges and code.base is None else None
         planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
         self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
 
@@ -50,9 +45,6 @@ class GrayFold:
         least = self.least
         if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
-        if self.edges is not None:
-            threshold = (bright if bit in self.code.inverse else dark) if half else None
-            self.edges.fold(bit, bright, dark, threshold)
         bright, dark = bright.reshape(-1), dark.reshape(-1)
         _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
         if self.contrast is not None:
@@ -77,15 +69,12 @@ class GrayFold:
         """Return the coarser code without its `count` finest bits, once all frames are in; its `least` covers all its
         bits.
 
-        If blur removes the finest stripes, the edges of the next bit are displaced too, so edges are dropped with any
-        bit. `optional`: a pixel may lack some of the remaining fine bits.
+        `optional`: a pixel may lack some of the remaining fine bits.
         """
         other = copy(self)
         other.code, other.fine = self.code.without_finest(count), {}
         other.words = self.words >> self.words.dtype.type(count)
         other.least = self.least.copy()
-        if count:
-            other.edges = None
         for bit, image in self.fine.items():
             if bit < other.code.bits:
                 np.minimum(other.least, image, out=other.least)

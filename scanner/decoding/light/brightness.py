@@ -80,9 +80,10 @@ class Gains:
         """Return the gains at given rows, (frames, P), or (frames, 1) if uniform."""
         return self.of_rows[:, rows] if self.are_banded else self.of_rows
 
-    def equalised(self, frame: int, image: Image) -> Image:
-        """Scale one of the frames (H, W) to the darkest of the group, keeping its type."""
-        factors = self.of_rows.min(axis=0) / self.of_rows[frame]
+    def equalised(self, frame: int, image: Image, rows: slice) -> Image:
+        """Scale these rows (H, W) of one of the frames to the darkest of the group, keeping its type."""
+        of_rows = self.of_rows[:, rows] if self.are_banded else self.of_rows
+        factors = of_rows.min(axis=0) / of_rows[frame]
         result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
         return result
 
@@ -118,10 +119,13 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
         staying = 2 if len(ties) else size
         mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
         harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, found)
+        before = found
+        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, before)
         differ = float(np.mean(np.ptp(np.log(found.of_rows), axis=0)))
         if mistaken > np.clip(_MOST_MISTAKEN_OF * differ, *_MOST_MISTAKEN):
             return Gains(np.ones((count, 1)))
+        if np.array_equal(found.of_rows, before.of_rows):
+            break  # mostly without gains: further passes repeat this one
         alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
     return Gains(found.of_rows[back])
 

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.numerics import quantile
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.significance import BRIGHTEST
 
@@ -13,7 +14,7 @@ _MOST_PIXELS = 4096  # enough to estimate a few parameters
 
 def lit_by(swing: Floats32) -> NDArray[np.intp]:
     """Return ascending indices of some lit pixels, from the swing (P,) of each."""
-    lit = np.flatnonzero(swing >= _LIT * np.quantile(swing, BRIGHTEST))
+    lit = np.flatnonzero(swing >= _LIT * quantile(swing, BRIGHTEST))
     return lit[:: -(-len(lit) // _MOST_PIXELS)]
 
 

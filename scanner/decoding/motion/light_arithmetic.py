@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from calib.numerics import Bools, median
+from calib.numerics import Bools, median, quantile
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
@@ -77,7 +77,7 @@ def _contradicting_pixels(
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
     deviation = np.abs(group.deviation) / swing
     some = deviation if resting is None or not resting.any() else deviation[resting]
-    usual = _TIMES_USUAL * float(np.quantile(some, _RESTING))
+    usual = _TIMES_USUAL * quantile(some, _RESTING)
     least = max(group.times * _LEAST, usual)
     return cast(Bools, deviation > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
 
@@ -181,7 +181,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(_OUTLIER_OF_RESTING * float(np.quantile(size, _RESTING)), 1e-6)
+        kept = size <= max(_OUTLIER_OF_RESTING * quantile(size, _RESTING), 1e-6)
     return cast(Floats32, factors), left
 
 
@@ -214,5 +214,5 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
     size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
-    _, left = _fit_most(terms, left.T, size <= np.quantile(size, _RESTING))
+    _, left = _fit_most(terms, left.T, size <= quantile(size, _RESTING))
     return cast(Floats32, np.sqrt(np.mean(left**2, axis=1)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints, quantile
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
@@ -91,14 +91,16 @@ def _blocks(place: Floats, height: float) -> list[Ints]:
     column = np.clip((place[:, 0] + 0.5) * columns, 0, columns - 1).astype(np.int64)
     row = np.clip((place[:, 1] / height + 0.5) * rows, 0, rows - 1).astype(np.int64)
     number = row * columns + column
-    return [members for k in range(columns * rows) if len(members := np.flatnonzero(number == k)) >= _FEWEST]
+    ordered = np.argsort(number, kind="stable")
+    blocks = np.split(ordered, np.cumsum(np.bincount(number, minlength=columns * rows))[:-1])
+    return [members for members in blocks if len(members) >= _FEWEST]
 
 
 def _offset(axis: Offsets, pixels: Ints) -> float | None:
     """Return the offset of the fringe from the cells in a block; None if they are not filled evenly."""
-    low, high = np.quantile(axis.px[pixels], [_QUANTILE, 1 - _QUANTILE])
-    filled = float(high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
-    return float(low + high) / 2 if abs(filled - 1) < _WIDTH_OFF else None
+    low, high = (quantile(axis.px[pixels], share) for share in (_QUANTILE, 1 - _QUANTILE))
+    filled = (high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
+    return (low + high) / 2 if abs(filled - 1) < _WIDTH_OFF else None
 
 
 def _row(number: int, place: Floats) -> Floats:

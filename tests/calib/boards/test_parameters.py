@@ -33,7 +33,7 @@ def random_state(seed: int) -> State:
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 10_000), st.sampled_from([0, 1]))
 def test_jacobians_match_finite_differences(seed: int, view: int) -> None:
     state = random_state(seed)

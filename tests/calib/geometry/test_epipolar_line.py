@@ -78,7 +78,7 @@ def test_points_behind_a_device_are_flagged() -> None:
     assert not found.in_front.any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(-0.6, 0.6), st.sampled_from([0, 1]))
 def test_the_other_coordinate_is_recovered_for_every_pose(x: float, y: float, z: float, roll: float, axis: int) -> None:
     """For any point in the projector's image whose epipolar line is not parallel to the stripe."""

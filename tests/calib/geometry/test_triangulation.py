@@ -81,7 +81,7 @@ def test_the_residual_changes_sign_across_the_line() -> None:
     assert np.all(above * below < 0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), noise_px=st.floats(0.01, 3.0))
 def test_the_point_is_midway_between_the_rays(seed: int, noise_px: float) -> None:
     calibration, truth = rig("radial"), points(40, seed)

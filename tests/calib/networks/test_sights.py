@@ -11,8 +11,9 @@ from calib.rooms.planes import RoomPlane
 def test_the_jacobian_matches_the_prediction() -> None:
     rng = np.random.default_rng(0)
     lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
-    camera = Device(lens, Motion(rotation_about(np.array([0.1, 0.2, -0.1])), np.array([0.2, 0.1, -0.3])))
-    projector = Device(1.1 * lens, Motion(rotation_about(np.array([0.0, -0.3, 0.1])), np.array([1.0, 0.1, 0.2])))
+    at, light = (Motion(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
+    camera = Device(lens, at, np.array([0.1, -0.2, 0.15, -0.1]))
+    projector = Device(1.1 * lens, light, np.array([-0.1, 0.2, 0.1, 0.2]))
     plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
     network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
     pixels = rng.uniform((100, 100), (900, 700), (20, 2))
@@ -22,12 +23,12 @@ def test_the_jacobian_matches_the_prediction() -> None:
     _, jacobian, depths = sight.predict(network)
 
     assert (depths > 1).all()
-    for at, column in enumerate(sight.columns(network)):
+    for place, column in enumerate(sight.columns(network)):
         step = np.zeros(network.size)
         step[column] = 1e-6
         after, before = (sight.predict(network.moved(sign * step))[0] for sign in (1, -1))
         slope = (after - before) / 2e-6
-        assert np.abs(jacobian[:, :, at] - slope).max() < 1e-4 * max(1.0, np.abs(slope).max())
+        assert np.abs(jacobian[:, :, place] - slope).max() < 1e-4 * max(1.0, np.abs(slope).max())
 
 
 def test_a_device_is_placed_by_points_on_two_planes_and_not_by_one() -> None:

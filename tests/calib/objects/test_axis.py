@@ -31,7 +31,7 @@ def places(rng: np.random.Generator, count: int, step_deg: float, tumbling_deg: 
     return found, np.diag(variances).astype(np.float64)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000), st.floats(5, 35))
 def test_the_axis_is_found_with_its_angles(seed: int, step_deg: float) -> None:
     true, covariance = places(np.random.default_rng(seed), 8, step_deg, 0.0)
@@ -43,7 +43,7 @@ def test_the_axis_is_found_with_its_angles(seed: int, step_deg: float) -> None:
     assert np.trace(table.covariance) < 1.5 * np.trace(covariance)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 1000))
 def test_poses_placed_by_hand_have_no_axis(seed: int) -> None:
     true, covariance = places(np.random.default_rng(seed), 8, 25.0, 1.0)

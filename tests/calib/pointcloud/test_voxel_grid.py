@@ -15,7 +15,7 @@ def nearest_by_definition(points: Floats, distance: Floats, size: float) -> Ints
     return np.array(sorted(best.values()), np.int64)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     seed=st.integers(0, 10**6),
     count=st.integers(0, 400),

@@ -11,7 +11,7 @@ from tests.support.numeric import gradient_of
 SMALL = 1e-3
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_step_to_undoes_moved(case: Case, seed: int) -> None:
     room = case.truth

@@ -103,8 +103,8 @@ def test_the_printed_page_has_its_true_size(text: str, tmp_path: Path) -> None:
     ("arguments", "told"),
     [
         ("", "expected captures of a board"),
-        ("nowhere --square 10mm", "which board"),
-        ("nowhere --board chessboard:9x7", "which board"),
+        ("nowhere --square 10mm", "expected --board and --square"),
+        ("nowhere --board chessboard:9x7", "expected --board and --square"),
         ("nowhere --board chessboard:9x7 --square 10mm", "no such capture"),
         ("nowhere --board chessboard:9x7 --square 10ells", "ells"),
         ("nowhere --board chessboard:9x7 --square 1e300m", "--square: expected 0.001 to 1e+06 mm"),

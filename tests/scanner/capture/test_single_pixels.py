@@ -12,7 +12,8 @@ CAMERA, PROJECTOR = (204, 160), (214, 120)
 def measured(**settings: object) -> dict[str, object]:
     rig = SimulatedRigSettings.model_validate({"backend": "simulated", **settings})
     with open_rig(rig, CAMERA, PROJECTOR) as opened:
-        return dict(measure_lines(opened.rig))
+        (found,) = measure_lines(opened.rig)
+    return dict(found)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,8 @@ def test_relevant_keystone_correction_blurs_single_pixels(camera: tuple[int, int
     """Keystone that moves the picture's corners by half a pixel."""
     rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
     with open_rig(rig, camera, projector) as opened:
-        (kept,) = measure_lines(opened.rig).values()
+        (found,) = measure_lines(opened.rig)
+    (kept,) = found.values()
     assert isinstance(kept, float)
     assert 0.4 < kept < 0.9
     assert not shows_single_pixels({"lines_of_one_pixel_keep": kept})

@@ -65,6 +65,23 @@ def test_an_unsafe_edit_is_refused_with_the_line_to_write(text: str) -> None:
         with_key(text, "rig.exposure_us", 5.5, "room.yaml")
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("b: 1\nrig: {c: {a: 2}}\n", "b: 1\nrig: {c: {a: 2, exposure_us: 5.5}}\n"),
+        ("rig:\n  c:\n    a: 2\n  d: 3\n", "rig:\n  c:\n    exposure_us: 5.5\n    a: 2\n  d: 3\n"),
+    ],
+)
+def test_a_key_of_a_section_within_a_section(before: str, after: str) -> None:
+    assert with_key(before, "rig.c.exposure_us", 5.5, "room.yaml") == after
+
+
+@pytest.mark.parametrize("text", ["b: 1\n", "rig: {c: 5}\n", "rig:\n  d: {}\n", "rig: {c: {}}\n"])
+def test_a_section_within_a_section_is_not_made(text: str) -> None:
+    with pytest.raises(InputError, match=r"write this one into 'rig\.c:' yourself: exposure_us: 5\.5"):
+        with_key(text, "rig.c.exposure_us", 5.5, "room.yaml")
+
+
 KEYS = st.text("abcde", min_size=1, max_size=4)
 SCALARS = st.one_of(st.integers(), st.booleans(), st.text(max_size=8), st.none())
 VALUES = st.recursive(
@@ -151,7 +168,7 @@ def test_an_edit_that_makes_the_configuration_invalid_is_not_written(path: Path,
 def test_a_read_only_folder_is_reported(path: Path) -> None:
     path.parent.chmod(0o500)
     try:
-        with pytest.raises(InputError, match="as it was"):
+        with pytest.raises(InputError, match="it is unchanged"):
             set_keys(path, {"rig.exposure_us": 5.0})
     finally:
         path.parent.chmod(0o700)

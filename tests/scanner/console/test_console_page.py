@@ -20,6 +20,8 @@ pytestmark = pytest.mark.xdist_group("browser")
 
 # More than a thousand frames: long enough to be cancelled.
 LONG = CONFIG.replace("quick", f"standard, shifts: 64, exposures_us: {list(range(20_000, 28_000, 1_000))}")
+RIGS = "{cameras: {left: {rig: {pose: 0}}, right: {rig: {pose: 1}}}, projectors: {stage: {rig: {projector_pose: 0}}}}"
+NETWORK = f"{CONFIG}rigs: {RIGS}\n"
 
 
 @dataclass
@@ -187,7 +189,7 @@ def test_the_configuration_is_checked_while_typing(console: Console) -> None:
     field.fill(before + "# a word on it\n")
     visit.wait_for("This can be saved.")
     visit.press("Save")
-    visit.wait_for("The file as it was at first is")
+    visit.wait_for("The original file is")
     assert console.config.read_text() == before + "# a word on it\n"
     console.config.write_text(before)
     expect(field).to_have_value(before, timeout=PATIENCE_MS)
@@ -204,6 +206,31 @@ def test_several_captures_with_a_sound_and_the_way_to_the_next(console: Console)
     visit.page.get_by_role("combobox", name="Cloud", exact=True).wait_for()  # all captures, or one of them
     assert any(console.folder.glob("scans/room*/captures/1/cloud.ply"))
     visit.set_number("Captures", "1")
+
+
+def test_a_network_shows_who_sees_whose_light(console: Console) -> None:
+    visit, before = console.visit, console.config.read_text()
+    console.config.write_text(NETWORK)
+    visit.press("Capture")
+    graph = visit.page.get_by_role("img", name="left in the light of stage: ")
+    expect(graph).to_have_accessible_name(re.compile("right in the light of stage: waiting"), timeout=PATIENCE_MS)
+    visit.page.mouse.click(1000, 900)
+    visit.page.keyboard.press("Shift+N")
+    visit.wait_for("in the light of stage, ")
+    for camera in ("left", "right"):
+        expect(visit.page.get_by_alt_text(f"what {camera} sees")).to_be_visible(timeout=PATIENCE_MS)
+    visit.wait_for("devices are one network")
+    visit.wait_for("Showing all")
+    visit.press("Capture")
+    of_all = (
+        r"left in the light of stage: \d+\.\d % of its picture\. right in the light of stage: \d+\.\d % of its picture"
+    )
+    expect(graph).to_have_accessible_name(re.compile(of_all))
+    expect(visit.page.get_by_role("progressbar", name="stage")).to_have_js_property("position", 1)
+    visit.choose("Look at", "right in the light of stage")
+    visit.press("Live image")
+    visit.wait_for("What right sees")
+    console.config.write_text(before)
 
 
 def test_the_page_is_readable_and_loads_nothing_external(console: Console) -> None:

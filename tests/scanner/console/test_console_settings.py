@@ -33,6 +33,38 @@ def test_an_impossible_exposure_is_refused_as_in_the_file(tmp_path: Path) -> Non
         Settings(path, exposure_us=-5.0).load()
 
 
+NETWORK = CONFIG + "rigs: {cameras: {left: {}, right: {rig: {exposure_us: 500}}}, projectors: {stage: {}, side: {}}}\n"
+
+
+@pytest.mark.parametrize(
+    ("pair", "exposures"),
+    [(None, {"left": 3000, "right": 3000}), (("left", "stage"), {"left": 3000, "right": 500})],
+)
+def test_an_exposure_is_of_the_cameras_that_are_looked_at(
+    pair: tuple[str, str] | None, exposures: dict[str, float], tmp_path: Path
+) -> None:
+    path = tmp_path / "hall.yaml"
+    path.write_text(NETWORK)
+    pairs = Settings(path, pair=pair, exposure_us=3000).load_whole().pairs
+    for (camera, _), config in pairs.items():
+        assert config.required_rig.exposure_us == exposures[camera]
+
+
+def test_a_network_is_looked_at_camera_by_camera_or_as_a_chosen_pair(tmp_path: Path) -> None:
+    path = tmp_path / "hall.yaml"
+    path.write_text(NETWORK)
+    settings = Settings(path)
+    assert [each.pair for each in settings.in_turn()] == [("left", "stage"), ("right", "stage")]
+    assert [each.load().required_rig.exposure_us for each in settings.in_turn()] == [1000, 500]
+    chosen = Settings(path, pair=("right", "side"))
+    assert chosen.in_turn() == (chosen,)
+    assert chosen.rig_key == "rigs.cameras.right.rig"
+    with pytest.raises(InputError, match="choose a camera and a projector"):
+        settings.load()
+    with pytest.raises(InputError, match="names no camera third with a projector stage any more"):
+        Settings(path, pair=("third", "stage")).load()
+
+
 @pytest.mark.parametrize(("picture", "levels"), [(Picture.WHITE, {255}), (Picture.BLACK, {0})])
 def test_plain_pictures_are_offered(picture: Picture, levels: set[int]) -> None:
     image = drawn(picture, sequence_for((64, 48), cell=8, shifts=3), (64, 48))
@@ -49,11 +81,18 @@ def test_stripes_are_offered_with_and_without_fringes() -> None:
 
 def test_earlier_results_are_listed_newest_first(tmp_path: Path) -> None:
     assert earlier_results(tmp_path / "scans") == ()
-    for age, (name, file) in enumerate((("new", "matches.npz"), ("thing", "object.yaml"), ("old", "room.yaml"))):
+    files = {
+        "new": "matches.npz",
+        "hall": "network.yaml",
+        "thing": "object.yaml",
+        "no": "refused.yaml",
+        "old": "room.yaml",
+    }
+    for age, (name, file) in enumerate(files.items()):
         folder = tmp_path / "scans" / name
         folder.mkdir(parents=True)
         (folder / file).touch()
         (folder / "scan.log").touch()
         os.utime(folder / "scan.log", (1e9 - age, 1e9 - age))
     (tmp_path / "scans" / "foreign").mkdir()
-    assert [path.name for path in earlier_results(tmp_path / "scans")] == ["new", "thing", "old"]
+    assert [path.name for path in earlier_results(tmp_path / "scans")] == [*files]

@@ -4,7 +4,7 @@ import base64
 import threading
 import time
 import wave
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +21,11 @@ from scanner.console.progress import CancelledError, Stage, StagedProgress, dura
 from scanner.console.settings import Picture, Settings, plain_name
 from scanner.console.sound import chime
 from scanner.console.worker import Activity, Status, Worker
+from scanner.networks.captures import Pair
+from scanner.networks.sights import OnSight, Watched
+from scanner.patterns import White
 from scanner.results.stated_uncertainty import read_verdict
+from scanner.ui import Progress
 from tests.support.notebook import Notebook, until
 
 SIZE = (32, 24)
@@ -242,6 +246,72 @@ def test_closing_cancels_and_reports_the_outcome(worker: Worker, tmp_path: Path)
     worker.request(Activity.SCANNING)
     until(lambda: worker.status.stage and worker.status.stage.done >= 2)
     assert "scans/wall-incomplete/capture" in worker.close().message
+
+
+NETWORK = f"{CONFIG}rigs: {{cameras: {{left: {{}}, right: {{}}}}, projectors: {{stage: {{}}}}}}\n"
+
+
+def test_a_device_of_a_network_that_fails_is_named_in_the_message_and_on_the_page(
+    worker: Worker, page: Notebook, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(pairs: Iterable[Pair], _folder: Path, progress: Progress, on_sight: OnSight) -> None:
+        last = [*pairs][-1]
+        with Watched([last], progress, on_sight) as watched:
+            for _ in watched.track(((White(), Frame(np.zeros((2, 2), np.uint8))),) * 3, 4, "Capturing"):
+                pass
+            raise DeviceError("camera: it went away. Check the cable.")
+
+    monkeypatch.setattr("scanner.networks.job.take_pairs", failing)
+    (tmp_path / "wall.yaml").write_text(NETWORK)
+    worker.request(Activity.NETWORK)
+    until(lambda: worker.status.message)
+    assert worker.status.message.splitlines() == [
+        "camera: it went away. Check the cable.",
+        "This was right in the light of stage.",
+    ]
+    assert [sight.text for sight in page.sights] == [
+        *("1 of 4 frames", "2 of 4 frames", "3 of 4 frames"),
+        "failed: camera: it went away. Check the cable.",
+    ]
+    stages = [status.stage for status in page.statuses if status.stage]
+    assert Stage("right in the light of stage", 3, 4) in stages
+    assert page.results == []
+
+
+def test_each_camera_of_a_network_is_looked_at_in_turn_until_one_is_chosen(
+    worker: Worker, page: Notebook, wall: Wall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_module, "_TURN_S", 0.1)
+    (tmp_path / "wall.yaml").write_text(NETWORK)
+    worker.request(Activity.LIVE)
+    until(lambda: {*page.cameras} == {"left", "right"})
+    worker.change(pair=("right", "stage"))
+    until(lambda: page.cameras[-3:] == ["right"] * 3)
+    opened = wall.opened
+    worker.change(exposure_us=30_000.0)
+    until(lambda: page.frames[-1].exposure_us == 30_000.0)
+    assert wall.opened == opened
+
+
+@pytest.mark.parametrize(
+    ("config", "distance", "activity", "message"),
+    [
+        (CONFIG, "", Activity.NETWORK, "the configuration has no 'rigs': name a network's devices, as in rigs: {"),
+        (NETWORK, "lefft,stage,2m", Activity.NETWORK, "no device is called 'lefft'; there are left, right, stage"),
+        (NETWORK, "left,stage", Activity.NETWORK, "expected two devices and a length"),
+        (NETWORK, "", Activity.SCANNING, "wall.yaml names several devices: choose a camera and a projector"),
+        (NETWORK.replace("right: {}", "right: {rig: {poze: 1}}"), "", Activity.NETWORK, "did you mean 'rig.pose'?"),
+    ],
+)
+def test_what_no_network_can_be_captured_with_is_said_before(
+    config: str, distance: str, activity: Activity, message: str, worker: Worker, wall: Wall, tmp_path: Path
+) -> None:
+    (tmp_path / "wall.yaml").write_text(config)
+    worker.change(distance=distance)
+    worker.request(activity)
+    until(lambda: worker.status.message)
+    assert message in worker.status.message
+    assert wall.opened == 0
 
 
 def test_requests_come_one_at_a_time(worker: Worker, page: Notebook) -> None:

@@ -86,7 +86,7 @@ def test_any_two_frames_exchanged(patterns: Sequence[Pattern], one_in: int) -> N
         "both codes",
     ],
 )
-@settings(max_examples=4, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_a_selection_of_two_frames_exchanged(patterns: Sequence[Pattern], data: st.DataObject) -> None:
     i, j = data.draw(st.lists(st.integers(0, len(patterns) - 1), min_size=2, max_size=2, unique=True))

@@ -47,8 +47,8 @@ def test_the_unknown_response_gives_a_common_systematic_shift() -> None:
 
 
 @given(exponent=st.floats(0.5, 3.0), ambient=st.floats(0, 0.1), shades=st.floats(0.2, 1.0), seed=st.integers(0, 99))
-@settings(max_examples=30, deadline=None)
-def test_the_response_is_estimated_from_amplitudes(exponent: float, ambient: float, shades: float, seed: int) -> None:
+@settings(max_examples=30)
+def test_the_response_is_read_from_amplitudes(exponent: float, ambient: float, shades: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fringe, truth = Fringe("x", 300.0, STEPS, (0, 1, 2)), rng.uniform(0, 2 * np.pi, 4000)
     paint = rng.uniform(shades, 1, len(truth))
@@ -61,7 +61,7 @@ def test_the_response_is_estimated_from_amplitudes(exponent: float, ambient: flo
     off = np.angle(np.exp(1j * (phases - truth)))
     table = found.straightening(fringe)
     straightened = off + table[np.floor(np.mod(phases, 2 * np.pi) / (2 * np.pi) * len(table)).astype(int)]
-    assert np.abs(straightened).mean() < 0.05
+    assert np.abs(straightened).mean() < 0.08
 
 
 def test_too_few_pixels_give_the_prior() -> None:

@@ -53,6 +53,17 @@ def test_contradicting_codes_are_noted() -> None:
     assert interval.high[:2].tolist() == [27.5, 31.5]
 
 
+def test_cells_of_two_codes_that_only_touch_leave_a_cell() -> None:
+    codes = [Gray("x", bit, 6, 8, offset) for offset in (0, 8) for bit in range(6)]
+    plan = plan_sequence([*codes, *gray_sequence("y", 8, 1)], (300, 8)).x
+    # Cell 3 (24 to 31) is cell 4 of the second code, whose cell 5 begins where it ends.
+    cells = np.array([[3, 3], [4, 5]], np.uint32)
+    interval = interval_of(plan, list(cells ^ cells >> 1), 2)
+    assert interval.possible.all()
+    np.testing.assert_allclose(interval.variance(plan.cell), 64 / 12, rtol=1e-6)
+    assert interval.centre.tolist() == [27.5, 31.5]
+
+
 @given(
     shifts=st.lists(st.floats(-2, 2), min_size=3, max_size=9),
     phase=st.floats(0, 6.28),
@@ -174,7 +185,7 @@ def test_the_middle_of_an_unevenly_filled_arc(turned: float, width: float, kept:
     turns = turns[(turns < width / 6) | (rng.uniform(size=len(turns)) < kept)]
     noisy = turned + 2 * np.pi * (turns + rng.normal(0, 0.003, len(turns)))
     off = np.angle(np.exp(1j * (middle_of(noisy, width) - turned))) / (2 * np.pi)
-    assert abs(off) < 0.012
+    assert abs(off) < 0.015
 
 
 def test_every_frame_is_planned_once() -> None:

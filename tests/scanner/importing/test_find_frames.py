@@ -21,7 +21,7 @@ def names(folder: Path, pattern: str | None = None) -> list[str]:
     return [path.name for path in find_frames(folder, pattern).numbered]
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     numbers=st.sets(st.integers(0, 3000), min_size=3, max_size=30),
     digits=st.integers(1, 5),

@@ -1,6 +1,5 @@
 """A network that captures itself: two cameras and two projectors in one simulated room."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +7,15 @@ import pytest
 import yaml
 
 from calib.geometry import Size
+from hw.errors import DeviceError
+from hw.rig import Frame
+from hw.simulated.rig import SimulatedCamera
+from scanner.capture import open_capture
 from scanner.commands.main import main as scan
 from scanner.configuration import load_config
-from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.pipeline import take
 
+_CAMERAS = ("left", "right")
 HALL = Path(__file__).parents[3] / "configs" / "hall-sim.yaml"
 SMALL = ["camera.width=306", "camera.height=256", "projector.width=320", "projector.height=180"]
 SETTINGS = [word for each in SMALL for word in ("--set", each)]
@@ -93,16 +95,30 @@ def test_captures_or_devices_are_required(capsys: pytest.CaptureFixture[str]) ->
     assert "--config" in capsys.readouterr().err
 
 
-def test_a_device_failure_keeps_the_captures_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole: Callable[..., object] = take
+def test_each_projector_shows_its_sequence_once(taken: Path) -> None:
+    for projector in ("stage", "side"):
+        left, right = (open_capture(taken / "captures" / f"{camera}-{projector}" / "capture") for camera in _CAMERAS)
+        assert left.patterns == right.patterns == left.planned
+        assert len(left.patterns) > 20
 
-    def failing(rig: object, config: object, place: Path, *rest: object) -> object:
-        if place.name == "right-stage":
-            raise InputError("the cable is out")
-        return whole(rig, config, place, *rest)
 
-    monkeypatch.setattr("scanner.networks.live.take", failing)
-    assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 2
+def test_a_camera_failure_keeps_the_frames_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, grabbed = SimulatedCamera.grab, list[SimulatedCamera]()
+
+    def failing(camera: SimulatedCamera) -> Frame:
+        if grabbed.count(camera) == 20 and camera is not grabbed[0]:
+            raise DeviceError("the cable is out")
+        grabbed.append(camera)
+        return whole(camera)
+
+    monkeypatch.setattr(SimulatedCamera, "grab", failing)
+    assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 3
+    assert "0 of 2 captures are complete" in capsys.readouterr().err
     (kept,) = tmp_path.glob("out-incomplete*")
-    (capture,) = kept.glob("captures/*/capture/capture.yaml")
-    assert capture.parent.parent.name == "left-stage"
+    found = {each.parent.name: open_capture(each) for each in kept.glob("captures/*/capture")}
+    assert {*found} == {"left-stage", "right-stage"}
+    of_left, of_right = (found[name].patterns for name in ("left-stage", "right-stage"))
+    assert len(of_left) == len(of_right) > 10
+    assert of_left == found["left-stage"].planned[: len(of_left)]

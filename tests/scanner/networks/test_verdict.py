@@ -1,3 +1,4 @@
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -40,21 +41,34 @@ def test_a_camera_turned_between_two_projectors_is_reported(turned_px: float, wa
     assert "keystone" not in verdict.advice
 
 
-def test_a_projector_with_keystone_correction_is_reported() -> None:
-    """Its picture is 1 % narrower at one edge."""
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("projector2", "For projector2 turn off keystone correction"),
+        ("camera1", "For camera1 turn off what its driver"),
+    ],
+)
+def test_the_device_whose_picture_is_warped_is_named(name: str, remedy: str) -> None:
+    """One edge of it is 1 % shorter than the opposite one, and a homography takes a picture of it to a picture."""
     made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000))
-    width, height = made.devices["projector2"].size
-    to_middle = np.array([[1.0, 0, -width / 2], [0, 1, 0], [0, 0, 1]])
+    width, height = made.devices[name].size
+    to_middle = np.array([[1.0, 0, -width / 2], [0, 1, -height / 2], [0, 0, 1]])
     keystone = np.linalg.inv(to_middle) @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.01 / height, 1]]) @ to_middle
-    captures = {
-        pair: replace(each, projector_px=mapped(keystone, each.projector_px)) if pair[1] == "projector2" else each
-        for pair, each in made.captures.items()
-    }
+    captures = {}
+    for pair, each in made.captures.items():
+        camera_px, projector_px = (
+            mapped(keystone, pixels) if device == name else pixels
+            for device, pixels in zip(pair, (each.camera_px, each.projector_px), strict=True)
+        )
+        captures[pair] = replace(each, camera_px=camera_px, projector_px=projector_px)
 
     verdict = verdict_of(made, captures)
 
     assert verdict.grade == "refused"
-    assert "in the projectors' menus" in verdict.advice
+    found = re.fullmatch(rf"The picture of {name} is warped, .* edge is (.*) % longer than .*", verdict.headline)
+    assert found, verdict
+    assert 0.6 < float(found[1]) < 1.6
+    assert verdict.advice.startswith(remedy)
 
 
 def test_two_devices_in_one_place_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,7 +68,7 @@ def test_luma_has_the_range_stated_in_its_file(black: int, white: int, codes: in
     assert light[(black + white) // 2] == pytest.approx(0.5, abs=0.003)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     exposure_s=st.floats(0.001, 0.04),
     readout_s=st.floats(-0.02, 0.03),

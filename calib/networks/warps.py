@@ -1,0 +1,86 @@
+"""Pictures that a device shows, or records, through a homography: keystone correction, digital zoom, a resampled image.
+
+With one device's picture warped and all others as they are, the captures are likelier by a factor that tells which
+device it is. Noise is measured with all of them free, since what a warp does would else pass for noise.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.networks.doubts import strains
+from calib.networks.growth import ROUGH, Grown
+from calib.networks.network import PER_WARP, WARP, Network
+from calib.networks.sights import Sight
+from calib.networks.weights import Weights
+from calib.numerics import Bools, Floats
+from calib.rooms.likelihood import Fit
+
+_CHANCE = 1e-4
+_BY_CHANCE = float(chi2.isf(_CHANCE, PER_WARP))
+_AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
+_STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
+_ROUNDS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """`gain`: χ², of four degrees of freedom by chance, if the picture of device `name` alone is warped, by `warp` (4,)
+    as of `Device`. `trapezoid`: by how much one of its edges is then longer than the opposite one.
+    """
+
+    name: str
+    gain: float
+    warp: Floats
+    trapezoid: float
+
+
+@dataclass(frozen=True)
+class Warps:
+    """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it."""
+
+    alone: tuple[Warp, ...] = ()
+    several: bool = False
+
+
+def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
+    """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
+    free, devices = grown.free(fit.layout), range(len(grown.names))
+    every, weights = _freed(fit.layout, free, devices), Weights.of_noise(sights)
+    whole = weights.fitted(grown, sights, fit.layout, every, ROUGH)
+    for _ in range(_ROUNDS):
+        _, weights = weights.measured_anew(grown, sights, whole, every)
+        whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
+    none = weights.fitted(grown, sights, _without_warps(whole.layout), free, ROUGH)
+    gain = none.cost - whole.cost
+    strained = any(each.across_px > _STRAINED * each.noise_px for each in strains(sights, whole).values())
+    if gain < _BY_CHANCE or strained:
+        return Warps(), none, weights
+    found = []
+    for number, name in enumerate(grown.names):
+        start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
+        alone = weights.fitted(grown, sights, start, columns, ROUGH)
+        device = alone.layout.devices[number]
+        trapezoid = float(np.max(np.abs(device.warp[2:]) * grown.knowledge.sizes[name])) / float(device.lens[0])
+        found.append(Warp(name, none.cost - alone.cost, device.warp, trapezoid))
+    found.sort(key=lambda each: -each.gain)
+    several = gain - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
+    least = max(_BY_CHANCE, found[0].gain - _AS_LIKELY)
+    return Warps(tuple(each for each in found if each.gain > least and not several), several), none, weights
+
+
+def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:
+    """With the warps of some devices."""
+    columns = free.copy()
+    for number in devices:
+        columns[network.device_columns(number)][WARP] = True
+    return columns
+
+
+def _without_warps(network: Network, but: int | None = None) -> Network:
+    devices = (
+        each if number == but else replace(each, warp=np.zeros(PER_WARP)) for number, each in enumerate(network.devices)
+    )
+    return replace(network, devices=tuple(devices))

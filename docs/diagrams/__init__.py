@@ -1,0 +1,1 @@
+"""The diagrams of the documentation; docs/make_diagrams.py writes them."""
