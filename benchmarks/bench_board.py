@@ -27,7 +27,7 @@ from calib.synthetic import SyntheticBoards, random_boards
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.boards import FromBoards, Target, calibrate_captures, read_folders
-from scanner.boards.calibrate import calibrate_seen, look
+from scanner.boards.calibrate import calibrate_board_captures, find_board
 from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoder
 from scanner.errors import InputError
@@ -203,9 +203,11 @@ def rendered(seeds: int) -> None:
                 decoder.add(frame)
             decoding = decoder.finish()
             metadata = CaptureMetadata(Size(*_RENDERED[0]), Size(*posed_size))
-            looked.append(look(Decoded(metadata, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET))
+            looked.append(
+                find_board(Decoded(metadata, decoding.matches, decoding, f"pose {pose}"), _RIGS_TARGET, _QUIET)
+            )
         try:
-            result = calibrate_seen(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)
+            result = calibrate_board_captures(looked, _RIGS_TARGET, Size(*_RENDERED[0]), Size(*_RENDERED[1]), _QUIET)
         except (RefusalError, InputError) as refusal:
             print(f"seed {seed}: {refusal}")
             continue
@@ -224,7 +226,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--real", type=Path, help="folder with the captures")
     parser.add_argument("--sets", type=int, default=50)
-    parser.add_argument("--rendered", type=int, default=0, help="so many sets of frames by the simulated rig")
+    parser.add_argument("--rendered", type=int, default=0, help="number of sets of frames by the simulated rig")
     arguments = parser.parse_args()
     if arguments.real:
         real(arguments.real)

@@ -70,8 +70,8 @@ def _numbers(rig: Calibration) -> Floats:
 
 def _sigmas(rig: Calibration) -> Floats:
     devices = (rig.sigma.camera, rig.sigma.projector)
-    told = [x for d in devices for x in ((d.focal_px or (np.nan,))[0], *(d.principal_point_px or (np.nan, np.nan)))]
-    return np.array([*told, rig.sigma.known_baseline])
+    stated = [x for d in devices for x in ((d.focal_px or (np.nan,))[0], *(d.principal_point_px or (np.nan, np.nan)))]
+    return np.array([*stated, rig.sigma.known_baseline])
 
 
 if __name__ == "__main__":

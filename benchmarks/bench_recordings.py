@@ -267,7 +267,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rooms", type=int, nargs="+", default=[0])
     parser.add_argument("--films", nargs="+", choices=list(films()), default=list(films()))
-    parser.add_argument("--drawn", type=int, default=0, metavar="N", help="so many films at random instead")
+    parser.add_argument("--drawn", type=int, default=0, metavar="N", help="take this many random films instead")
     parser.add_argument("--width", type=int, default=640, metavar="PX", help="of the frames, a multiple of 32")
     options = parser.parse_args()
     camera_size = options.width, options.width * 9 // 16

@@ -56,11 +56,11 @@ class Truth:
 
     @classmethod
     def read(cls, room: Path) -> "Truth":
-        told = np.load(room / "truth.npz")
-        camera, projector = (_device(told[name]) for name in ("camera", "projector"))
-        rig = Calibration(camera, projector, told["rotation"], told["translation"], "m")
-        places = tuple(Motion(r, t) for r, t in zip(told["rotations"], told["translations"], strict=True))
-        return cls(rig, places, told["points"], told["balls"], float(told["diagonal"]))
+        stored = np.load(room / "truth.npz")
+        camera, projector = (_device(stored[name]) for name in ("camera", "projector"))
+        rig = Calibration(camera, projector, stored["rotation"], stored["translation"], "m")
+        places = tuple(Motion(r, t) for r, t in zip(stored["rotations"], stored["translations"], strict=True))
+        return cls(rig, places, stored["points"], stored["balls"], float(stored["diagonal"]))
 
     def in_world(self, station: int) -> Floats:
         """Points (H, W, 3) of a station in the world."""
@@ -69,8 +69,8 @@ class Truth:
         return world
 
 
-def _device(told: Floats) -> Intrinsics:
-    width, height, focal, x, y, *lens = told.tolist()
+def _device(stored: Floats) -> Intrinsics:
+    width, height, focal, x, y, *lens = stored.tolist()
     k1, k2, p1, p2, k3 = lens
     return Intrinsics(int(width), int(height), (focal, focal), (x, y), (k1, k2, p1, p2, k3))
 

@@ -73,7 +73,7 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=Path, default=CAPTURES, metavar="DIR", help="capture folders, however deep")
-    parser.add_argument("--repeat", type=int, default=3, help="the least of so many is taken")
+    parser.add_argument("--repeat", type=int, default=3, help="number of runs; the shortest counts")
     return parser.parse_args()
 
 

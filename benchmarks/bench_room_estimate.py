@@ -263,7 +263,9 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, default=30)
     parser.add_argument("--matches", type=int, default=20_000)
     parser.add_argument("--wavy", type=float, default=0.0, help="metres, standard deviation of the walls' waves")
-    parser.add_argument("--balls", type=int, default=0, help="so many in the air, which tie stations beside the planes")
+    parser.add_argument(
+        "--balls", type=int, default=0, help="number of balls in the air; they tie stations, as planes do"
+    )
     parser.add_argument("--tangential", type=float, default=0.0, help="standard deviation of p1 and p2 of both devices")
     parser.add_argument("--times", type=int, nargs="*", default=[])
     arguments = parser.parse_args()

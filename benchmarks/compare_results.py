@@ -164,14 +164,14 @@ def main() -> int:
                 run(checkout.resolve(), arguments, out)
                 for checkout, out in zip((args.before, args.after), folders, strict=True)
             ]
-            told = [f"exit code {code}" for code, _ in ended] if ended[0][0] != ended[1][0] else []
-            told += [f"before: {line}" for line in ended[0][1] if line not in ended[1][1]]
-            told += [f"after:  {line}" for line in ended[1][1] if line not in ended[0][1]]
+            report = [f"exit code {code}" for code, _ in ended] if ended[0][0] != ended[1][0] else []
+            report += [f"before: {line}" for line in ended[0][1] if line not in ended[1][1]]
+            report += [f"after:  {line}" for line in ended[1][1] if line not in ended[0][1]]
             if all(folder.is_dir() for folder in folders):
-                told += differences(folders[0], folders[1], args.tolerance)
-            found += len(told)
-            print(f"{name} (exit code {ended[0][0]}): {'the same' if not told else ''}", flush=True)
-            for line in told:
+                report += differences(folders[0], folders[1], args.tolerance)
+            found += len(report)
+            print(f"{name} (exit code {ended[0][0]}): {'the same' if not report else ''}", flush=True)
+            for line in report:
                 print(f"    {line}", flush=True)
     return 1 if found else 0
 

@@ -70,11 +70,11 @@ def refuse_other_setting(
 ) -> None:
     """Raise DeviceError if the camera did not accept a setting as it was given."""
     if isinstance(wanted, str) or isinstance(found, str) or found is None:
-        same, told, made = wanted == found, repr(wanted), repr(found)
+        same, given, reported = wanted == found, repr(wanted), repr(found)
     else:
-        same, told, made = not differs(wanted, found, tolerance), f"{wanted:g}", f"{found:g}"
+        same, given, reported = not differs(wanted, found, tolerance), f"{wanted:g}", f"{found:g}"
     if not same:
-        raise DeviceError(f"camera {name}: {what} was set to {told}, but reads back as {made}. {advice}")
+        raise DeviceError(f"camera {name}: {what} was set to {given}, but reads back as {reported}. {advice}")
 
 
 def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, int]) -> None:

@@ -61,10 +61,10 @@ class OpenCVRigSettings(CameraRigSettings):
         return isinstance(self.camera, int)
 
     @model_validator(mode="after")
-    def _only_drivers_are_told(self) -> Self:
-        told = [key for key in ("exposure_us", "gain", "codec") if getattr(self, key) is not None]
-        if told and not isinstance(self.camera, int):
-            raise ValueError(f"{told[0]}: cannot be set for a stream; leave it out, and set it in the camera's app")
+    def _settings_need_driver(self) -> Self:
+        given = [key for key in ("exposure_us", "gain", "codec") if getattr(self, key) is not None]
+        if given and not isinstance(self.camera, int):
+            raise ValueError(f"{given[0]}: cannot be set for a stream; leave it out, and set it in the camera's app")
         return self
 
 
@@ -82,8 +82,8 @@ def list_cameras() -> list[CameraInfo]:
 
 
 def _looked_at(number: int) -> CameraInfo | None:
-    told = _V4L / f"video{number}" / "name"
-    name = f"webcam {number}" + (f" ({told.read_text().strip()})" if told.is_file() else "")
+    name_file = _V4L / f"video{number}" / "name"
+    name = f"webcam {number}" + (f" ({name_file.read_text().strip()})" if name_file.is_file() else "")
     device = _DEVICES / f"video{number}"
     if device.exists() and not os.access(device, os.R_OK | os.W_OK):
         return CameraInfo(name, f"it may not be opened: {device} belongs to group {device.group()}, so join that")

@@ -38,7 +38,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
     pool: otherwise the lock would never be released, and its next user would wait forever.
     """
     if _among_locks(frame):
-        _thread.start_new_thread(_come_again, (number,))  # takes no lock of `threading`
+        _thread.start_new_thread(_signal_again, (number,))  # takes no lock of `threading`
         return
     _put_off.clear()
     raise KeyboardInterrupt
@@ -54,7 +54,7 @@ def _among_locks(frame: FrameType | None) -> bool:
     return not waits and len(_put_off) < _MOST_PUT_OFF
 
 
-def _come_again(number: int) -> None:
+def _signal_again(number: int) -> None:
     time.sleep(_AGAIN_S)
     thread = main_thread().ident
     if thread is not None and callable(signal.getsignal(number)):
@@ -66,7 +66,7 @@ def _swallowed(what: "sys.UnraisableHookArgs") -> None:
     from C.
     """
     if issubclass(what.exc_type, KeyboardInterrupt):
-        _thread.start_new_thread(_come_again, (signal.SIGINT,))
+        _thread.start_new_thread(_signal_again, (signal.SIGINT,))
     else:
         sys.__unraisablehook__(what)
 

@@ -40,7 +40,7 @@ from scanner.errors import InputError
 from scanner.io import require_space, write_calibration
 from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import (
-    MatchesAhead,
+    EarlyMatches,
     calibrate,
     guide,
     label,
@@ -225,7 +225,7 @@ def replay_calibrated(
     """
     with _noting_missing_frames(recording):
         found = decode_recording(recording, terminal, calibration)
-    with MatchesAhead(folder) as matches:
+    with EarlyMatches(folder) as matches:
         matches.begin([found])
         with refusal_saved([found], folder, config, matches) as reached:
             charuco = config.scale.charuco if config.scale and calibration.unit == UNKNOWN_UNIT else None
@@ -326,7 +326,7 @@ def reconstruct(
     on_cloud: OnCloud | None = None,
 ) -> Scan:
     """Matches → faces → one calibration → clouds → files; `masks` are of the newest capture. Raises RefusalError."""
-    with MatchesAhead(folder) as matches:
+    with EarlyMatches(folder) as matches:
         with refusal_saved(captures, folder, config, matches) as reached:
             with progress.step("Calibrating"):
                 labelled = label(captures, reached, config, masks)
@@ -345,14 +345,14 @@ def _finished(
     config: Config,
     folder: Path,
     progress: Progress,
-    matches: MatchesAhead,
+    matches: EarlyMatches,
     on_cloud: OnCloud | None = None,
 ) -> Scan:
-    with progress.step("Writing the result"), in_background(on_cloud or _nobody) as tell:
+    with progress.step("Writing the result"), in_background(on_cloud or _ignore) as tell:
         tell(result)
         save(result, folder, config, matches)
     return result
 
 
-def _nobody(_: Scan) -> None:
+def _ignore(_: Scan) -> None:
     """Looks."""

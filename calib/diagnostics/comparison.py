@@ -164,8 +164,8 @@ def _in_sigmas(off: Floats, effects: Floats) -> tuple[float, int, Floats]:
     left, size, _ = np.linalg.svd(effects, full_matrices=False)
     allowed = float(np.linalg.norm(size))
     noise = allowed**2 / np.sqrt(len(off)) + _HARDLY_COUNTS * allowed + _ROUNDING
-    told = size > noise
-    along = left[:, told].T @ off
+    significant = size > noise
+    along = left[:, significant].T @ off
     every = left[:, size > _ROUNDING]
     rest: Floats = off - every @ (every.T @ off)
-    return float(np.sum(along**2 / (size[told] ** 2 + noise**2))), int(told.sum()), rest
+    return float(np.sum(along**2 / (size[significant] ** 2 + noise**2))), int(significant.sum()), rest

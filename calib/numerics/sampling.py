@@ -17,7 +17,7 @@ def evenly(chosen: Bools, size: int) -> Ints:
 
 @compiled
 def _every(step: int, chosen: Bools, indices: Ints) -> None:
-    """The first that is set, and every so many-th after it."""
+    """The first element that is set, and every `step`-th after it."""
     number = wanted = 0
     for i in range(len(chosen)):
         if chosen[i]:

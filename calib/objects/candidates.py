@@ -11,7 +11,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
-from calib.objects.meeting import mark_pairs
+from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
 
@@ -22,7 +22,7 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def supposed_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
+def suggested_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
     """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
 
     `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.

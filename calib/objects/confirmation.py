@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calib.geometry import Motion
 from calib.numerics import Bools
 from calib.objects.joint import NARROW
-from calib.objects.meeting import LOOKED_THROUGH, meet_points
+from calib.objects.patch_overlap import THROUGH_FREE_SPACE, overlapping_pixels_of_points
 from calib.objects.view import View, without_small_pieces
 from calib.rooms.alignment import composed, inverse
 
@@ -37,13 +37,13 @@ def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Confirmat
         for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
             if other != k:
                 to_other = composed(inverse(at), place)
-                fate = meet_points(points, normals, seen_by, to_other, NARROW * view.grain)
-                met = np.flatnonzero(fate >= 0)
+                overlap = overlapping_pixels_of_points(points, normals, seen_by, to_other, NARROW * view.grain)
+                met = np.flatnonzero(overlap >= 0)
                 moved = points[met] @ to_other.rotation.T + to_other.translation
-                theirs, towards = (each.reshape(-1, 3)[fate[met]] for each in (seen_by.points, seen_by.normals))
+                theirs, towards = (each.reshape(-1, 3)[overlap[met]] for each in (seen_by.points, seen_by.normals))
                 total[met] += np.sum(towards * (moved - theirs), axis=1)
                 seen[met] += 1
-                through += fate == LOOKED_THROUGH
+                through += overlap == THROUGH_FREE_SPACE
         kept = there.copy()
         kept[there] = (seen >= through) & (seen >= (1 if len(views) >= _FEWEST else 0))
         of_thing = without_small_pieces(kept)

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
-from calib.objects.meeting import mark_pairs, meet
+from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.alignment import composed, inverse, twisted
@@ -117,7 +117,7 @@ def residuals_of(
     pose = composed(inverse(here), there)
     parts = []
     for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
-        pixel = meet(patches_of, seen_by, to_seen, within, count)
+        pixel = overlapping_pixels(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
         # Half a pixel is a long way along an oblique surface; normals at the rim have a common bias.
         met = met[(seen_by.facing(pixel[met]) > STEEPEST) & seen_by.inner[pixel[met]]]

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 
 from calib.geometry import Motion
-from calib.objects.candidates import supposed_poses
+from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
-from calib.objects.meeting import Evidence, evidence, tolerance
+from calib.objects.patch_overlap import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
 from calib.objects.view import View
 from calib.rooms.alignment import composed, inverse
@@ -133,9 +133,9 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
     Of the many of a `thorough` search, the right one is not the one that meets most, but that which little speaks
     against.
     """
-    poses = supposed_poses(first, second, thorough=thorough)
+    poses = suggested_poses(first, second, thorough=thorough)
     roughly = [evidence(first, second, pose, NARROW * first.grain, _SOME) for pose in poses]
-    value = [_meets_closely(each) if thorough else each.worth for each in roughly]
+    value = [_agreeing_share(each) if thorough else each.worth for each in roughly]
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
     found: list[Suggestion] = []
     for _, k in rated[:_SETTLED]:
@@ -148,7 +148,7 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
 
-def _meets_closely(found: Evidence) -> float:
+def _agreeing_share(found: Evidence) -> float:
     """The share of what could agree that does, if that is not just a few patches."""
     return found.share if found.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
 

@@ -89,7 +89,7 @@ def find_sparse_planes(matches: Matches, size: tuple[int, int]) -> tuple[Ints, i
         )
     limit_px = _OFF_OF_WIDTH * size[0]
     planes = _one_after_the_other(matches, limit_px)
-    plane, planes = _in_competition(matches, planes, limit_px)
+    plane, planes = _assign_to_planes(matches, planes, limit_px)
     return plane, len(planes)
 
 
@@ -109,14 +109,14 @@ def _one_after_the_other(matches: Matches, limit_px: float) -> list[Floats]:
     return planes
 
 
-def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> tuple[Ints, list[Floats]]:
+def _assign_to_planes(matches: Matches, planes: list[Floats], limit_px: float) -> tuple[Ints, list[Floats]]:
     """The plane of each match (N,), −1 for none, and the planes, largest first."""
     around: Ints = np.asarray(cKDTree(matches.camera_px).query(matches.camera_px, min(_NEIGHBOURS, len(matches)))[1])
     plane = np.full(len(matches), NO_PLANE, np.int32)
     for _ in range(_ROUNDS):
         if not planes:
             break
-        off, best, own = _contest(matches, planes, around, limit_px)
+        off, best, own = _best_planes(matches, planes, around, limit_px)
         plane = np.where(own <= limit_px, best, NO_PLANE).astype(np.int32)
         planes = _fitted_again(matches, plane, _without_doubles(planes, off, plane, limit_px), limit_px)
     if not planes:
@@ -124,7 +124,7 @@ def _in_competition(matches: Matches, planes: list[Floats], limit_px: float) -> 
     return _final(matches, planes, around, limit_px)
 
 
-def _contest(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Floats, Ints, Floats]:
+def _best_planes(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Floats, Ints, Floats]:
     """Return transfer errors (n, N) of all planes, the best plane (N,) for a match and its neighbours, its errors."""
     off = np.stack([_off(each, matches) for each in planes])
     best = np.argmin(np.minimum(off, limit_px)[:, around].mean(axis=2), axis=0).astype(np.int32)
@@ -132,7 +132,7 @@ def _contest(matches: Matches, planes: list[Floats], around: Ints, limit_px: flo
 
 
 def _final(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Ints, list[Floats]]:
-    _, best, own = _contest(matches, planes, around, limit_px)
+    _, best, own = _best_planes(matches, planes, around, limit_px)
     sigma = float(np.median(own[own <= limit_px])) / MEDIAN_LENGTH if np.any(own <= limit_px) else 0.0
     on = own <= min(limit_px, max(_GATE_SIGMAS * sigma, 0.2 * limit_px))
     order = np.argsort(-np.bincount(best[on], minlength=len(planes)), kind="stable")

@@ -47,7 +47,7 @@ def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...
     for cloud, view, turn, pixel, end in zip(clouds, views, turns, pixels, ends, strict=True):
         first = end - len(pixel)
         own = slice(*np.searchsorted(kept, (first, end)))
-        _dress(cloud, view, turn, pixel.take(kept[own] - first), normals[own], colours[own])
+        _fill_attributes(cloud, view, turn, pixel.take(kept[own] - first), normals[own], colours[own])
     return MergedCloud(
         points.take(kept, axis=0).astype(np.float32),
         colours,
@@ -71,7 +71,7 @@ def _place(cloud: Cloud, view: View, turn: int, pixel: Ints, points: Floats, dis
     in_pieces(len(pixel), fill)
 
 
-def _dress(
+def _fill_attributes(
     cloud: Cloud, view: View, turn: int, pixel: Ints, normals: NDArray[np.float32], colours: NDArray[np.uint8]
 ) -> None:
     """Write the normals (N, 3), in the corner's frame, and the colours (N, 3) of a cloud's pixels (N,)."""

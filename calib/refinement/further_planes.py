@@ -50,7 +50,7 @@ def with_further_planes(
     return extended, replace(state, poses=tuple(poses))
 
 
-def strained(state: State) -> list[tuple[int, int]]:
+def oblique_planes(state: State) -> list[tuple[int, int]]:
     """Return (capture, index among its further planes) of planes that are not parallel or perpendicular to a face."""
     return [
         (i, j)
@@ -63,8 +63,10 @@ def strained(state: State) -> list[tuple[int, int]]:
 def unexplained(
     captures: Sequence[Cells], fit: Fit, variances: Sequence[Floats], of_faces: float
 ) -> list[tuple[int, int]]:
-    """Return the worst-fitting plane, as in `strained`, if it fits much worse than the faces alone, whose mean square
-    residual is `of_faces`. `variances`: (M,) for each capture, of each coordinate of each cell.
+    """Return the worst-fitting plane, as `oblique_planes` does, if it fits much worse than the faces alone.
+
+    `of_faces`: the mean square residual of the faces. `variances`: (M,) for each capture, of each coordinate of each
+    cell.
     """
     worst, found = _MOST_OFF * of_faces, []
     for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):

@@ -105,7 +105,7 @@ class Valley:
         return weight, scale * steps
 
 
-def walk(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
+def trace_valley(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> Valley:
     """Trace the valley in both directions from the best fit until the cost is clearly higher.
 
     Raises LinAlgError if no other focal length has a solution: the uncertainty cannot be determined then.

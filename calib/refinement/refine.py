@@ -13,13 +13,13 @@ import numpy as np
 from calib.geometry import Corner
 from calib.numerics import Floats
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
-from calib.refinement.further_planes import mean_square, strained, unexplained, without
+from calib.refinement.further_planes import mean_square, oblique_planes, unexplained, without
 from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
 from calib.refinement.picture_scale import PictureScale, picture_scale
-from calib.refinement.profile_likelihood import Valley, centred, walk
+from calib.refinement.profile_likelihood import Valley, centred, trace_valley
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie
 
@@ -31,7 +31,7 @@ _NOISE_ROUNDS = 3
 _ANY_ANGLE_DEG = 10.0
 CLEARLY_WORSE = 9.0  # in cost, that is three sigmas
 _STRAINED = 9.0  # cost of the assumption on the angles above which a fit without it is tried as well
-_WALKS, _GAINED = 3, 0.3  # traces of a valley; gain in cost that justifies another one
+_TRACES, _GAINED = 3, 0.3  # traces of a valley; gain in cost that justifies another one
 _ROUGH = 0.3  # tolerance in cost where only residuals or costs are looked at
 
 
@@ -132,7 +132,7 @@ def settle(
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
-    lowest, valley = _walked(captures, best, prior, variances)
+    lowest, valley = _traced(captures, best, prior, variances)
     tension -= best.cost - lowest.cost
     best = centred(captures, lowest, valley, prior, variances)
     covariance = valley.covariance(best, prior.free)
@@ -163,13 +163,13 @@ def settle(
     )
 
 
-def _walked(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> tuple[Fit, Valley]:
+def _traced(captures: Sequence[Cells], best: Fit, prior: Prior, variances: Sequence[Floats]) -> tuple[Fit, Valley]:
     """Return the lowest fit of a valley, and the valley traced from there.
 
     A minimisation stops early where the valley is nearly flat; tracing it further finds where it descends again.
     """
-    for _ in range(_WALKS):
-        valley = walk(captures, best, prior, variances)
+    for _ in range(_TRACES):
+        valley = trace_valley(captures, best, prior, variances)
         lower = minimise(captures, valley.lowest, prior, variances) if valley.gain > _GAINED else best
         if not lower.cost < best.cost - _GAINED:
             break
@@ -202,7 +202,7 @@ def _with_planes(
         prior = knowledge.prior(state)
         variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
         fit = minimise(cells, state, prior, variances)
-        refuted = strained(fit.state) or unexplained(cells, fit, variances, of_faces)
+        refuted = oblique_planes(fit.state) or unexplained(cells, fit, variances, of_faces)
         if not refuted:
             return cells, fit, prior
         cells, state = without(cells, fit.state, refuted)

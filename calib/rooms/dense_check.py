@@ -78,13 +78,13 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     pull, allowed = weighted @ distances, weighted @ by_room
     at = contact.columns(estimate.room)
     covariance = allowed @ estimate.covariance[np.ix_(at, at)] @ allowed.T + weighted @ by_twist
-    told = float(pull @ np.linalg.pinv(covariance, hermitian=True) @ pull)
+    squared_sigmas = float(pull @ np.linalg.pinv(covariance, hermitian=True) @ pull)
     return Disagreement(
         contact.first,
         contact.second,
         float(np.degrees(np.linalg.norm(twist[_TURNING]))),
         float(np.linalg.norm(twist[_SHIFTING])),
-        float(np.sqrt(told / _DOUBT)) / _CALM,
+        float(np.sqrt(squared_sigmas / _DOUBT)) / _CALM,
         _apart(pixels, left / np.sqrt(alone)),
     )
 

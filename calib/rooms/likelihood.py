@@ -45,10 +45,10 @@ class Layout(Protocol):
 
 
 AnyLayout = TypeVar("AnyLayout", bound=Layout)
-Seen = TypeVar("Seen", bound=Layout, contravariant=True)
+LayoutT = TypeVar("LayoutT", bound=Layout, contravariant=True)
 
 
-class Part(Protocol[Seen]):
+class Part(Protocol[LayoutT]):
     """The `cells` of one `plane`, by number in the layout, that one `capture` shows.
 
     Derivatives are by P own columns, the last three of them tilts and offset of the plane in the camera's frame, or by
@@ -72,22 +72,22 @@ class Part(Protocol[Seen]):
         """Means of matches, (M,)."""
         ...
 
-    def predict(self, layout: Seen, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+    def predict(self, layout: LayoutT, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
         """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, P), and depths (N, 2).
 
         Depths are those before both devices, not positive where the prediction means nothing.
         """
         ...
 
-    def points(self, layout: Seen) -> Floats:
+    def points(self, layout: LayoutT) -> Floats:
         """Where the rays of its cells meet the plane, (M, 3) in the layout's frame."""
         ...
 
-    def columns(self, layout: Seen) -> Ints:
+    def columns(self, layout: LayoutT) -> Ints:
         """The layout's columns that it depends on, (Q,)."""
         ...
 
-    def carried(self, layout: Seen) -> Floats:
+    def carried(self, layout: LayoutT) -> Floats:
         """How its own columns follow those, (P, Q)."""
         ...
 
@@ -95,22 +95,22 @@ class Part(Protocol[Seen]):
 AnyPart = TypeVar("AnyPart", bound=Part[Any])
 
 
-class Joint(Protocol[Seen]):
+class Joint(Protocol[LayoutT]):
     """What ties devices or stations other than by a plane."""
 
-    def columns(self, layout: Seen) -> Ints:
+    def columns(self, layout: LayoutT) -> Ints:
         """The layout's columns that it depends on, (Q,)."""
         ...
 
-    def misfit(self, layout: Seen) -> tuple[float, Floats, Floats]:
+    def misfit(self, layout: LayoutT) -> tuple[float, Floats, Floats]:
         """Cost, half its gradient (Q,) and half its Gauss–Newton Hessian (Q, Q)."""
         ...
 
 
-class Prior(Protocol[Seen]):
+class Prior(Protocol[LayoutT]):
     """What is known before any match is seen."""
 
-    def cost(self, layout: Seen) -> tuple[float, Floats, Floats]:
+    def cost(self, layout: LayoutT) -> tuple[float, Floats, Floats]:
         """With half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
         ...
 

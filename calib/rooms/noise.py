@@ -116,11 +116,11 @@ def _coherence(patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], stations
         terms = monomials(patch.cells.camera_px, scale)
         information[patch.capture] += (terms * weight[:, None]).T @ terms
         pull[patch.capture] += terms.T @ (weight * across)
-    told = np.array([_explained(*each) for each in zip(information, pull, strict=True)])
-    if overdispersion(float(told.sum()), float(TERMS * np.count_nonzero(told)), _BENT) == 1.0:
+    explained = np.array([_explained(*each) for each in zip(information, pull, strict=True)])
+    if overdispersion(float(explained.sum()), float(TERMS * np.count_nonzero(explained)), _BENT) == 1.0:
         return 0.0
-    chance = 1 / np.count_nonzero(told)
-    share = _explained(information.sum(axis=0), pull.sum(axis=0)) / told.sum()
+    chance = 1 / np.count_nonzero(explained)
+    share = _explained(information.sum(axis=0), pull.sum(axis=0)) / explained.sum()
     return float(np.clip((share - chance) / max(1 - chance, chance), 0.0, 1.0))
 
 
@@ -132,8 +132,8 @@ def _explained(information: Floats, pull: Floats) -> float:
 def _of_planes(patches: Sequence[Part[AnyLayout]], totals: Floats, freedom: Floats, layout: AnyLayout) -> Floats:
     """Factor on each plane's variances beyond those of the stations, (planes,), from χ² and its degrees of freedom."""
     planes = np.array([patch.plane for patch in patches])
-    told = np.isfinite(totals)
-    sums, free = (np.bincount(planes[told], each[told], len(layout.planes)) for each in (totals, freedom))
+    known = np.isfinite(totals)
+    sums, free = (np.bincount(planes[known], each[known], len(layout.planes)) for each in (totals, freedom))
     return _overdispersions(sums.tolist(), free.tolist())
 
 

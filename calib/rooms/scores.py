@@ -88,7 +88,9 @@ def score(slope: Floats, information: Floats, across: Floats, covariance: Floats
     left = information - across @ covariance @ across.T
     scale = np.sqrt(np.diag(information))
     shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
-    told = shares > _LEAST_SHARE
-    pull = (directions.T @ (slope / scale))[told]
-    value = float(np.sum(pull**2 / shares[told]))
-    return Score(value, float(np.count_nonzero(told)), -directions[:, told] @ (pull / shares[told]) / scale)
+    determined = shares > _LEAST_SHARE
+    pull = (directions.T @ (slope / scale))[determined]
+    value = float(np.sum(pull**2 / shares[determined]))
+    return Score(
+        value, float(np.count_nonzero(determined)), -directions[:, determined] @ (pull / shares[determined]) / scale
+    )

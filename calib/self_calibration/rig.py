@@ -203,10 +203,10 @@ def self_calibrate_jointly(
 
 
 def _knowing(knowledge: Knowledge, known: KnownCalibration) -> Knowledge:
-    told = replace(knowledge, rig=known.rig)
+    extended = replace(knowledge, rig=known.rig)
     if knowledge.principal_point_sigma_px == 0:
-        return told
-    return replace(told, principal_point_px=known.calibration.camera.principal_point_px)
+        return extended
+    return replace(extended, principal_point_px=known.calibration.camera.principal_point_px)
 
 
 def _too_few(error: TooFewMatchesError) -> RefusalError:

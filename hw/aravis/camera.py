@@ -146,7 +146,7 @@ class AravisCamera:
         """Drop frames that arrive before this exposure can be over: they belong to an earlier one."""
         end_s = self._triggered_s + self.exposure_s
         while self._arrived is None and (buffer := self._stream.try_pop_buffer()) is not None:
-            if time.monotonic() >= end_s and _came_s(buffer) >= self._triggered_s:
+            if time.monotonic() >= end_s and _arrival_s(buffer) >= self._triggered_s:
                 self._arrived = buffer  # this thread, or `meanwhile`, took longer: the frame is the new one
             else:
                 self._recycle(buffer)
@@ -161,8 +161,8 @@ class AravisCamera:
         deadline_s = asked_s + (discarded + 1) * self.exposure_s + _LATEST_FRAME_S
         while (buffer := self._pop(deadline_s - time.monotonic())) is not None:
             stamp_s = buffer.get_timestamp() / 1e9
-            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, _came_s(buffer), self.exposure_s)
-            tells = self._clock.tells and self._discarded <= _IN_FLIGHT
+            begun_s = self._clock.begun_s(buffer.get_frame_id(), stamp_s, _arrival_s(buffer), self.exposure_s)
+            tells = self._clock.has_time_stamps and self._discarded <= _IN_FLIGHT
             if begun_s >= asked_s if tells else discarded == 0:
                 break
             self._recycle(buffer)
@@ -271,7 +271,7 @@ class AravisCamera:
             ) from error
 
 
-def _came_s(buffer: Any) -> float:
+def _arrival_s(buffer: Any) -> float:
     """When the first packet of a frame arrived, in seconds of the monotonic clock."""
     return float(buffer.get_system_timestamp() / 1e9 - time.time() + time.monotonic())
 

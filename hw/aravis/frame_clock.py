@@ -19,7 +19,7 @@ class FrameClock:
         self._last: tuple[int, float] | None = None
 
     @property
-    def tells(self) -> bool:
+    def has_time_stamps(self) -> bool:
         """Whether the camera delivers time stamps."""
         return bool(self._intervals_s)
 

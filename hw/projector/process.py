@@ -51,7 +51,7 @@ class _WindowProcess:
                 raise DeviceError(f"it has not answered for {timeout_s:.0f} s")
             outcome, value = self._connection.recv()
         except (EOFError, ConnectionError) as error:
-            raise DeviceError(f"its window is gone ({self._last_words()})") from error
+            raise DeviceError(f"its window is gone ({self._last_output()})") from error
         if outcome == "failed":
             raise DeviceError(value)
         return value
@@ -62,7 +62,7 @@ class _WindowProcess:
         try:
             self._connection.send((command, argument))
         except ConnectionError as error:
-            raise DeviceError(f"its window is gone ({self._last_words()})") from error
+            raise DeviceError(f"its window is gone ({self._last_output()})") from error
         self._unanswered = True
 
     def post(self, command: str, argument: object) -> None:
@@ -91,7 +91,7 @@ class _WindowProcess:
         self._process.wait()
         self._log.close()
 
-    def _last_words(self) -> str:
+    def _last_output(self) -> str:
         self._process.wait(timeout=_SHOW_TIMEOUT_S)
         self._log.seek(0)
         lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]

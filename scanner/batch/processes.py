@@ -67,7 +67,7 @@ class Processes:
         """What came of each job, in the order in which they are finished."""
         waiting, deaths = list(jobs)[::-1], dict[str, int]()
         while waiting or any(worker.job for worker in self._workers):
-            self._hand_out(work, waiting, delivery)
+            self._distribute(work, waiting, delivery)
             self._end_the_largest()
             for ready in wait([worker.connection for worker in self._workers if worker.job], _LOOK_S):
                 worker = next(worker for worker in self._workers if worker.connection is ready)
@@ -85,7 +85,7 @@ class Processes:
                     outcome = WorkerDiedError()
                 yield job, outcome
 
-    def _hand_out(self, work: Work, waiting: list[Job], delivery: Delivery) -> None:
+    def _distribute(self, work: Work, waiting: list[Job], delivery: Delivery) -> None:
         while len(self._workers) < min(self._count, len(waiting) + len(self._workers)):
             self._workers.append(_started())
         for worker in self._workers:

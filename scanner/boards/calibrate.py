@@ -26,7 +26,7 @@ _PLAUSIBLE_SIDE_MM, _PLAUSIBLE_AWAY_MM, _PLAUSIBLE_BASELINE_MM = (80.0, 1500.0),
 
 
 @dataclass(frozen=True)
-class Seen:
+class BoardCapture:
     """A capture in which the board was found: its `texture` under white light, and the `view` of the board."""
 
     texture: Image
@@ -53,7 +53,7 @@ class FromBoards:
     """
 
     target: Target
-    seen: tuple[Seen, ...]
+    seen: tuple[BoardCapture, ...]
     missing: tuple[Missing, ...]
     found: BoardCalibration
     camera_size: Size
@@ -74,15 +74,15 @@ def calibrate_captures(
     Raises InputError if no capture shows the board, RefusalError.
     """
     looked = [
-        _look_into(recording, name, target, progress)
+        _find_in(recording, name, target, progress)
         for name, recording in zip(_names(recordings), recordings, strict=True)
     ]
     sizes = recordings[0].camera_size, recordings[0].projector_size
-    return calibrate_seen(looked, target, *sizes, progress, config)
+    return calibrate_board_captures(looked, target, *sizes, progress, config)
 
 
-def calibrate_seen(
-    looked: Sequence[Seen | Missing],
+def calibrate_board_captures(
+    looked: Sequence[BoardCapture | Missing],
     target: Target,
     camera_size: Size,
     projector_size: Size,
@@ -90,7 +90,7 @@ def calibrate_seen(
     config: Config | None = None,
 ) -> FromBoards:
     """Calibrate from captures that were looked at. Raises InputError if none has the board, RefusalError."""
-    seen = [each for each in looked if isinstance(each, Seen)]
+    seen = [each for each in looked if isinstance(each, BoardCapture)]
     missing = [each for each in looked if isinstance(each, Missing)]
     if not seen:
         reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
@@ -117,23 +117,23 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
     return next(each for each in names if len(set(each)) == len(each))
 
 
-def _look_into(recording: Recording, name: str, target: Target, progress: Progress) -> Seen | Missing:
+def _find_in(recording: Recording, name: str, target: Target, progress: Progress) -> BoardCapture | Missing:
     try:
         decoded = decode(recording.stream(), progress, f"Decoding {name}", name)
     except InputError as error:
         # A bad capture among good ones is left out and named, like one without a board.
         return Missing(name, str(error))
-    return look(decoded, target, progress)
+    return find_board(decoded, target, progress)
 
 
-def look(decoded: Decoded, target: Target, progress: Progress) -> Seen | Missing:
+def find_board(decoded: Decoded, target: Target, progress: Progress) -> BoardCapture | Missing:
     """Find the board in a capture."""
     if decoded.texture is None:
         return Missing(decoded.name, "it has no picture of the lit scene to find a board in")
     try:
         with progress.step("Finding the board"):
             detected = detect(decoded.texture, target)
-        return Seen(
+        return BoardCapture(
             decoded.texture, view_of(decoded.name, detected, decoded.matches, target, decoded.metadata.camera_size)
         )
     except NotFoundError as error:

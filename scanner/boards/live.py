@@ -9,7 +9,7 @@ from calib.boards import FEWEST_VIEWS, best_next_pose
 from calib.refusal import RefusalError
 from hw.backends import RigSettings
 from hw.settings import SimulatedRigSettings
-from scanner.boards.calibrate import FromBoards, Missing, Seen, calibrate_seen, look
+from scanner.boards.calibrate import BoardCapture, FromBoards, Missing, calibrate_board_captures, find_board
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.pipeline import take
@@ -45,16 +45,16 @@ def capture_boards(config: Config, number: int, target: Target, folder: Path, te
 
     Raises DeviceError, RefusalError, and InputError if the operator ends too early.
     """
-    looked: list[Seen | Missing] = []
+    looked: list[BoardCapture | Missing] = []
     for step, rig in _rigs(config.required_rig):
-        found = sum(isinstance(each, Seen) for each in looked)
+        found = sum(isinstance(each, BoardCapture) for each in looked)
         if found == number or (step and not _moved(looked, found, number, rig, terminal)):
             break
         place = folder / CAPTURES_FOLDER / str(step + 1)
         place.mkdir(parents=True)
-        looked.append(look(take(rig, config, place, terminal, f"capture {step + 1}"), target, terminal))
+        looked.append(find_board(take(rig, config, place, terminal, f"capture {step + 1}"), target, terminal))
         _tell(looked, config, target, terminal)
-    return calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal, config)
+    return calibrate_board_captures(looked, target, config.camera_size, config.projector_size, terminal, config)
 
 
 def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
@@ -68,7 +68,7 @@ def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
         step += 1
 
 
-def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
+def _moved(looked: list[BoardCapture | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
     """Whether the board was moved, and not the operator has had enough."""
     if isinstance(rig, SimulatedRigSettings):
         # A simulated board moves by itself: if it is never found, continuing does not help.
@@ -79,18 +79,18 @@ def _moved(looked: list[Seen | Missing], found: int, number: int, rig: RigSettin
     return not terminal.ask(question).strip().lower().startswith("q")
 
 
-def _tell(looked: list[Seen | Missing], config: Config, target: Target, terminal: Terminal) -> None:
+def _tell(looked: list[BoardCapture | Missing], config: Config, target: Target, terminal: Terminal) -> None:
     """Show the contribution of the last capture, and how to hold the board next."""
     last = looked[-1]
     if isinstance(last, Missing):
         terminal.show(f"{last.name} does not count: {last.why}.")
         return
-    count = sum(isinstance(each, Seen) for each in looked)
+    count = sum(isinstance(each, BoardCapture) for each in looked)
     if count < FEWEST_VIEWS:
         terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more needed for a first estimate.")
         return
     try:
-        result = calibrate_seen(looked, target, config.camera_size, config.projector_size, terminal, config)
+        result = calibrate_board_captures(looked, target, config.camera_size, config.projector_size, terminal, config)
     except RefusalError as refusal:
         terminal.show(f"{last.name}: the board was found. Not yet enough: {refusal.reason} {refusal.advice}")
         return

@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 from calib.boards import INTRINSIC_COLUMNS, ray_sigmas
 from calib.geometry import Size
 from calib.numerics import Floats
-from scanner.boards.calibrate import FromBoards, Seen
+from scanner.boards.calibrate import BoardCapture, FromBoards
 from scanner.boards.verdict import verdict_on
 from scanner.quantities import plain, rig_quantities
 from scanner.rendering import environment, jpeg_uri, photograph
@@ -105,7 +105,7 @@ def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
     )
 
 
-def _picture(seen: Seen) -> str:
+def _picture(seen: BoardCapture) -> str:
     """The capture under white light with the corners that were found, small, as a data URI."""
     picture = photograph(seen.texture, _THUMB)
     factor = np.divide(picture.shape[1::-1], seen.texture.shape[1::-1])

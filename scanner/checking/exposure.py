@@ -33,7 +33,7 @@ _BY_HAND = "Set the camera's exposure by hand, in its driver's tool or its app: 
 
 
 @dataclass(frozen=True)
-class Seen:
+class ExposureLevels:
     """What a white picture looks like at an exposure: the share of the lit pixels that are clipped, and the level of
     the brightest of the others, relative to the highest; NaN where nothing is lit. `headroom`: what noise needs.
     `flicker`: how much white frames differ.
@@ -64,17 +64,17 @@ class Proposal:
     """
 
     exposure_us: float | None
-    first: Seen
-    last: Seen
+    first: ExposureLevels
+    last: ExposureLevels
     settable: bool = True
 
 
-def look(light: Light, exposure_us: float) -> Seen:
+def exposure_levels(light: Light, exposure_us: float) -> ExposureLevels:
     """Measure the exposure of white and black frames."""
     lit = int(light.lit.sum())
     if lit == 0:
         everything = float(np.median(light.mean_white) >= CLIPPED * light.highest)  # black pictures are white, too
-        return Seen(exposure_us, everything, float("nan"), 0.0)
+        return ExposureLevels(exposure_us, everything, float("nan"), 0.0)
     levels = light.mean_white[light.lit]
     brightest = float(np.quantile(levels, 1 - _SPARED))
     bright = light.well_lit & (light.mean_white > LEAST_SHARE * brightest)
@@ -82,7 +82,7 @@ def look(light: Light, exposure_us: float) -> Seen:
     if bright.any():
         difference = grey(light.white[1])[bright] - grey(light.white[0])[bright]
         noise = robust_sigma(difference - np.median(difference)) / float(np.sqrt(2))
-    return Seen(
+    return ExposureLevels(
         exposure_us,
         float(light.clipped.sum()) / lit,
         brightest / light.highest,
@@ -98,9 +98,9 @@ def propose_exposure(rig: Rig) -> Proposal:
     """
     camera = settable_exposure(rig.camera)
     if camera is None:
-        first = look(photograph_light(rig, _WHITES, _BLACKS), 0.0)
+        first = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), 0.0)
         return Proposal(None, first, first, settable=False)
-    first = seen = look(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
+    first = seen = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
     too_long_us = float("inf")
     for _ in range(_ROUNDS):
         if seen.is_clipped:
@@ -109,12 +109,12 @@ def propose_exposure(rig: Rig) -> Proposal:
         if abs(wanted_us - seen.exposure_us) <= _SAME * seen.exposure_us:
             break
         exposure_us = camera.expose_for(wanted_us)
-        seen = look(photograph_light(rig, _WHITES, _BLACKS), exposure_us)
+        seen = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), exposure_us)
     usable = not (seen.is_clipped or seen.is_dark)
     return Proposal(seen.exposure_us if usable else None, first, seen)
 
 
-def _next(seen: Seen, limits_us: tuple[float, float], refresh_hz: float | None, too_long_us: float) -> float:
+def _next(seen: ExposureLevels, limits_us: tuple[float, float], refresh_hz: float | None, too_long_us: float) -> float:
     """The exposure to try after one that looked like that, within limits and below one that was too long."""
     period_us = 1e6 / refresh_hz if refresh_hz else 0.0
     if seen.is_clipped:
@@ -162,7 +162,7 @@ def _is_coarse(proposal: Proposal, refresh_hz: float | None) -> bool:
     return longer * proposal.last.brightest > 1 - proposal.last.headroom
 
 
-def _beyond_the_camera(last: Seen) -> str:
+def _beyond_the_camera(last: ExposureLevels) -> str:
     if last.is_clipped:
         return (
             "Even the shortest exposure for a whole refresh period is too bright: close the aperture, lower the gain."
@@ -183,7 +183,7 @@ def _shown(exposure_us: float, refresh_hz: float | None) -> str:
     return f"{exposure_us / 1e3:.4g} ms ({count})"
 
 
-def _described(seen: Seen) -> str:
+def _described(seen: ExposureLevels) -> str:
     if seen.is_dark:
         return "no difference between a white and a black picture"
     if seen.is_clipped:

@@ -7,12 +7,12 @@ from typing import TypeVar
 from scanner.checking.light import Light, leaves_ghost
 
 Shown = TypeVar("Shown")
-Seen = TypeVar("Seen")
+Observed = TypeVar("Observed")
 
 
 def settled(
-    show: Callable[[Iterator[Shown]], Iterable[Seen]], pictures: Sequence[Shown], light: Light | None = None
-) -> Iterator[Seen]:
+    show: Callable[[Iterator[Shown]], Iterable[Observed]], pictures: Sequence[Shown], light: Light | None = None
+) -> Iterator[Observed]:
     """What `show` sees of each picture when it has settled; one frame of each will do where `light` knows no ghost."""
     times = 2 if light is None or leaves_ghost(light) else 1
     repeated = (picture for picture in pictures for _ in range(times))

@@ -19,7 +19,7 @@ from scanner.importing import (
     Recognised,
     Rejected,
     Samples,
-    described,
+    describe_order,
     find_frames,
     fringe_layouts,
     recognise,
@@ -96,7 +96,7 @@ def _only_one(
         return differ[order - 1]
     fit = f"{len(differ)} orders fit" if len(differ) > 1 else "one order fits"
     names = "".join(
-        f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {described(each.patterns)} ({each.how})"
+        f"\n  {number}. {each.layout.name}: {_shown(each.projector_size)}; {describe_order(each.patterns)} ({each.how})"
         for number, each in enumerate(differ, 1)
     )
     raise InputError(

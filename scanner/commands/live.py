@@ -13,7 +13,7 @@ from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live.cloud import LiveCloud
-from scanner.live.jobs import Looked, Watcher, Watchers, Wishes, scan_live
+from scanner.live.jobs import LiveResult, Watcher, Watchers, Wishes, scan_live
 from scanner.live.texts import account_text, result_texts, round_texts
 from scanner.live.watching import Account
 from scanner.quantities import parse_length
@@ -59,12 +59,12 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
         return
     require_viser()
     from scanner.console.live_view import LiveView  # viser is an extra
-    from scanner.viewing.server import invite, serving
+    from scanner.viewing.server import announce_page, serving
 
     with serving(f"Live: {args.config.stem}", args.host, args.port) as served:
         served.server.gui.main_panel.dock_left()
         view = LiveView(served.server)
-        invite(served.address, args.host, terminal, browser=not args.no_browser)
+        announce_page(served.address, args.host, terminal, browser=not args.no_browser)
         yield (view,)
 
 
@@ -92,7 +92,7 @@ def _keep_on_enter(wishes: Wishes) -> None:
         wishes.now.set()
 
 
-def _show(found: Looked, out: Path, args: Namespace, terminal: Terminal) -> None:
+def _show(found: LiveResult, out: Path, args: Namespace, terminal: Terminal) -> None:
     terminal.show(account_text(found.account))
     terminal.show(*result_texts(len(found.kept), out, args.config, args.calibration, of_room=args.room))
 

@@ -6,7 +6,7 @@ from scanner.console.page import ConsolePage
 from scanner.console.settings import Settings
 from scanner.interruption import finishing
 from scanner.ui import Terminal
-from scanner.viewing.server import invite, serving, wait
+from scanner.viewing.server import announce_page, serving, wait
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ def console(settings: Settings, host: str, port: int | None, terminal: Terminal,
         page = ConsolePage(served, settings)
         try:
             page.start()
-            invite(served.address, host, terminal, browser=browser)
+            announce_page(served.address, host, terminal, browser=browser)
             wait()
         finally:
             with finishing(ending=True):

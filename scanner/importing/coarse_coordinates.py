@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats
 from scanner.importing.samples import Samples
-from scanner.importing.unwrapping import agreed, off_code, repeats_after
+from scanner.importing.unwrapping import agreed, deviates_from_code, repeats_after
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
 # Shares of a pixel's range of brightness: threshold of a bit; largest distance of fringes from each other and from
@@ -61,12 +61,12 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
         codes[numbering] = code
     if not codes:
         return _phases(samples, waves, axis)
-    if _is_beside_another(waves, codes):
+    if _contradicts_codes(waves, codes):
         return f"the fringes of {axis} belong to another code"
     return next(iter(codes.values()))
 
 
-def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
+def _contradicts_codes(waves: "dict[float, _Wave]", codes: dict[tuple[int, int], Coordinates]) -> bool:
     """Whether a fringe contradicts codes that together determine half of its period."""
     certain = np.logical_and.reduce([code.certain for code in codes.values()])
     middles = [(code.values + 0.5) * cell - offset - 0.5 for (cell, offset), code in codes.items()]
@@ -74,7 +74,7 @@ def _is_beside_another(waves: "dict[float, _Wave]", codes: dict[tuple[int, int],
     middle = np.mean(middles, axis=0)
     beside = {period: wave.cycles() for period, wave in waves.items() if period == 2 * cell_width}
     return int(np.count_nonzero(certain)) >= _FEWEST and any(
-        off_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
+        deviates_from_code(cycles[certain], period, middle[certain]) or _runs_back(cycles, middle, certain)
         for period, cycles in beside.items()
     )
 

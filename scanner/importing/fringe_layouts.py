@@ -42,7 +42,7 @@ def fringe_layouts(periods: Sequence[float] | None) -> tuple[Layout, ...]:
 
 
 def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> Layout:
-    ways = map(_Way, along)
+    ways = map(_Direction, along)
     sequences = tuple(
         one
         for way in ways
@@ -53,7 +53,7 @@ def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> La
 
 
 @dataclass(frozen=True)
-class _Way:
+class _Direction:
     """What there is `along` each of the `axes`, its fringes from their `first` shift on to one side or the other."""
 
     along: _AlongAxis

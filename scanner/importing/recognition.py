@@ -11,9 +11,9 @@ from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
-from scanner.importing.glance import closest, objection, share_on_epipolar_lines
 from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
 from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
+from scanner.importing.plausibility import best_fitting, objection, share_on_epipolar_lines
 from scanner.importing.projector_size import extents_of, find_sizes
 from scanner.importing.samples import Samples, take_lines
 from scanner.io import read_image
@@ -91,12 +91,12 @@ def _less_usual(files: FrameFiles, layouts: Sequence[Layout], look: Callable[[],
     if len(files.numbered) > MOST_FRAMES:
         return
     for fewer, samples in without_duplicates(files, look()):
-        seen = partial(_already, samples)
+        seen = partial(_unchanged, samples)
         yield from (_Attempt(fewer, usual, seen), _Attempt(fewer, last, seen))
     yield _Attempt(files, last, look)
 
 
-def _already(samples: Samples) -> Samples:
+def _unchanged(samples: Samples) -> Samples:
     return samples
 
 
@@ -116,7 +116,8 @@ def _tried(
         objections = [objection(look(), candidate.patterns) for candidate in possible]
         fitting = [candidate for candidate, against in zip(possible, objections, strict=True) if against is None]
         if fitting:
-            fitting = [fitting[number] for number in closest(look(), [candidate.patterns for candidate in fitting])]
+            best = best_fitting(look(), [candidate.patterns for candidate in fitting])
+            fitting = [fitting[number] for number in best]
         results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
         good = [result for result in results if isinstance(result, Recognised)]
         bad = [result for result in results if isinstance(result, Rejected)]

@@ -62,7 +62,7 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
     return Agreement(found, step, float(1 - np.median(fit)))
 
 
-def off_code(phase: Floats, period: float, coordinate: Floats) -> bool:
+def deviates_from_code(phase: Floats, period: float, coordinate: Floats) -> bool:
     """Whether the phases (N,) of a fringe deviate, on average, from those at the middle of the cells (N,) of a code."""
     mean = np.exp(2j * np.pi * (phase - coordinate / period)).mean()
     return bool(abs(np.angle(mean)) / (2 * np.pi) > _OFF_CODE or abs(mean) < 2 / np.pi - _OFF_CODE)

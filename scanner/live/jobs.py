@@ -20,7 +20,7 @@ from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining
-from scanner.live.keeping import keep
+from scanner.live.kept_station import keep_station
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.sequence import LiveSequence
 from scanner.live.texts import cloud_text
@@ -100,7 +100,7 @@ class Watchers(Watcher):
 
 
 @dataclass
-class Looked:
+class LiveResult:
     """What came of it. `kept`: the stations; `ended_by`: what ended it before all were there, None if nothing did."""
 
     calibration: Calibration
@@ -120,7 +120,7 @@ def scan_live(
     terminal: Terminal = _SILENT,
     progress: Progress | None = None,
     watcher: Watcher,
-) -> Looked:
+) -> LiveResult:
     """Scan until `wishes` or Ctrl-C end it. What was kept becomes `out`, also after a device failure; without any,
     there is no folder.
 
@@ -133,7 +133,7 @@ def scan_live(
     if wishes.number is not None and wishes.number < 1:
         raise InputError(f"--clouds: expected 1 or more, found {wishes.number}")
     _refuse_missing_places(config.required_rig, wishes)
-    found = Looked(known)
+    found = LiveResult(known)
     watcher.begin(known, wishes)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         try:
@@ -149,13 +149,13 @@ def scan_live(
     return found
 
 
-def _goes_on_by_itself(settings: RigSettings, wishes: Wishes) -> bool:
+def _is_automatic(settings: RigSettings, wishes: Wishes) -> bool:
     """Whether the simulation moves its thing, or its rig, after each kept cloud."""
     return moves_by_itself(settings) if wishes.of_room else turns_by_itself(settings)
 
 
 def _refuse_missing_places(settings: RigSettings, wishes: Wishes) -> None:
-    if not _goes_on_by_itself(settings, wishes):
+    if not _is_automatic(settings, wishes):
         return
     try:
         at_place(settings, (wishes.number or 1) - 1)
@@ -166,14 +166,14 @@ def _refuse_missing_places(settings: RigSettings, wishes: Wishes) -> None:
 def _look_on(
     config: Config,
     folder: Path,
-    found: Looked,
+    found: LiveResult,
     wishes: Wishes,
     depths: tuple[float, float] | None,
     progress: Progress,
     watcher: Watcher,
 ) -> None:
     first: tuple[FirstLook, LiveSequence] | None = None
-    by_itself = _goes_on_by_itself(config.required_rig, wishes)
+    by_itself = _is_automatic(config.required_rig, wishes)
     joined = joining(found.calibration, watcher.tell, of_room=wishes.of_room)
     with joined as join, in_background(_keeping(folder, found, join, watcher)) as begin:
         keeper = Keeper(wishes, begin)
@@ -229,11 +229,11 @@ class Keeper:
 
 
 def _keeping(
-    folder: Path, found: Looked, join: Callable[[Sequence[Decoded]], None], watcher: Watcher
+    folder: Path, found: LiveResult, join: Callable[[Sequence[Decoded]], None], watcher: Watcher
 ) -> Callable[[LiveCloud, LiveSequence, Rig, str], None]:
     def work(cloud: LiveCloud, sequence: LiveSequence, rig: Rig, name: str) -> None:
         place = folder / CAPTURES_FOLDER / str(len(found.kept) + 1)
-        found.kept.append(keep(cloud, sequence, found.calibration, rig.identity, place, name))
+        found.kept.append(keep_station(cloud, sequence, found.calibration, rig.identity, place, name))
         watcher.tell(f"{name} is kept: {cloud_text(cloud, found.calibration.unit)}.")
         join(tuple(found.kept))
 
@@ -248,7 +248,7 @@ def _watch(
     rig: Rig,
     seen: FirstLook,
     sequence: LiveSequence,
-    found: Looked,
+    found: LiveResult,
     keeper: Keeper,
     watcher: Watcher,
     *,

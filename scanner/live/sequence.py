@@ -69,9 +69,9 @@ def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None
     spans = [np.ptp(_ends(grid, axis, calibration, depths), axis=0) for axis in (0, 1)]
     longest = [float(np.nanmax(span, initial=0.0)) for span in spans]
     # Along an epipolar line down the picture, x is constant and gives no depth.
-    told = [np.nanmedian(_slope(grid, axis, calibration, depths)) for axis in (0, 1)]
-    axis = int(np.argmax(told))
-    if not told[axis] > _LEAST_SHIFT:
+    shifts = [np.nanmedian(_slope(grid, axis, calibration, depths)) for axis in (0, 1)]
+    axis = int(np.argmax(shifts))
+    if not shifts[axis] > _LEAST_SHIFT:
         raise RefusalError(
             "With this calibration, depth hardly changes the projector's coordinates.",
             "Camera and projector have to stand apart.",

@@ -12,7 +12,7 @@ from scanner.networks.sights import OnSight, nobody
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
 from scanner.networks.verdict import verdict_on
 from scanner.results import new_result
-from scanner.rooms.jobs import saying_why
+from scanner.rooms.jobs import writing_refusals
 from scanner.ui import Progress, Terminal
 
 _SILENT = Terminal(quiet=True)
@@ -28,7 +28,7 @@ def network(
     terminal: Terminal,
 ) -> SolvedNetwork:
     """Calibrate all devices together from captures of their pairs. Raises InputError, RefusalError."""
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, writing_refusals(folder, config):
         captures = read_pairs(folders, config, terminal)
         refuse_unknown(known, captures.sizes)
         return _saved(captures, config, folder, known, terminal)
@@ -52,7 +52,7 @@ def scan_network(
     pairs = pairs_to_take(config)
     refuse_unknown(known, {name for pair in pairs for name in pair})
     made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
-    with made as folder, saying_why(folder, config):
+    with made as folder, writing_refusals(folder, config):
         captures = take_pairs(pairs, folder, progress or terminal, on_sight)
         return _saved(captures, config, folder, known, progress or terminal)
 

@@ -14,7 +14,7 @@ from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on
 from scanner.results import new_result
 from scanner.rooms.document import given_rig, read_stations
-from scanner.rooms.jobs import saying_why
+from scanner.rooms.jobs import writing_refusals
 from scanner.rooms.live import check_stations, take_object_stations
 from scanner.ui import Terminal
 
@@ -43,7 +43,7 @@ def scan_object(
             raise InputError(f"--stations: expected 2 or more, found {number}")
         check_stations(config, number, terminal)
     made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
-    with made as folder, saying_why(folder, config):
+    with made as folder, writing_refusals(folder, config):
         if stations:
             captures = read_stations(stations, config, terminal, start.given)
         else:

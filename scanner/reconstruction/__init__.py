@@ -9,6 +9,6 @@ from scanner.reconstruction.lens_priors import lenses_by_name, lenses_of
 from scanner.reconstruction.merge_clouds import brightness, consistency, merge
 from scanner.reconstruction.metric_scale import scaled
 from scanner.reconstruction.moved_captures import shifts_of
-from scanner.reconstruction.save import MatchesAhead, refusal_saved, save, set_aside
+from scanner.reconstruction.save import EarlyMatches, refusal_saved, save, set_aside
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.reconstruction.triangulate import refuse_foreign, refuse_misfit, triangulate

@@ -24,7 +24,7 @@ def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[
     if not order.decided:
         return None, (_why_not(order),)
     cloud = merged(clouds, views, order.turns)
-    return cloud, (_how_well(clouds, views, cloud),)
+    return cloud, (_agreement(clouds, views, cloud),)
 
 
 def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> float | None:
@@ -71,7 +71,7 @@ def _why_not(order: Order) -> str:
     )
 
 
-def _how_well(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> str:
+def _agreement(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> str:
     apart = consistency(clouds, views, cloud.turns)
     agreement = (
         f" Where they overlap, they agree to {100 * float(np.median(apart)):.2g} % of the distance (median)."

@@ -36,7 +36,7 @@ def shifts_of(capture: Decoded) -> Shifts:
     return replace(of_motion, decoding=(*of_panel, *of_decoding), smooth_px=capture.origin.smooth_px)
 
 
-def with_doubt(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
+def with_motion_notes(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
     """Add notes on the loss of accuracy by motion, and on motion that the capture cannot reveal, where either
     applies.
     """

@@ -12,7 +12,7 @@ from calib.pointcloud import MergedCloud
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_merged_ply, write_ply, write_poses
-from scanner.reporting import CaptureRow, Company, ReportInput, verdict, write_report
+from scanner.reporting import CaptureRow, JointCaptures, ReportInput, verdict, write_report
 from scanner.results import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
@@ -57,7 +57,7 @@ def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
     write_matches(place / MATCHES_FILE, captures[-1].matches)
 
 
-class MatchesAhead:
+class EarlyMatches:
     """Writes the matches of a result's only capture while it is calibrated, which changes nothing of them."""
 
     def __init__(self, folder: Path) -> None:
@@ -65,7 +65,7 @@ class MatchesAhead:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="matches")
         self._begun: tuple[Decoded, Future[None]] | None = None
 
-    def __enter__(self) -> "MatchesAhead":
+    def __enter__(self) -> "EarlyMatches":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -93,7 +93,7 @@ def _write_matches(place: Path, capture: Decoded) -> None:
 
 @contextmanager
 def refusal_saved(
-    captures: Sequence[Decoded], folder: Path, config: Config, matches: MatchesAhead | None = None
+    captures: Sequence[Decoded], folder: Path, config: Config, matches: EarlyMatches | None = None
 ) -> Iterator[list[Stage]]:
     """Yield a list in which the block notes the stage of each capture.
 
@@ -121,7 +121,7 @@ def _refused_for_darkness(refusal: RefusalError, captures: Sequence[Decoded]) ->
     return refusal
 
 
-def save(scan: Scan, folder: Path, config: Config, matches: MatchesAhead | None = None) -> None:
+def save(scan: Scan, folder: Path, config: Config, matches: EarlyMatches | None = None) -> None:
     """Write every capture's files into its folder of a result. Raises OSError."""
     _log(scan.remarks)
     _save(scan.captures, folder, provenance(folder, config), matches, scan.merged, scan.remarks_on_merging)
@@ -136,7 +136,7 @@ def _save(
     captures: Sequence[Reconstructed | Refused],
     folder: Path,
     made: Provenance,
-    matches: MatchesAhead | None,
+    matches: EarlyMatches | None,
     merged: MergedCloud | None = None,
     remarks: tuple[str, ...] = (),
 ) -> None:
@@ -156,15 +156,15 @@ def _save(
             write_poses(folder / POSES_FILE, merged.from_cameras)
         # The files are still being written while the reports list them.
         for place, capture in zip(places[:-1], captures[:-1], strict=True):
-            _write_report(place, capture, Company(count, remarks=(_ONE_OF_SEVERAL,)), truth, made)
+            _write_report(place, capture, JointCaptures(count, remarks=(_ONE_OF_SEVERAL,)), truth, made)
         rows = _rows(captures) if count > 1 else ()
-        _write_report(folder, captures[-1], Company(count, rows, merged, remarks), truth, made)
+        _write_report(folder, captures[-1], JointCaptures(count, rows, merged, remarks), truth, made)
         for each in written:
             each.result()
 
 
 def _write_report(
-    folder: Path, capture: Reconstructed | Refused, company: Company, truth: Calibration | None, made: Provenance
+    folder: Path, capture: Reconstructed | Refused, joint: JointCaptures, truth: Calibration | None, made: Provenance
 ) -> None:
     """A capture's report, and its calibration with the conclusions of the report."""
     # Names of unfinished files begin with a dot.
@@ -172,8 +172,8 @@ def _write_report(
     if isinstance(capture, Refused):
         files.add(REFUSAL_FILE)
     if isinstance(capture, Reconstructed):
-        files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if company.merged is not None else ())}
-    report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), company, made)
+        files |= {CALIBRATION_FILE, CLOUD_FILE, *((MERGED_FILE, POSES_FILE) if joint.merged is not None else ())}
+    report = ReportInput(capture, truth, tuple(sorted(files - {REPORT_FILE})), joint, made)
     write_report(folder / REPORT_FILE, report)
     entries = made.entries(capture.decoded.metadata.identity)
     if isinstance(capture, Reconstructed):

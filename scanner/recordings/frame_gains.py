@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.exposed import alone, begins_of, margin_s, near
+from scanner.recordings.exposure_times import exposure_begins, frames_between, margin_s, within_slot
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
 from scanner.recordings.steadiness import white_frames
@@ -29,9 +29,9 @@ def frame_gains(samples: VideoSamples, programme: Programme, clocks: Clocks) -> 
         changes = clocks.changes(loop)
         for slot in range(len(programme.mark), len(programme.loop) - len(programme.mark)):
             begins, ends = changes[slot : slot + 2]
-            group = near(samples, clocks, begins, ends)
-            exposed = begins_of(samples, clocks, group, samples.rows)
-            group = group[alone(exposed, clocks.exposure_s, (begins, ends), margin_s(clocks)).mean(axis=1) > 0.5]
+            group = frames_between(samples, clocks, begins, ends)
+            exposed = exposure_begins(samples, clocks, group, samples.rows)
+            group = group[within_slot(exposed, clocks.exposure_s, (begins, ends), margin_s(clocks)).mean(axis=1) > 0.5]
             if len(group) < _FEWEST:
                 continue
             seen = samples.light(clocks.tone, group)[:, samples.lit].astype(np.float64)

@@ -63,8 +63,8 @@ def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shar
     weight = np.sqrt(np.minimum(energy / max(float(np.median(energy)), 1e-9), 1.0))
     weight[energy < _LEAST_ENERGY * np.median(energy)] = 0
     weight *= np.concatenate(alone)[..., None]
-    told = summed(of_change, weight.sum(axis=(1, 2)), per_loop * len(clocks.loops))
-    return Shares(frame, of_change, share, weight, told)
+    total_weight = summed(of_change, weight.sum(axis=(1, 2)), per_loop * len(clocks.loops))
+    return Shares(frame, of_change, share, weight, total_weight)
 
 
 def summed(group: Ints, values: Floats, groups: int) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.errors import InputError
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.exposed import alone, begins_of, margin_s, near, shown_back
+from scanner.recordings.exposure_times import exposure_begins, frames_between, margin_s, shown_reversed, within_slot
 from scanner.recordings.frame_gains import frame_gains
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples
@@ -65,11 +65,11 @@ def _weights(
     usual, close = list[Bools](), list[Bools]()
     for loop, slot in _slots(programme, clocks, pattern):
         begins, ends = clocks.changes(loop)[slot : slot + 2]
-        frames = near(samples, clocks, begins, ends)
-        exposed = begins_of(samples, clocks, frames, rows)
+        frames = frames_between(samples, clocks, begins, ends)
+        exposed = exposure_begins(samples, clocks, frames, rows)
         numbers.append(frames)
         for margin, found in ((margin_s(clocks), usual), (max(_SHORT_MARGIN_S, clocks.scatter_s), close)):
-            within = alone(exposed, clocks.exposure_s, (begins, ends), margin)
+            within = within_slot(exposed, clocks.exposure_s, (begins, ends), margin)
             found.append(within & (gains[frames] > 0)[:, None])
     number, far, any_distance = np.concatenate(numbers), np.concatenate(usual), np.concatenate(close)
     chosen = np.where(far.any(axis=0), far, any_distance)
@@ -80,7 +80,7 @@ def _weights(
         number, weights = _unmixed(samples, programme, clocks, pattern, number, weights, mixed)
     used = weights.any(axis=1)
     number, weights = number[used], weights[used]
-    back = shown_back(samples, programme, clocks, number)
+    back = shown_reversed(samples, programme, clocks, number)
     return PictureWeights(number, weights, back, np.linalg.norm(weights, axis=0), 1 - len(mixed) / len(rows))
 
 
@@ -99,8 +99,8 @@ def _unmixed(
     for loop, slot in _slots(programme, clocks, pattern):
         changes = clocks.changes(loop)
         first, last = slot - _NEIGHBOURS, min(slot + _NEIGHBOURS, len(programme.loop) - 1)
-        seen = near(samples, clocks, changes[first], changes[last + 1])
-        begins = begins_of(samples, clocks, seen, mixed.astype(np.float64))
+        seen = frames_between(samples, clocks, changes[first], changes[last + 1])
+        begins = exposure_begins(samples, clocks, seen, mixed.astype(np.float64))
         share = np.zeros((*begins.shape, len(unknown)))
         for other in range(first, last + 1):
             overlap = np.minimum(begins + clocks.exposure_s, changes[other + 1]) - np.maximum(begins, changes[other])

@@ -63,7 +63,7 @@ def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
         for column in range(values.shape[1]):
             if abs(values[row, column]) <= limit:
                 if met == end:
-                    chosen = met + int(_lot(met) % np.uint64(min(stretch, count - met)))
+                    chosen = met + int(_random_bits(met) % np.uint64(min(stretch, count - met)))
                     end = met + stretch
                 if met == chosen:
                     places[drawn] = row * values.shape[1] + column
@@ -73,7 +73,7 @@ def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
 
 
 @compiled
-def _lot(number: int) -> np.uint64:
+def _random_bits(number: int) -> np.uint64:
     """64 bits that seem random: SplitMix64 (Steele et al. 2014) without its last round."""
     lot = np.uint64(number + 1) * _GOLDEN_RATIO
     lot = (lot ^ (lot >> _SHIFT)) * _MIXER
@@ -111,7 +111,7 @@ def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: i
     lots = np.zeros((rows, columns), np.uint64)
     stride = max(1, len(camera_px) // (_CANDIDATES * rows * columns))
     for start in range(0, len(camera_px), stride):
-        lot = _lot(start)
+        lot = _random_bits(start)
         i = start + int(lot % np.uint64(stride))
         if i >= len(camera_px) or label[i] < lowest:
             continue

@@ -1,5 +1,5 @@
 """The parts of the report: its input, the verdict, the numbers, the pictures, the plots."""
 
-from scanner.reporting.contents import CaptureRow, Company, ReportInput
+from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import write_report
 from scanner.reporting.verdict import verdict

@@ -34,7 +34,7 @@ class CaptureRow:
 
 
 @dataclass(frozen=True)
-class Company:
+class JointCaptures:
     """`count` captures that were calibrated together, and `remarks` on that.
 
     On the newest one's page: `rows`, all of them if there are several, and `merged`, their cloud.
@@ -56,7 +56,7 @@ class ReportInput:
     outcome: Reconstructed | Refused
     truth: Calibration | None = None
     files: tuple[str, ...] = ()
-    company: Company = Company()
+    joint: JointCaptures = JointCaptures()
     provenance: Provenance | None = None
 
     @property
@@ -88,7 +88,7 @@ class ReportInput:
     @property
     def notes(self) -> tuple[str, ...]:
         """Further remarks on the capture."""
-        return (*(self.solution.notes if self.solution else ()), *self.company.remarks)
+        return (*(self.solution.notes if self.solution else ()), *self.joint.remarks)
 
     @cached_property
     def on_faces(self) -> Ints:

@@ -38,13 +38,13 @@ def joint_rows(report: ReportInput) -> tuple[JointRow, ...]:
                 "–" if row.statistics is None else f"{row.statistics.kept:,}",
             ),
         )
-        for row in report.company.rows
+        for row in report.joint.rows
     )
 
 
 def merged_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the merged cloud, seen along the floor's diagonal into the corner, and from above."""
-    cloud = report.company.merged
+    cloud = report.joint.merged
     if cloud is None or not len(cloud.points):
         return ()
     up = _UP * np.sign(np.median(cloud.points[:, 2])) if np.median(cloud.points[:, 2]) else _UP

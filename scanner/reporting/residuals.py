@@ -105,7 +105,7 @@ def misses(report: ReportInput) -> Misses | None:
         statement(found),
         found is not None and found.structured,
     )
-    return Misses(residuals, statistics, _fates(statistics))
+    return Misses(residuals, statistics, _outcome_legend(statistics))
 
 
 def statement(found: SpatialCorrelation | None) -> str:
@@ -149,7 +149,7 @@ def _shown_range(report: ReportInput, cloud: Cloud) -> float:
     return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
 
 
-def _fates(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
+def _outcome_legend(statistics: CloudStatistics) -> tuple[LegendEntry, ...]:
     rows = (
         ("points in the cloud", statistics.kept),
         (f"rays miss each other by more than {statistics.limit_px:.2g} px", statistics.disagreeing),

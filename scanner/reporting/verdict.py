@@ -153,7 +153,7 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
         return Verdict("fair", _IF_PIXELS_ARE_SQUARE, (*changed, *reasons), _TURN_OFF)
     if worst is not None and worst <= MEASUREMENT_GRADE:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
-    advice = _ONE_MORE if report.company.count > 1 else _THREE_CAPTURES
+    advice = _ONE_MORE if report.joint.count > 1 else _THREE_CAPTURES
     if metadata.photos:
         advice = _THIRD_PHOTO
     return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)

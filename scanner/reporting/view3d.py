@@ -43,7 +43,7 @@ class View3d:
 
 def view3d(report: ReportInput) -> View3d | None:
     """The merged cloud if there is one, else the capture's own; None without a cloud."""
-    found, merged = report.reconstructed, report.company.merged
+    found, merged = report.reconstructed, report.joint.merged
     if found is None:
         return None
     cloud = merged if merged is not None and len(merged.points) else found.cloud
@@ -113,7 +113,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
     """The faces as closed polygons with their letters, both devices as pyramids, in the cloud's frame."""
     calibrations: list[Calibration | None] = [found.calibration]
     if isinstance(cloud, MergedCloud):
-        calibrations = [row.calibration for row in report.company.rows]
+        calibrations = [row.calibration for row in report.joint.rows]
         length = FRUSTUM_LENGTH * float(np.linalg.norm(np.median(cloud.points, axis=0)))
         to_cloud = cloud.from_cameras
     else:

@@ -38,7 +38,7 @@ def room(
     config.principal_point(config.camera_size)
     open3d()  # fail early if it is missing
     known = given_rig(calibration, config) if calibration else None
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, saying_why(folder, config):
+    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, writing_refusals(folder, config):
         captures = read_stations(stations, config, terminal, known.given if known else None)
         start = known or rig_from_corners(captures, config, terminal)
         if any(each.only_axis for each in captures):
@@ -62,7 +62,7 @@ def scan_room(
     check_stations(config, number, terminal)
     open3d()
     made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
-    with made as folder, saying_why(folder, config):
+    with made as folder, writing_refusals(folder, config):
         captures, start = take_stations(config, number, folder, terminal)
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)
@@ -71,7 +71,7 @@ def scan_room(
 
 
 @contextmanager
-def saying_why(folder: Path, config: Config) -> Iterator[None]:
+def writing_refusals(folder: Path, config: Config) -> Iterator[None]:
     """After a RefusalError in the block the folder says why, for programs."""
     try:
         yield

@@ -23,7 +23,7 @@ from scanner.results import CAPTURES_FOLDER, TRUTH_FILE, Decoded
 from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
 from scanner.rooms.epipolar_lines import of_another_rig
-from scanner.rooms.solve import Seen, look_at
+from scanner.rooms.solve import CaptureView, segment_capture
 from scanner.rooms.upright import moved_place, upright
 from scanner.ui import Terminal
 
@@ -145,7 +145,7 @@ def _guidance(captures: Sequence[Decoded], calibration: Calibration) -> list[str
             f"{captures[-1].name} was taken with another rig than the stations before it, and will be left out: "
             f"{changed.get(newest) or changed[0]}. Camera, projector, zoom and focus have to stay as they are."
         ]
-    seen = [look_at(capture, calibration) for capture in captures]
+    seen = [segment_capture(capture, calibration) for capture in captures]
     found = register([each.view for each in seen], changed)
     group = next((each for each in found.groups if newest in each.stations), None)
     if group is None:
@@ -171,7 +171,7 @@ def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) 
     return f"{captures[newest].name} overlaps {', '.join(others)}.{weak}"
 
 
-def _next(seen: Sequence[Seen], group: Group, newest: int, calibration: Calibration) -> str:
+def _next(seen: Sequence[CaptureView], group: Group, newest: int, calibration: Calibration) -> str:
     """The direction to turn the rig, towards what has not been seen."""
     turn, _ = upright(group.places, group.planes, np.ones(len(group.planes)))
     places = {k: moved_place(place, turn) for k, place in zip(group.stations, group.places, strict=True)}
@@ -187,7 +187,7 @@ def _next(seen: Sequence[Seen], group: Group, newest: int, calibration: Calibrat
     return f"Next: {_turn(calibration, 'to the left' if left <= right else 'to the right')}"
 
 
-def _seen_all_round(seen: Sequence[Seen], places: dict[int, Motion], middle: np.ndarray) -> Bools:
+def _seen_all_round(seen: Sequence[CaptureView], places: dict[int, Motion], middle: np.ndarray) -> Bools:
     """Which directions from the middle (2,) have something that was seen, (bins,)."""
     count = np.zeros(_BINS)
     for k, place in places.items():

@@ -47,7 +47,7 @@ _MOST_ON_FACE = 0.5  # share of a face's matches that must be on one plane for t
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class CaptureView:
     """A capture by the rig as it was known at first: its planes, and which of them each match (N,) is on."""
 
     decoded: Decoded
@@ -55,7 +55,7 @@ class Seen:
     plane: Ints
 
 
-def look_at(capture: Decoded, calibration: Calibration) -> Seen:
+def segment_capture(capture: Decoded, calibration: Calibration) -> CaptureView:
     """A capture's planes, and the marks on them where it has a picture."""
     cloud = build_cloud(capture.matches, None, calibration)
     view = station_view(cloud.points, cloud.normals, calibration.camera)
@@ -63,7 +63,7 @@ def look_at(capture: Decoded, calibration: Calibration) -> Seen:
     if capture.texture is not None:
         marks = marks_of(capture.texture, view.points, view.labels, view.planes, view.camera)
         view = replace(view, marks=marks)
-    return Seen(capture, view, plane)
+    return CaptureView(capture, view, plane)
 
 
 def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, progress: Progress) -> SolvedRoom:
@@ -97,12 +97,12 @@ def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibratio
 class _Registered:
     """All captures by one rig, which of them another one made, and which belong together."""
 
-    seen: Sequence[Seen]
+    seen: Sequence[CaptureView]
     changed: Mapping[int, str]
     registration: Registration
 
     @property
-    def members(self) -> list[Seen]:
+    def members(self) -> list[CaptureView]:
         """Of the largest group."""
         return [self.seen[k] for group in self.registration.groups[:1] for k in group.stations]
 
@@ -117,7 +117,7 @@ def _registered(
     captures: Sequence[Decoded], rig: Calibration, turned: Mapping[int, str], progress: Progress
 ) -> _Registered:
     """Register the captures without those known to be `turned`. Raises RefusalError if no two belong together."""
-    seen = [look_at(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
+    seen = [segment_capture(capture, rig) for capture in progress.track(captures, len(captures), "Surfaces")]
     changed = {**turned, **of_another_rig([each.matches for each in captures], rig)}
     with progress.step("Registering"):
         registration = register([each.view for each in seen], changed)
@@ -180,7 +180,7 @@ def _apart(worst: Disagreement) -> str:
     return f"{worst.apart:.0%} of the surface that two of them saw is at different places"
 
 
-def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: Config) -> RoomEstimate:
+def _estimated(members: Sequence[CaptureView], group: Group, start: RigStart, config: Config) -> RoomEstimate:
     state = state_of(start.calibration if is_estimated(start) else ideal_rig(start.calibration))
     metadata = members[0].decoded.metadata
     if start.corners:
@@ -214,7 +214,7 @@ def _estimated(members: Sequence[Seen], group: Group, start: RigStart, config: C
     )
 
 
-def _sight(seen: Seen) -> Sight | None:
+def _sight(seen: CaptureView) -> Sight | None:
     picture = seen.decoded.texture
     return None if picture is None else Sight.of(picture, seen.view.labels)
 
@@ -228,7 +228,7 @@ def _cells(matches: Matches, plane: Ints) -> Cells:
     return into_cells(matches, labels, plane)
 
 
-def _square_pairs(members: Sequence[Seen], group: Group, start: RigStart) -> list[tuple[int, int]]:
+def _square_pairs(members: Sequence[CaptureView], group: Group, start: RigStart) -> list[tuple[int, int]]:
     """The faces of the corners that the rig was calibrated from, as pairs of the room's planes."""
     pairs = []
     for number, (station, seen) in enumerate(zip(group.stations, members, strict=True)):
@@ -239,7 +239,7 @@ def _square_pairs(members: Sequence[Seen], group: Group, start: RigStart) -> lis
     return pairs
 
 
-def _faces(seen: Seen, plane_of: Sequence[int], corner: Decoded | None) -> tuple[int, int, int]:
+def _faces(seen: CaptureView, plane_of: Sequence[int], corner: Decoded | None) -> tuple[int, int, int]:
     """Which planes of the room the faces of a station's corner are; −1 where none is."""
     if corner is None:
         return -1, -1, -1
@@ -309,7 +309,7 @@ def _in_unit_of(given: Calibration | None, own: Calibration) -> Calibration:
     return replace(own, translation=own.translation * given.baseline, unit=given.unit, sigma=sigma)
 
 
-def areas_of(members: Sequence[Seen], group: Group, planes: int) -> Floats:
+def areas_of(members: Sequence[CaptureView], group: Group, planes: int) -> Floats:
     """How much was seen of each plane of the room, (P,), in squared baselines, slant apart."""
     areas = np.zeros(planes)
     for seen, plane_of in zip(members, group.plane_of, strict=True):
@@ -322,7 +322,7 @@ def areas_of(members: Sequence[Seen], group: Group, planes: int) -> Floats:
     return areas
 
 
-def _corner(members: Sequence[Seen], group: Group, estimate: RoomEstimate, start: RigStart) -> Corner | None:
+def _corner(members: Sequence[CaptureView], group: Group, estimate: RoomEstimate, start: RigStart) -> Corner | None:
     """The corner before the last station that shows one, in its camera's frame; only its vertex counts."""
     for number in reversed(range(len(members))):
         faces = _faces(members[number], group.plane_of[number], start.corners.get(group.stations[number]))

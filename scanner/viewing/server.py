@@ -55,7 +55,7 @@ def add_style(gui: viser.GuiApi) -> None:
     gui.add_html(f"<style>{script(_STYLE)}</style>")
 
 
-def invite(where: str, host: str, terminal: Terminal, *, browser: bool) -> None:
+def announce_page(where: str, host: str, terminal: Terminal, *, browser: bool) -> None:
     """Say where the page is, and open it if asked to."""
     if text := warning(host):
         terminal.show(text)

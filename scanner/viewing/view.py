@@ -4,7 +4,7 @@ from pathlib import Path
 
 from scanner.ui import Terminal
 from scanner.viewing.panel import ResultPanel, reading
-from scanner.viewing.server import add_style, invite, serving, wait
+from scanner.viewing.server import add_style, announce_page, serving, wait
 
 
 def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
@@ -18,5 +18,5 @@ def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, brows
         with tabs.add_tab("Result") as tab:
             add_style(gui)
         show(ResultPanel(served.server, tab, served.served_files.link))
-        invite(served.address, host, terminal, browser=browser)
+        announce_page(served.address, host, terminal, browser=browser)
         wait()

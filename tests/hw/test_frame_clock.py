@@ -18,7 +18,7 @@ def test_exposure_starts_are_right_up_to_a_constant() -> None:
         late_s.append(clock.begun_s(number, begun_s + OFFSET_S, came_s, EXPOSURE_S) - begun_s)
     assert late_s[20:] == pytest.approx([READOUT_S] * 180, abs=1.5e-3)
     assert clock.interval_s == pytest.approx(INTERVAL_S, abs=1e-6)
-    assert clock.tells
+    assert clock.has_time_stamps
 
 
 def test_lost_frames_do_not_change_the_interval() -> None:
@@ -32,5 +32,5 @@ def test_a_camera_without_time_stamps_gives_no_interval() -> None:
     clock = FrameClock()
     for number in range(5):
         clock.begun_s(number, 0.0, number * INTERVAL_S, EXPOSURE_S)
-    assert not clock.tells
+    assert not clock.has_time_stamps
     assert clock.interval_s == float("inf")

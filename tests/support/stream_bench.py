@@ -53,7 +53,7 @@ class StreamBench:
         self._prepared = np.zeros(SIZE[::-1], np.uint8)
         self._wall: list[tuple[float, Image]] = [(-1.0, self._prepared)]
         self._late_s: dict[int, float] = {}
-        self._begin_s, self._came_s = 0.0, 0.0
+        self._begin_s, self._arrival_s = 0.0, 0.0
         self._arrivals: list[Arrival] = []
         self.changed: Callable[[float, Image], Image] = lambda _, image: image
 
@@ -104,7 +104,7 @@ class StreamBench:
         found = None
         while found is None:
             while len(self._arrivals) <= number + 1:
-                if max(self._came_s, self._next_comes_s()) > until_s:
+                if max(self._arrival_s, self._next_comes_s()) > until_s:
                     self.now = max(self.now, until_s)
                     return None
                 self._take()
@@ -117,9 +117,9 @@ class StreamBench:
         return self._begin_s + self._readout_s + self._exposure_s + self._delay_s
 
     def _take(self) -> None:
-        came_s = max(self._came_s, self._next_comes_s() + self._jitter_s * self._rng.random())
+        came_s = max(self._arrival_s, self._next_comes_s() + self._jitter_s * self._rng.random())
         if self._rng.random() >= self._dropping:
-            self._came_s = came_s
+            self._arrival_s = came_s
             image = self.changed(self._begin_s, self._seen())
             self._arrivals.append(Arrival(image, len(self._arrivals), came_s, None, False))
             if self._rng.random() < self._repeating:

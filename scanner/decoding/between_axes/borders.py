@@ -12,10 +12,10 @@ from scanner.decoding.motion.pixels import MOST_ROUGH_PX
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.decoding.tiles import around
 
-# Decoded pixels within so many projector px of the border show that it lies within so many camera px.
+# Decoded pixels at most this far from the border, in projector px, locate it to this many camera px.
 _NEAR_PX = 6.0
 _REACH_PX = 10
-# Planes are extrapolated so many tiles beyond decoded ones: the border of a picture that moved is masked there.
+# Planes are extrapolated this many tiles beyond decoded ones: there the border of a picture that moved is masked.
 _BEYOND_TILES = 3
 _FLAT = 1e-3  # projector px per camera px
 # A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size.

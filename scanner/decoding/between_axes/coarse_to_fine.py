@@ -26,8 +26,8 @@ _SMALL_PX = 0.2
 # It is accepted if its last step is this small, and it explains this share of the differences at edges: without texture
 # it finds spurious motion.
 _CONVERGED_PX, _EXPLAINED = 0.1, 0.5
-# The border is searched for within so many camera px of its predicted place; where that is uncertain, within more, plus
-# so many times the blur. Everything outside is scene.
+# The border is searched for within this many camera px of its predicted place; more where the prediction is uncertain,
+# plus this multiple of the blur. Everything outside is scene.
 _REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
 _ROUNDS = 8
 # The median of χ for two degrees of freedom.
@@ -57,7 +57,7 @@ class _TileObservations:
 
 @dataclass(frozen=True)
 class _Scales:
-    """The earlier and the later picture (H, W), `blurred` by so many px, and the observations without motion.
+    """The earlier and the later picture (H, W), `blurred` by a number of px, and the observations without motion.
 
     `at_rest`: at full resolution; `coarsely`: at the largest blur.
     """

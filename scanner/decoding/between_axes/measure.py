@@ -35,7 +35,7 @@ _FEWEST_PAIRS = 2
 # Coordinates scatter where code edges are from both before and after the motion; this share of the scatter remains in
 # their means.
 _MIXED = 0.2
-# A motion within a half must explain so many times as much as one between them.
+# A motion within a half must explain this many times as much as one between them.
 _LIKELIER = 1.3
 
 

@@ -42,7 +42,7 @@ _MOST_BRIGHTER = 4.0
 # there was no such change.
 _FLICKERS, _ABOUT = 2.0, 1.1
 _FEWEST_COMPARED = 400
-# Frames are identical if their difference is within so many standard deviations of the noise at nearly all pixels.
+# Frames are identical if their difference is within this many standard deviations of the noise at nearly all pixels.
 _SAME_SIGMAS = 4.0
 _SAME_SHARE = 0.98
 

@@ -18,7 +18,7 @@ from scanner.decoding.mask_reasons import MaskReason
 
 _FEWEST = 1000
 _MOST_FOR_MATRIX, _MOST_COMPARED = 4000, 20_000
-# Pixels are tested in so many steps of contrast, from the brightest on, until the share of outliers rises by this much.
+# Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises by this much.
 _STEPS = 20
 _MOST_OUTLIERS = 0.25
 _SEED = 6

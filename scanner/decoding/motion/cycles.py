@@ -21,7 +21,7 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 # Neighbours that are farther apart than this, in periods, belong to different segments.
 _APART = 0.5
-# A surface is extrapolated across gaps of so many undecoded pixels, by its slope over so many pixels.
+# Widest gap, in undecoded pixels, across which a surface is extrapolated; pixels over which its slope is measured.
 _WIDEST_GAP, _SLOPE_PX = 8, 4
 # A border ties two segments if their positions continue within this part of a period at this share of its places, and
 # at this many at least.

@@ -23,7 +23,7 @@ from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 _STRIDE = 2
 # Significance, and size in px below, that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-# A shift counts as far as it exceeds so many of its standard deviations.
+# Only the part of a shift beyond this many standard deviations counts.
 _SURE = 3.0
 _LEAST_PX = 0.02
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.

@@ -9,7 +9,7 @@ from calib.geometry import Size
 from calib.numerics import Bools, Floats
 from calib.pointcloud import fit_plane
 from scanner.errors import InputError
-from scanner.exporting.mapping.eye import Seen
+from scanner.exporting.mapping.projector_view import ProjectorView
 from scanner.exporting.triangles import Mesh
 
 _TRIES, _SAMPLE = 300, 20_000
@@ -49,11 +49,11 @@ class Content:
     size: Size
     eye: Floats | None = None
 
-    def coordinates(self, seen: Seen) -> Floats:
+    def coordinates(self, view: ProjectorView) -> Floats:
         """Of each pixel of a projector (H, W, 2), as shares of width and height from the lower left corner; NaN where
         the content does not reach.
         """
-        normal, points = self.wall.normal, seen.points
+        normal, points = self.wall.normal, view.points
         if self.eye is None:
             towards, on_wall = np.broadcast_to(normal, points.shape), points
         else:
@@ -64,7 +64,7 @@ class Content:
             on_wall = self.eye - share[..., None] * towards
             towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
         at = np.stack([(on_wall - self.origin) @ axis for axis in (self.right, self.up)], axis=-1) / self.extent
-        reached = (np.sum(seen.normals * towards, axis=-1) > _GRAZING) & np.all((at >= 0) & (at <= 1), axis=-1)
+        reached = (np.sum(view.normals * towards, axis=-1) > _GRAZING) & np.all((at >= 0) & (at <= 1), axis=-1)
         return np.where(reached[..., None], at, np.nan)
 
 
@@ -98,7 +98,7 @@ def largest_wall(mesh: Mesh) -> Wall:
     return Wall(sign * plane.normal, float(sign * plane.offset), within)
 
 
-def content_on(wall: Wall, projectors: Sequence[Seen], eye: Floats | None) -> Content:
+def content_on(wall: Wall, projectors: Sequence[ProjectorView], eye: Floats | None) -> Content:
     """The smallest rectangle that holds all that is lit of the wall, with pixels as fine as the finest projector's.
 
     Raises InputError if the eye is behind the wall, or no projector lights it.
@@ -113,11 +113,11 @@ def content_on(wall: Wall, projectors: Sequence[Seen], eye: Floats | None) -> Co
     up /= np.linalg.norm(up)
     axes = np.stack([np.cross(up, wall.normal), up], axis=1)
     lit, finest = [], np.inf
-    for seen in projectors:
-        on_wall = np.abs(seen.points @ wall.normal - wall.offset) < wall.within
+    for view in projectors:
+        on_wall = np.abs(view.points @ wall.normal - wall.offset) < wall.within
         if not on_wall.any():
             continue
-        at = seen.points @ axes
+        at = view.points @ axes
         across, down = np.gradient(at, axis=1), np.gradient(at, axis=0)
         pixel = np.sqrt(np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]))[on_wall]
         lit.append(at[on_wall])

@@ -15,8 +15,8 @@ from scanner.exporting.formats import Request
 from scanner.exporting.glb import GlbCamera, Piece, write_pieces
 from scanner.exporting.mapping.blend import blend_weights
 from scanner.exporting.mapping.content import Content, content_on, largest_wall
-from scanner.exporting.mapping.eye import Seen, seen_by_all
 from scanner.exporting.mapping.lens_shift import for_programs
+from scanner.exporting.mapping.projector_view import ProjectorView, projector_views
 from scanner.exporting.mapping.scene import Scene, read_scene
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA
 from scanner.exporting.units import in_metres
@@ -41,22 +41,22 @@ def export(request: Request) -> list[str]:
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
     scene = read_scene(request.result)
     metres, remarks = in_metres(scene.mesh.unit, scene.baseline)
-    views = seen_by_all(scene)
+    views = projector_views(scene)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres
     content = content_on(largest_wall(scene.mesh), views, eye)
-    at = [content.coordinates(seen) for seen in views]
+    at = [content.coordinates(view) for view in views]
     weights = blend_weights(views, [np.isfinite(each[..., 0]) for each in at])
     files: dict[str, bytes] = {}
     listed = []
     cameras = []
-    for seen, where, weight in zip(views, at, weights, strict=True):
-        device = seen.projector
-        maps = _maps(seen, where, weight, metres, request.gamma)
+    for view, where, weight in zip(views, at, weights, strict=True):
+        device = view.projector
+        maps = _maps(view, where, weight, metres, request.gamma)
         files |= {f"{device.name}-{name}": data for name, data in maps.items()}
-        near, far = _reach(seen)
+        near, far = _reach(view)
         shift = for_programs(device.intrinsics, metres * near, metres * far)
         cameras.append(GlbCamera(device.name, device.intrinsics, device.place, metres * near, metres * far, shift))
-        listed.append(_entry(seen, metres, shift, [f"{device.name}-{name}" for name in maps]))
+        listed.append(_entry(view, metres, shift, [f"{device.name}-{name}" for name in maps]))
     listing = {
         "maps": _HOW,
         "gamma": request.gamma,
@@ -71,12 +71,12 @@ def export(request: Request) -> list[str]:
     return [*_summary(scene, content, metres, at), *remarks]
 
 
-def _maps(seen: Seen, at: Floats, weight: Floats, metres: float, gamma: float) -> dict[str, bytes]:
+def _maps(view: ProjectorView, at: Floats, weight: Floats, metres: float, gamma: float) -> dict[str, bytes]:
     mask = np.isfinite(at[..., :1])
     warp = np.concatenate([np.nan_to_num(at), mask], axis=-1)
     return {
-        "depth.tiff": _tiff(metres * seen.depth),
-        "position.tiff": _tiff(metres * seen.points * Y_UP_FROM_CAMERA),
+        "depth.tiff": _tiff(metres * view.depth),
+        "position.tiff": _tiff(metres * view.points * Y_UP_FROM_CAMERA),
         "stmap.tiff": _tiff(warp),
         "warp.png": png_of(_whole(warp)[..., ::-1]),
         "blend.png": png_of(_whole(weight ** (1 / gamma))),
@@ -96,17 +96,17 @@ def _whole(values: Floats) -> NDArray[np.uint16]:
     return whole
 
 
-def _reach(seen: Seen) -> tuple[float, float]:
-    if not seen.there.any():
+def _reach(view: ProjectorView) -> tuple[float, float]:
+    if not view.there.any():
         return 0.1, 100.0
-    return _NEAR * float(np.nanmin(seen.depth)), _FAR * float(np.nanmax(seen.depth))
+    return _NEAR * float(np.nanmin(view.depth)), _FAR * float(np.nanmax(view.depth))
 
 
-def _entry(seen: Seen, metres: float, shift: dict[str, Any], files: list[str]) -> dict[str, Any]:
-    device, place = seen.projector.intrinsics, seen.projector.place
+def _entry(view: ProjectorView, metres: float, shift: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    device, place = view.projector.intrinsics, view.projector.place
     turned = Y_UP_FROM_CAMERA[:, None] * place.rotation * Y_UP_FROM_CAMERA
     return {
-        "name": seen.projector.name,
+        "name": view.projector.name,
         "files": files,
         "width": device.width,
         "height": device.height,

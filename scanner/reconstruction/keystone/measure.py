@@ -17,7 +17,7 @@ from calib.refinement import Shift
 from scanner.decoding import FinestStripes, first_harmonics
 from scanner.reconstruction.keystone.beat import EVERYTHING, LEANS, Beat, Fit, homography_of
 from scanner.reconstruction.keystone.planes import planes_at
-from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_leaning_twice
+from scanner.reconstruction.keystone.starts import Spectrum, starts, starts_about_both_axes
 
 # Wider stripes lose less than 2 %.
 _LONGEST_PX = 16.0
@@ -65,7 +65,7 @@ def _beat(stripes: FinestStripes, matches: Matches, plane: Ints, size: tuple[int
 def _found_at_first(thin: Beat) -> Fit | None:
     """The homography that explains how contrasts beat; None where none does."""
     sharp, spectrum = replace(thin, wave=_SHARP), Spectrum.of(thin)
-    for likely in (starts, starts_leaning_twice):
+    for likely in (starts, starts_about_both_axes):
         fits = [thin.refined(start.values, start.free) for start in likely(thin, spectrum)]
         if fits:
             best = max(fits, key=lambda fit: fit.explained)

@@ -46,14 +46,14 @@ class Start:
 def starts(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
     """The likeliest first of those that lean along one axis, or none; nothing where nothing beats."""
     if spectrum.beats:
-        yield from _apart([*spectrum.leaning_once, *spectrum.half_steps()], beat, _TRIED)
+        yield from _apart([*spectrum.about_one_axis, *spectrum.half_steps()], beat, _TRIED)
 
 
-def starts_leaning_twice(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
+def starts_about_both_axes(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
     """Those that lean along both axes: found in the middle, and followed as more of the picture is taken."""
     if spectrum.strongest < _LEAST_CHIRP:
         return
-    share = min(1.0, float(np.sqrt(_LEANS / len(spectrum.leaning_once))))
+    share = min(1.0, float(np.sqrt(_LEANS / len(spectrum.about_one_axis))))
     middle = beat.within(share)
     step = _STEP_PX / (beat.half * share**2)
     leans = step * np.arange(-_LEANS, _LEANS + 1)
@@ -103,10 +103,10 @@ class Spectrum:
     @property
     def strongest(self) -> float:
         """The most power with a lean along one axis."""
-        return max(start.power for start in self.leaning_once)
+        return max(start.power for start in self.about_one_axis)
 
     @cached_property
-    def leaning_once(self) -> list[Start]:
+    def about_one_axis(self) -> list[Start]:
         """Along x or along y, from not at all to the most, by steps that matter at the corners."""
         along_x, along_y = self._steps
         many_x, many_y = (int(np.ceil(_MOST_NARROWER / (2 * step))) for step in (along_x, along_y * self.tall))
@@ -120,7 +120,7 @@ class Spectrum:
 
     def half_steps(self) -> list[Start]:
         """Starts half a step beside the strongest along one axis: a fit from whole steps may miss the minimum."""
-        strongest = sorted(self.leaning_once, key=lambda start: -start.power)[:_BESIDE]
+        strongest = sorted(self.about_one_axis, key=lambda start: -start.power)[:_BESIDE]
         leans = {
             (x + by * self._steps[0] / 2, 0.0) if x else (0.0, y + by * self._steps[1] / 2)
             for x, y in (start.values[LEANS] for start in strongest)

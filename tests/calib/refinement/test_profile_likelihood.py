@@ -11,7 +11,14 @@ from scipy.stats import norm
 from calib.refinement.focal_sweep import at_focal
 from calib.refinement.likelihood import Fit
 from calib.refinement.parameters import CAMERA, PROJECTOR
-from calib.refinement.profile_likelihood import Valley, centred, covariance_of, inverse_of, log_volume_across, walk
+from calib.refinement.profile_likelihood import (
+    Valley,
+    centred,
+    covariance_of,
+    inverse_of,
+    log_volume_across,
+    trace_valley,
+)
 from calib.refinement.profile_minimiser import relax
 from tests.calib.refinement.conftest import Case
 
@@ -37,7 +44,7 @@ def test_known_parameters_have_no_covariance() -> None:
 
 
 def test_a_well_determined_focal_has_the_covariance_of_the_curvature(case: Case) -> None:
-    valley = walk([case.cells], case.best, case.prior, case.variances)
+    valley = trace_valley([case.cells], case.best, case.prior, case.variances)
     by_curvature = covariance_of(case.best.information, case.prior.free)
     sigma = np.sqrt(by_curvature[CAMERA.start, CAMERA.start])
     assert np.all(np.diff(valley.focal_px) > 0)
@@ -127,7 +134,7 @@ def test_walking_the_profile_reports_a_lower_minimum(case: Case) -> None:
     anchored = case.prior.holding(CAMERA.start)
     beside = at_focal(case.best.state, case.best.state.camera[0] * float(np.exp(1.5 * sigma)))
     begun = relax([case.cells], beside, anchored, case.variances, tolerance=1e-6)
-    valley = walk([case.cells], begun, case.prior, case.variances)
+    valley = trace_valley([case.cells], begun, case.prior, case.variances)
     assert 1.0 < valley.gain <= begun.cost - case.best.cost + 1e-6
     assert abs(np.log(valley.lowest.camera[0] / case.best.state.camera[0])) < 0.7 * sigma
     middle = centred([case.cells], begun, valley, case.prior, case.variances)

@@ -10,7 +10,7 @@ import pytest
 
 from calib.boards import Board, calibrate_boards
 from calib.synthetic import random_boards
-from scanner.boards.calibrate import FromBoards, Missing, Seen
+from scanner.boards.calibrate import BoardCapture, FromBoards, Missing
 from scanner.boards.result import save_result
 from scanner.commands.main import main
 from scanner.configuration import Config
@@ -32,7 +32,7 @@ def from_boards() -> FromBoards:
     rig = boards.calibration
     found = calibrate_boards(views_of(boards), rig.camera.size, rig.projector.size, Board(boards.reach, 2, "mm"))
     white = np.full((rig.camera.height, rig.camera.width), 200, np.uint8)
-    seen = tuple(Seen(white, view) for view in found.estimate.views)
+    seen = tuple(BoardCapture(white, view) for view in found.estimate.views)
     missing = (Missing("view 9", "no chessboard:9x7 was found"),)
     return FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size)
 

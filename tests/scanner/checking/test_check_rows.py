@@ -17,7 +17,7 @@ from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.stream import capture
 from scanner.checking import view
 from scanner.checking.check import check_rig
-from scanner.checking.exposure import exposure_row, look, propose_exposure
+from scanner.checking.exposure import exposure_levels, exposure_row, propose_exposure
 from scanner.checking.fringes import FringeMeter
 from scanner.checking.light import Light, ambient_share, flicker_of, ghost_of, light_rows, photograph_light
 from scanner.checking.pixels import pixel_row
@@ -333,7 +333,7 @@ def test_a_device_that_fails_ends_the_check_with_what_is_known() -> None:
 
 def test_everything_white_is_overexposed_not_dark() -> None:
     white = np.full((48, 64), 255, np.uint8)
-    seen = look(Light((white,) * 2, (white,) * 2, 255), 1000.0)
+    seen = exposure_levels(Light((white,) * 2, (white,) * 2, 255), 1000.0)
     assert seen.is_clipped
     assert not seen.is_dark
 

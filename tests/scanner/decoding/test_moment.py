@@ -12,7 +12,7 @@ STRIPES = (16.0, 8.0, 4.0, 2.0, 1.0) * 2
 
 
 def picture(shift: int) -> Image:
-    """Return a wavy scene, shifted to the right by so many pixels."""
+    """Return a wavy scene, shifted to the right by a number of pixels."""
     x = np.arange(SHAPE[1]) - shift
     return np.broadcast_to(120 + 60 * np.sin(x / 3), SHAPE).astype(np.uint8)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scanner.capture.recording import open_capture
-from scanner.importing import described
+from scanner.importing import describe_order
 from scanner.patterns.pattern import Axis, Pattern, xor_sequence
 from tests.support.foreign_captures import ENDS, Photographer, bits, named
 from tests.support.foreign_folders import AXES, KNOWN, imported
@@ -70,6 +70,8 @@ def test_the_descriptions_of_orders_differ() -> None:
         in_order("x", inverses, finest_first=fine) for inverses in ("after", "last", "none") for fine in (False, True)
     ]
     orders += [[*bits("x", 10), *bits("y", 9), *ENDS], [*ENDS, *bits("y", 9), *bits("x", 10)]]
-    assert len({described(order) for order in orders}) == len(orders)
-    assert described(orders[1]) == "x; finest bit first; each bit's inverse after it; no white or black"
-    assert described(orders[-1]) == "y, then x; coarsest bit first; each bit's inverse after it; white, black first"
+    assert len({describe_order(order) for order in orders}) == len(orders)
+    assert describe_order(orders[1]) == "x; finest bit first; each bit's inverse after it; no white or black"
+    assert (
+        describe_order(orders[-1]) == "y, then x; coarsest bit first; each bit's inverse after it; white, black first"
+    )

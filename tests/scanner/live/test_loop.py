@@ -20,7 +20,7 @@ from scanner.io import read_matches, write_calibration
 from scanner.live import jobs
 from scanner.live.cloud import Decoder, LiveCloud, Round
 from scanner.live.first_look import FirstLook
-from scanner.live.jobs import Looked, Watcher, Wishes, scan_live
+from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.watching import Account, Newest, watch
 from scanner.rooms.document import given_rig, read_stations
@@ -63,7 +63,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> LiveBench:
     return made
 
 
-def live(folder: Path, bench: LiveBench, wishes: Wishes, watcher: Watcher) -> Looked:
+def live(folder: Path, bench: LiveBench, wishes: Wishes, watcher: Watcher) -> LiveResult:
     (folder / "rig.yaml").write_text(CONFIG)
     write_calibration(folder / "calibration.yaml", bench.calibration)
     return scan_live(

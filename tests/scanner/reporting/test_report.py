@@ -16,7 +16,7 @@ from scanner.decoding.fringes.unchecked import UNCHECKED
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
 from scanner.quantities.calibration_numbers import Quantity, device_quantities
-from scanner.reporting.contents import CaptureRow, Company, ReportInput
+from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import write_report
 from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
@@ -212,9 +212,9 @@ def test_hostile_strings_are_escaped(calibrated: ReportInput, scene: Scene, tmp_
         ),
         replace(cloud, unit=hostile),
     )
-    company = Company(2, (CaptureRow(hostile, "", 1, None, None),))
+    joint = JointCaptures(2, (CaptureRow(hostile, "", 1, None, None),))
     made = Provenance(hostile, datetime(2026, 1, 2, 3, 4, tzinfo=UTC), hostile, {"method": hostile})
-    spoiled = ReportInput(outcome, files=(hostile,), company=company, provenance=made)
+    spoiled = ReportInput(outcome, files=(hostile,), joint=joint, provenance=made)
     html, page = page_of(spoiled, tmp_path)
     assert page.text.count(hostile) >= 8
     assert "2026-01-02, 03:04 UTC" in page.text

@@ -20,7 +20,7 @@ from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
 from calib.refinement.parameters import SHARED, State
 from calib.self_calibration.rig import Profile, SelfCalibration
 from scanner.capture.capture_metadata import CaptureMetadata
-from scanner.reporting.contents import CaptureRow, Company, ReportInput
+from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
 from scanner.reporting.principal_point import effect_of_principal_point
@@ -72,8 +72,8 @@ def report(scene: Scene) -> ReportInput:
         CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics, calibration),
         CaptureRow("capture <2>", "", 5678, None, None),
     )
-    company = Company(2, rows, merged([cloud, cloud], [view, view], (0, 0)), ("The 2 clouds are merged.",))
-    return ReportInput(Reconstructed(SelfCalibrated(decoded, solution, calibration), cloud), company=company)
+    joint = JointCaptures(2, rows, merged([cloud, cloud], [view, view], (0, 0)), ("The 2 clouds are merged.",))
+    return ReportInput(Reconstructed(SelfCalibrated(decoded, solution, calibration), cloud), joint=joint)
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_the_report_lists_the_captures_and_shows_their_cloud(page: str) -> None:
 
 
 def test_a_single_capture_has_no_list(report: ReportInput, tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", replace(report, company=Company()))
+    write_report(tmp_path / "report.html", replace(report, joint=JointCaptures()))
     alone = (tmp_path / "report.html").read_text()
     assert 'id="captures"' not in alone
     assert "captures together" not in alone
@@ -167,4 +167,4 @@ def test_without_distortion_the_papers_objective_is_lowest_near_the_truth(report
 
 def test_the_advice_knows_how_many_captures_there_were(report: ReportInput) -> None:
     assert "A further capture" in verdict(report).advice
-    assert "three times" in verdict(replace(report, company=Company())).advice
+    assert "three times" in verdict(replace(report, joint=JointCaptures())).advice

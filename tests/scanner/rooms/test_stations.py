@@ -18,7 +18,7 @@ from scanner.rooms import live, solve
 from scanner.rooms.contents import RigStart
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import room
-from scanner.rooms.solve import look_at, solve_room
+from scanner.rooms.solve import segment_capture, solve_room
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
 from tests.support.whole_room import PROJECTOR, TrueStation, stations, with_turned_projector
@@ -60,15 +60,15 @@ def test_rejected_stations_are_retried_with_the_estimated_rig(
     given = replace(known, translation=known.translation / known.baseline, unit="baseline")
     rigs: list[Calibration] = []
 
-    def looked_at(capture: Decoded, rig: Calibration) -> solve.Seen:
+    def looked_at(capture: Decoded, rig: Calibration) -> solve.CaptureView:
         rigs.append(rig)
-        return look_at(capture, rig)
+        return segment_capture(capture, rig)
 
     def at_first_without_the_last(views: Sequence[StationView], of_another_rig: Mapping[int, str]) -> Registration:
         assert not of_another_rig
         return register(views if len(rigs) > len(captures) else views[:-1])
 
-    monkeypatch.setattr(solve, "look_at", looked_at)
+    monkeypatch.setattr(solve, "segment_capture", looked_at)
     monkeypatch.setattr(solve, "register", at_first_without_the_last)
     solved = solve_room(captures, RigStart(given, example.solved.uncertainty, {}, known), example.config, QUIET)
     assert len(solved.stations) == len(captures)

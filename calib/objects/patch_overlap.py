@@ -11,25 +11,27 @@ from calib.objects.view import View
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 
-UNSEEN, HIDDEN, LOOKED_THROUGH, BESIDE = -1, -2, -3, -4
+UNSEEN, HIDDEN, THROUGH_FREE_SPACE, OFF_SURFACE = -1, -2, -3, -4
 _LIKE = float(np.cos(np.radians(40.0)))
 _SIGMAS, _BENT = 4.0, 0.12  # the second in grains
 _FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
-def meet(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
+def overlapping_pixels(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
     """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or the reason why there is
     none.
 
     `pose`: X_seen_by = R X_patches + t. `within`: tolerance of the distance from the surface, in the points' unit.
     """
-    return meet_points(patches_of.patch_points[:count], patches_of.patch_normals[:count], seen_by, pose, within)
+    return overlapping_pixels_of_points(
+        patches_of.patch_points[:count], patches_of.patch_normals[:count], seen_by, pose, within
+    )
 
 
-def meet_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, within: float) -> Ints:
+def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, within: float) -> Ints:
     """The same for any points with normals, (N, 3) each."""
     found = np.empty(len(points), np.int64)
-    _meet(
+    _overlap(
         points,
         normals,
         np.ascontiguousarray(pose.rotation),
@@ -47,7 +49,7 @@ def meet_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, wi
 
 
 @compiled
-def _meet(
+def _overlap(
     patches: Floats,
     patch_normals: Floats,
     r: Floats,
@@ -123,7 +125,10 @@ def tolerance(first: View, second: View) -> float:
 def evidence(first: View, second: View, pose: Motion, within: float, count: int | None = None) -> Evidence:
     """For X_first = R X_second + t."""
     back = Motion(pose.rotation.T, -pose.rotation.T @ pose.translation)
-    there, here = meet(second, first, pose, within, count), meet(first, second, back, within, count)
+    there, here = (
+        overlapping_pixels(second, first, pose, within, count),
+        overlapping_pixels(first, second, back, within, count),
+    )
     both = np.concatenate([there, here])
     own, other = mark_pairs(first, second)
     apart = np.linalg.norm(
@@ -131,7 +136,7 @@ def evidence(first: View, second: View, pose: Motion, within: float, count: int 
     )
     return Evidence(
         int(np.count_nonzero(both >= 0)),
-        int(np.count_nonzero((both == LOOKED_THROUGH) | (both == BESIDE))),
+        int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),
         int(np.count_nonzero(apart < _MARK_GRAINS * first.grain)),
     )
 

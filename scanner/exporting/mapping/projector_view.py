@@ -13,7 +13,7 @@ from scanner.io import StoredDevice
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ProjectorView:
     """Of each pixel of `projector`, (H, W, …): the point that it lights, the normal there, the depth along the
     projector's axis; NaN where it lights nothing that was measured.
     """
@@ -29,7 +29,7 @@ class Seen:
         return np.isfinite(self.depth)
 
 
-def seen_by_all(scene: Scene) -> list[Seen]:
+def projector_views(scene: Scene) -> list[ProjectorView]:
     """Cast each pixel's ray at the mesh."""
     o3d = open3d()
     caster = o3d.t.geometry.RaycastingScene()
@@ -44,7 +44,7 @@ def seen_by_all(scene: Scene) -> list[Seen]:
         depth = hits["t_hit"].numpy().astype(np.float64)
         depth[~np.isfinite(depth)] = np.nan  # directions have unit depth
         points = place.translation + depth[..., None] * rays
-        found.append(Seen(projector, points, _normals(scene, hits, np.isfinite(depth)), depth))
+        found.append(ProjectorView(projector, points, _normals(scene, hits, np.isfinite(depth)), depth))
     return found
 
 

@@ -6,7 +6,7 @@ from itertools import groupby
 from scanner.patterns import Black, Gray, Pattern, Phase, White
 
 
-def described(patterns: Sequence[Pattern]) -> str:
+def describe_order(patterns: Sequence[Pattern]) -> str:
     """Axes, which bit is first, where inverses are, and where white and black are."""
     bits = [pattern for pattern in patterns if isinstance(pattern, Gray)]
     axes = dict.fromkeys(p.axis for p in patterns if isinstance(p, Gray | Phase))

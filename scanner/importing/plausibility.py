@@ -69,7 +69,7 @@ def objection(samples: Samples, patterns: Sequence[Pattern]) -> Objection | None
     return _scattered(found) or against or (_nonsense(samples, found) if len(found) > 1 else None)
 
 
-def closest(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
+def best_fitting(samples: Samples, orders: Sequence[Sequence[Pattern]]) -> list[int]:
     """The numbers of the orders that fit the frames best, if only fringes decide; others fit partly by chance."""
     axes: tuple[Axis, ...] = ("x", "y")
     misfits = []
@@ -83,11 +83,11 @@ def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
     """Devices stand roughly upright: x grows along the camera's rows, y along its columns."""
     for axis, seen in found.items():
         farthest = _MOST_APART * _spread(seen)
-        steps = [np.abs(after - before) for before, after in _beside(seen.values, seen.certain)]
+        steps = [np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)]
         across, down = (float(np.mean(np.minimum(step, farthest))) if len(step) else 0.0 for step in steps)
         if (across < down) == (axis == "x"):
             return Objection(Stage.GEOMETRY, f"the stripes run the other way than those of {axis}")
-        right, below = (after - before for before, after in _beside(seen.values, seen.certain))
+        right, below = (after - before for before, after in _adjacent(seen.values, seen.certain))
         if seen.misfit is not None and np.median(right if axis == "x" else below) < 0:
             return Objection(Stage.GEOMETRY, f"the fringes of {axis} run backwards")
     return None
@@ -95,7 +95,7 @@ def _along_the_other(found: dict[Axis, Coordinates]) -> Objection | None:
 
 def _scattered(found: dict[Axis, Coordinates]) -> Objection | None:
     for axis, seen in found.items():
-        steps = np.concatenate([np.abs(after - before) for before, after in _beside(seen.values, seen.certain)])
+        steps = np.concatenate([np.abs(after - before) for before, after in _adjacent(seen.values, seen.certain)])
         if not len(steps) or np.median(steps) > max(_MOST_APART * _spread(seen), 1.0):
             return Objection(Stage.NEIGHBOURS, f"neighbouring pixels have unrelated codes in {axis}")
         if seen.misfit is not None and np.mean(steps > 2 * PLACES_OF_CYCLE * seen.steps) > _MOST_JUMPS:
@@ -122,7 +122,7 @@ def _nonsense(samples: Samples, found: dict[Axis, Coordinates]) -> Objection | N
     return None
 
 
-def _beside(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
+def _adjacent(numbers: Floats, there: Bools) -> list[tuple[Floats, Floats]]:
     """Values of horizontally and of vertically adjacent pixels."""
     right, below = there[:, :-1] & there[:, 1:], there[:-1] & there[1:]
     return [(numbers[:, :-1][right], numbers[:, 1:][right]), (numbers[:-1][below], numbers[1:][below])]

@@ -8,7 +8,7 @@ import pytest
 
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_matches
-from scanner.reconstruction import MatchesAhead
+from scanner.reconstruction import EarlyMatches
 from scanner.results import Decoded
 from tests.support.cloud_scene import room
 from tests.support.reports import calibrated_report
@@ -20,7 +20,7 @@ def capture() -> Decoded:
 
 
 def test_unchanged_matches_are_written_once(tmp_path: Path, capture: Decoded) -> None:
-    with MatchesAhead(tmp_path) as ahead:
+    with EarlyMatches(tmp_path) as ahead:
         ahead.begin([capture])
         ahead.write(tmp_path, capture)
         first = (tmp_path / MATCHES_FILE).stat()
@@ -31,14 +31,14 @@ def test_unchanged_matches_are_written_once(tmp_path: Path, capture: Decoded) ->
 
 def test_relabelled_matches_are_written_again(tmp_path: Path, capture: Decoded) -> None:
     face = np.where(capture.matches.labels == 0, 1, capture.matches.labels).astype(np.int32)
-    with MatchesAhead(tmp_path) as ahead:
+    with EarlyMatches(tmp_path) as ahead:
         ahead.begin([capture])
         ahead.write(tmp_path, capture.with_matches(capture.matches.with_faces(face), capture.plane))
     assert read_matches(tmp_path).on_each_face[0] == 0 < capture.matches.on_each_face[0]
 
 
 def test_several_captures_are_not_written_ahead(tmp_path: Path, capture: Decoded) -> None:
-    with MatchesAhead(tmp_path) as ahead:
+    with EarlyMatches(tmp_path) as ahead:
         ahead.begin([capture, capture])
         assert not (tmp_path / MATCHES_FILE).exists()
         ahead.write(tmp_path / "first", capture)
@@ -47,7 +47,7 @@ def test_several_captures_are_not_written_ahead(tmp_path: Path, capture: Decoded
 
 def test_a_write_error_is_raised_when_the_file_is_needed(tmp_path: Path, capture: Decoded) -> None:
     (tmp_path / MATCHES_FILE).mkdir()
-    with MatchesAhead(tmp_path) as ahead:
+    with EarlyMatches(tmp_path) as ahead:
         ahead.begin([capture])
         with pytest.raises(InputError, match=f"{MATCHES_FILE}: is a folder"):
             ahead.write(tmp_path, capture)

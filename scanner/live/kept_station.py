@@ -30,7 +30,7 @@ def matches_of(cloud: LiveCloud, axis: int, calibration: Calibration) -> Matches
     return Matches(camera_px, found.projector_px, None, sigma_px)[there]
 
 
-def keep(
+def keep_station(
     cloud: LiveCloud,
     sequence: LiveSequence,
     calibration: Calibration,
