@@ -2,20 +2,31 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
+from importlib.util import module_from_spec, spec_from_file_location
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from hw.errors import DeviceError
 from hw.loopback.settings import LoopbackSettings
 from scanner.configuration import load_config
-from tools import on_loopback
+from tests.support.places import ROOT
 
-HALL = Path(__file__).parents[2] / "configs" / "hall-loopback.yaml"
+HALL = ROOT / "configs" / "hall-loopback.yaml"
 
 
-def test_each_name_gets_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def on_loopback() -> Any:
+    spec = spec_from_file_location("on_loopback", ROOT / "tools" / "on_loopback.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_each_name_gets_a_device(on_loopback: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[LoopbackSettings] = []
 
     @contextmanager
@@ -45,7 +56,7 @@ def test_each_name_gets_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {each.projector_poses for each in served} == {(0, 1)}
 
 
-def test_more_cameras_than_addresses_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_cameras_than_addresses_are_refused(on_loopback: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_loopback, "own_addresses", lambda: ["127.0.0.1"])
     with (
         pytest.raises(DeviceError, match="2 cameras need as many addresses"),
