@@ -123,12 +123,6 @@ def kept_text(kept: Path, *, refuted: bool = False) -> str:
             f"whole, and {taken_by} takes those."
         )
     recording, frames = kept / CAPTURE_FOLDER, frames_in(kept / CAPTURE_FOLDER)
-    if not frames:
-        complete = sum(_is_complete(each / CAPTURE_FOLDER) for each in _whole(kept))
-        return (
-            f"What was captured so far is kept in {kept / CAPTURES_FOLDER}: {complete} of {len(_whole(kept))} captures "
-            "are complete; scan calibrate takes them, or scan network those of a network."
-        )
     if _is_complete(recording):
         makes = "gives the same refusal" if refuted else "makes a result of them"
         to_do = f"none is missing, and scan replay {recording} {makes}"

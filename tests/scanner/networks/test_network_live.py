@@ -115,7 +115,7 @@ def test_a_camera_failure_keeps_the_frames_of_all(
 
     monkeypatch.setattr(SimulatedCamera, "grab", failing)
     assert scan(["network", "--config", str(HALL), *SETTINGS, "--out", str(tmp_path / "out"), "--quiet"]) == 3
-    assert "0 of 2 captures are complete" in capsys.readouterr().err
+    assert "0 of 2 captures are whole, and scan network takes those" in capsys.readouterr().err
     (kept,) = tmp_path.glob("out-incomplete*")
     found = {each.parent.name: open_capture(each) for each in kept.glob("captures/*/capture")}
     assert {*found} == {"left-stage", "right-stage"}
