@@ -10,16 +10,32 @@ from calib.boards.likelihood import evaluate as evaluate_boards
 from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
 from calib.boards.parameters import State as BoardState
 from calib.geometry import Matches, Motion
-from calib.refinement import CAMERA, PROJECTOR, Cells, Knowledge, Pose, State, covariance_of, evaluate, predict
+from calib.networks import Device, Network, Sight
+from calib.networks.prior import NetworkKnowledge
+from calib.numerics import Floats
+from calib.refinement import (
+    CAMERA,
+    PROJECTOR,
+    Cells,
+    Knowledge,
+    Pose,
+    State,
+    covariance_of,
+    evaluate,
+    into_cells,
+    predict,
+)
 from calib.refinement import device_of as rig_device_of
 from calib.rooms import Room
 from calib.rooms.likelihood import evaluate as evaluate_room
 from calib.rooms.patches import Patch
+from calib.rooms.planes import RoomPlane
 from calib.rooms.priors import RoomPrior
 from calib.self_calibration import anywhere
-from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticPhotos
+from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticNetwork, SyntheticPhotos
 
 _SAMPLE = 3000
+_LEAST_ON_PLANE = 100  # matches, as in an estimate
 
 
 def bound(captures: list[SyntheticCapture], knowledge: Knowledge, noise_px: float) -> np.ndarray:
@@ -125,3 +141,39 @@ def bound_of_room(truth: Room, patches: Sequence[Patch], prior: RoomPrior, noise
     fit = evaluate_room(exact, truth, prior, variances)
     seen = np.isin(np.arange(len(truth.planes)), [patch.plane for patch in patches])
     return covariance_of(fit.information, prior.free(seen))
+
+
+def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: float) -> Floats:
+    """Sigmas (devices,) of log f of the devices `names`, at the truth, by what all pairs see of flat planes.
+
+    The frame is that of the first device; nothing is known of devices and walls but what an estimate assumes of any.
+    """
+    frame = made.poses[names[0]]
+    unit = float(np.linalg.norm(made.poses[names[1]].translation - frame.translation))
+    devices = []
+    for name in names:
+        pose = made.poses[name]
+        place = frame.rotation.T @ (pose.translation - frame.translation) / unit
+        devices.append(Device(rig_device_of(made.devices[name]), Motion(frame.rotation.T @ pose.rotation, place)))
+    normals, offsets = made.planes
+    planes = zip(normals @ frame.rotation, (offsets - normals @ frame.translation) / unit, strict=True)
+    truth = Network(tuple(devices), tuple(RoomPlane(normal, float(offset)) for normal, offset in planes))
+    sights, variances = [], []
+    for i, ((camera, projector), matches) in enumerate(made.captures.items()):
+        labels = np.flatnonzero(np.bincount(matches.labels) >= _LEAST_ON_PLANE).tolist()
+        cells = into_cells(matches, labels)
+        for label in labels:
+            own = cells[cells.plane == label]
+            sight = Sight(i, names.index(camera), names.index(projector), label, own)
+            sights.append(replace(sight, cells=replace(own, projector_px=sight.predict(truth)[0])))
+            variances.append(noise_px**2 * (own.sigma_px / own.noise_px) ** 2)
+    sizes = {name: device.size for name, device in made.devices.items()}
+    knowledge = NetworkKnowledge(sizes, frozenset(camera for camera, _ in made.captures))
+    fit = evaluate_room(sights, truth, knowledge.prior(tuple(names)), variances)
+    seen = {sight.plane for sight in sights}
+    free = knowledge.free(truth, names)
+    for plane in range(len(truth.planes)):
+        free[truth.plane_columns(plane)] = plane in seen
+    focals = [truth.device_columns(number).start for number in range(len(names))]
+    sigmas: Floats = np.sqrt(np.diag(covariance_of(fit.information, free)))[focals]
+    return sigmas

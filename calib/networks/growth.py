@@ -11,14 +11,14 @@ import numpy as np
 
 from calib.geometry import NO_FACE, Matches, Motion
 from calib.networks.labels import label_map, read
-from calib.networks.network import WARP, Device, Network
+from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, placed_before_wall, sees, triangulated
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import Sight, points_on
 from calib.numerics import Bools, Floats, evenly
-from calib.refinement import PER_DEVICE, device_of, into_cells
+from calib.refinement import device_of, into_cells
 from calib.rooms.likelihood import minimise
 from calib.rooms.planes import RoomPlane, plane_through
 from calib.self_calibration import SelfCalibration
@@ -98,13 +98,8 @@ class Grown:
         return None
 
     def free(self, network: Network) -> Bools:
-        """Columns that are estimated, (size,): all but the first device's pose and what is exactly known."""
-        free = np.ones(network.size, np.bool_)
-        free[network.device_columns(0)][PER_DEVICE:] = False
-        for i, sigma in enumerate(self.knowledge.prior(self.names).sigma):
-            free[network.device_columns(i)][:PER_DEVICE] = sigma > 0
-            free[network.device_columns(i)][WARP] = False
-        return free
+        """Columns that are estimated, (size,)."""
+        return self.knowledge.free(network, self.names)
 
     def joints(self, network: Network, bent: Collection[tuple[int, int]] = ()) -> tuple[SharedPoints, ...]:
         """What ties devices where matches are on no plane, or on one that is `bent`: number of the pair, label."""

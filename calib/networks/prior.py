@@ -1,13 +1,13 @@
 """What is known of devices and walls before a match is seen."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.geometry import FACES, Size
 from calib.networks.network import PLACE, WARP, Device, Network
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats
 from calib.refinement import PER_DEVICE, SQUARENESS_DEG, LensPrior, of_any_device
 from calib.rooms.priors import squareness
 from calib.self_calibration import PrincipalPoint
@@ -90,6 +90,15 @@ class NetworkKnowledge:
                 mean[i, 1:3], sigma[i, 1:3] = self.point(name).px, self.point(name).sigma_px
         pairs = tuple((a, b) for a in FACES for b in FACES if a < b)
         return NetworkPrior(mean, sigma, pairs, float(np.radians(max(self.squareness_deg, _EXACTLY_SQUARE))))
+
+    def free(self, network: Network, names: Sequence[str]) -> Bools:
+        """Columns that are estimated, (size,): all but the first device's pose and what is exactly known."""
+        free = np.ones(network.size, np.bool_)
+        free[network.device_columns(0)][PER_DEVICE:] = False
+        for i, sigma in enumerate(self.prior(tuple(names)).sigma):
+            free[network.device_columns(i)][:PER_DEVICE] = sigma > 0
+            free[network.device_columns(i)][WARP] = False
+        return free
 
     def held(self, name: str, device: Device) -> Device:
         """A device with what is exactly known of it."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import Intrinsics, Matches, Motion
-from calib.numerics import Floats
+from calib.numerics import Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
 from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, on_waves, random_box, random_walls, random_waves
 
@@ -31,6 +31,13 @@ class SyntheticNetwork:
     devices: Mapping[str, Intrinsics]
     poses: Mapping[str, Motion]
     scene: Scene
+
+    @property
+    def planes(self) -> tuple[Floats, Floats]:
+        """Normals (P, 3) and offsets (P,) of the planes, by label: normal · X = offset."""
+        normals, offsets = (np.concatenate(parts) for parts in zip(*self.scene.solids, strict=True))
+        order = _by_label(len(offsets))
+        return normals[order], offsets[order]
 
 
 def random_network(
@@ -100,10 +107,14 @@ def _seen(
     camera_px = camera.project(_before(points, camera_at))
     seen = inside(camera_px, camera)
     seen[seen] = cast(points[seen] - camera_at.translation, camera_at.translation, scene)[1] == plane[seen]
-    order = np.array([*_CORNER, *(i for i in range(6 * len(scene.solids)) if i not in _CORNER)])
-    label = np.argsort(order)[plane[seen]].astype(np.int32)
+    label = np.argsort(_by_label(6 * len(scene.solids)))[plane[seen]].astype(np.int32)
     noisy = pixels[seen] + rng.normal(0, options.noise_px, (len(label), 2))
     return Matches(camera_px[seen], noisy, label)
+
+
+def _by_label(count: int) -> Ints:
+    """The number in the scene of each label's plane."""
+    return np.array([*_CORNER, *(i for i in range(count) if i not in _CORNER)])
 
 
 def _before(points: Floats, at: Motion) -> Floats:
