@@ -23,6 +23,7 @@ _BY_CHANCE = float(chi2.isf(_CHANCE, PER_WARP))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
 _ROUNDS = 2
+_FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +50,15 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     """From a fit under the scatter of matches; also one without a warp, and the weights that it was made with."""
     free, devices = grown.free(fit.layout), range(len(grown.names))
     every, weights = _freed(fit.layout, free, devices), Weights.of_noise(sights)
-    whole = weights.fitted(grown, sights, fit.layout, every, ROUGH)
+    whole = weights.fitted(grown, sights, fit.layout, every, _FOR_NOISE * fit.cost)
     for _ in range(_ROUNDS):
         _, weights = weights.measured_anew(grown, sights, whole, every)
-        whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
-    none = weights.fitted(grown, sights, _without_warps(whole.layout), free, ROUGH)
-    gain = none.cost - whole.cost
+        whole = weights.fitted(grown, sights, whole.layout, every, _ENOUGH)
+    none = weights.fitted(grown, sights, _without_warps(whole.layout), free, _ENOUGH)
     strained = any(each.across_px > _STRAINED * each.noise_px for each in strains(sights, whole).values())
-    if gain < _BY_CHANCE or strained:
+    if none.cost - whole.cost < _BY_CHANCE or strained:
         return Warps(), none, weights
+    whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
     found = []
     for number, name in enumerate(grown.names):
         start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
@@ -66,7 +67,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         trapezoid = float(np.max(np.abs(device.warp[2:]) * grown.knowledge.sizes[name])) / float(device.lens[0])
         found.append(Warp(name, none.cost - alone.cost, device.warp, trapezoid))
     found.sort(key=lambda each: -each.gain)
-    several = gain - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
+    several = none.cost - whole.cost - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
     least = max(_BY_CHANCE, found[0].gain - _AS_LIKELY)
     return Warps(tuple(each for each in found if each.gain > least and not several), several), none, weights
 

@@ -75,7 +75,7 @@ class TriggeredCamera(NamedCamera, Protocol):
         """Expose one frame, beginning now or later, and wait until the exposure is over. Raises DeviceError.
 
         Returns the time of the trigger, or of the begin where there is none, in seconds of the monotonic clock.
-        `meanwhile` is called during the exposure.
+        `meanwhile` is called during the exposure, and may take longer: further cameras expose in it.
         """
 
     def collect(self) -> Frame:

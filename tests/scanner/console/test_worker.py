@@ -291,6 +291,9 @@ def test_live_view_cycles_through_the_cameras_of_a_network_until_one_is_chosen(
     worker.change(exposure_us=30_000.0)
     until(lambda: page.frames[-1].exposure_us == 30_000.0)
     assert wall.opened == opened
+    wall.fails_after = wall.taken
+    until(lambda: worker.status.message)
+    assert worker.status.message.splitlines()[1:] == ["This was right with stage."]
 
 
 @pytest.mark.parametrize(
