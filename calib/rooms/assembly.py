@@ -178,7 +178,7 @@ def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
 
 
 def _without_loose(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
-    """What of a group is held together."""
+    """The group with only its firmly connected stations."""
     held = firmly_connected(surfaces, group.places)
     if len(held) == len(group.places):
         return group

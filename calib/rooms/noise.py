@@ -84,7 +84,10 @@ def measured(
 
 
 def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
-    """From its patches' cells and residuals, with what of χ² is in each one's long waves, NaN for those too small."""
+    """A station's noise, from the cells and residuals of its patches; and the part of χ² in each patch's long waves.
+
+    That part is NaN for patches that are too small.
+    """
     noise = noise_of(_together(seen), np.concatenate(residuals), absorbed * len(seen))
     independent = replace(noise, inflation=1.0)
     waves = np.array(

@@ -49,53 +49,54 @@ class ComplementarySums:
         self,
         group: Sequence[int],
         pictures: Sequence[Image],
-        seen: Mapping[int, Floats],
-        beside: Mapping[int, Collection[int]],
+        brightness: Mapping[int, Floats],
+        neighbours: Mapping[int, Collection[int]],
     ) -> float:
         """The approximate share of other pictures in the frames of a group that should sum to uniform light.
 
-        `group`: frame numbers, steps of a fringe in order. `seen`: brightness of these frames, and of the pictures on
-        the wall just before and after each, whose numbers are in `beside`. The share is the part of the sum that the
-        differences between successive pictures explain. It is 1 if the sum is far from level or from its expected
-        brightness: a picture that stayed too long leaves no difference. The brightness of uniform pictures is checked
-        directly.
+        `group`: frame numbers, steps of a fringe in order. `brightness`: of these frames, and of the pictures on
+        the wall just before and after each, whose numbers are in `neighbours`.
+
+        The share is the part of the sum that the differences between successive pictures explain. It is 1 if the sum is
+        far from level or from its expected brightness: a picture that stayed too long leaves no difference. The
+        brightness of uniform pictures is checked directly.
         """
         plain = [
-            abs(float(seen[number].mean()) - picture[0, 0] / 255)
+            abs(float(brightness[number].mean()) - picture[0, 0] / 255)
             for number, picture in zip(group, pictures, strict=True)
             if _is_plain(picture)
         ]
-        total = np.sum([seen[number] for number in group], axis=0)
+        total = np.sum([brightness[number] for number in group], axis=0)
         if total.std() > _UNEVEN or not _DARKEST < total.mean() / len(group) < _BRIGHTEST:
             return 1.0
-        crossed = _crossed_share([seen[number] for number in group])
-        return float(max([self._share(group, seen, beside, total), crossed, *plain]))
+        crossed = _crossed_share([brightness[number] for number in group])
+        return float(max([self._share(group, brightness, neighbours, total), crossed, *plain]))
 
     def changed_share(
         self,
         group: Sequence[int],
         pictures: Sequence[Image],
         before: Mapping[int, Floats],
-        seen: Mapping[int, Floats],
-        beside: Mapping[int, Collection[int]],
+        brightness: Mapping[int, Floats],
+        neighbours: Mapping[int, Collection[int]],
     ) -> float:
         """The approximate share by which repeated frames differ from the first ones.
 
-        Deviations caused by the scene repeat; light of another picture does not. `beside`: the pictures on the wall
+        Deviations caused by the scene repeat; light of another picture does not. `neighbours`: the pictures on the wall
         before and after each frame, at either time. Uniform pictures are compared by brightness.
         """
         shares = []
         for number, picture in zip(group, pictures, strict=True):
-            change = seen[number] - before[number]
-            shares += [self._share((number,), seen, beside, change)]
+            change = brightness[number] - before[number]
+            shares += [self._share((number,), brightness, neighbours, change)]
             shares += [abs(float(change.mean()))] if _is_plain(picture) else []
         return max(shares)
 
     def _share(
         self,
         group: Sequence[int],
-        seen: Mapping[int, Floats],
-        beside: Mapping[int, Collection[int]],
+        brightness: Mapping[int, Floats],
+        neighbours: Mapping[int, Collection[int]],
         values: Floats,
     ) -> float:
         """The largest share of a difference between successive pictures that `values` (N,) contain.
@@ -104,20 +105,20 @@ class ComplementarySums:
         the largest. All together are fitted by least squares, for shares of several. The covariance of the noise
         that values and differences have in common is subtracted.
         """
-        changes = sorted({(min(one, other), max(one, other)) for one in group for other in beside[one]})
-        changes = [(of, to) for of, to in changes if of in seen and to in seen]
+        changes = sorted({(min(one, other), max(one, other)) for one in group for other in neighbours[one]})
+        changes = [(of, to) for of, to in changes if of in brightness and to in brightness]
         if not changes:
             return 0.0
-        steps = np.stack([seen[to] - seen[of] for of, to in changes])
+        steps = np.stack([brightness[to] - brightness[of] for of, to in changes])
         steps -= steps.mean(axis=1, keepdims=True)
         sizes = steps.std(axis=1)
-        told = sizes > _LEAST_DIFFERENCE
-        if not told.any():
+        significant = sizes > _LEAST_DIFFERENCE
+        if not significant.any():
             return 0.0
         values = values - values.mean()
         noise = self.variance * np.array([(to in group) - (of in group) for of, to in changes])
-        single = np.abs(steps @ values / values.size - noise)[told] / sizes[told] ** 2
-        return float(max(single.max(), _explained(steps[told], values).std() / sizes.max()))
+        single = np.abs(steps @ values / values.size - noise)[significant] / sizes[significant] ** 2
+        return float(max(single.max(), _explained(steps[significant], values).std() / sizes.max()))
 
 
 def _is_plain(picture: Image) -> bool:

@@ -75,11 +75,11 @@ def _parity(images: Sequence[Image]) -> Image:
     return np.where(odd, np.uint8(255), np.uint8(0))
 
 
-def odd_share(group: Sequence[int], seen: Mapping[int, Floats]) -> float:
+def odd_share(group: Sequence[int], levels: Mapping[int, Floats]) -> float:
     """The share of places with wrong parity, among those that are certain in all frames of an even group; 1 if too few
-    are certain. `seen`: brightness (N,) of each frame, 0 for black and 1 for white.
+    are certain. `levels`: brightness (N,) of each frame, 0 for black and 1 for white.
     """
-    frames = np.stack([seen[number] for number in group])
+    frames = np.stack([levels[number] for number in group])
     certain = np.all(np.abs(frames - 0.5) > _CERTAIN, axis=0)
     if certain.mean() < _LEAST_CERTAIN:
         return 1.0

@@ -177,7 +177,7 @@ class PipelinedAcquisition:
         if self._verification.are_together(numbers[0], before):
             twice = {*twice, numbers[0]}
         row = [number for number in numbers for _ in range(1 + (number in twice))]
-        self._verification.stood_in_row(row, before)
+        self._verification.set_sequence(row, before)
         pictures = (self._pictures[number] for number in row)
         self._schedule.settle(row[0])
         frames = self._sequential.at_rest(pictures, numbers=row)
@@ -186,7 +186,7 @@ class PipelinedAcquisition:
             if following == number:
                 continue
             if number in twice:
-                self._verification.stood_alone(number)
+                self._verification.clear_neighbours(number)
             yield number, frame
 
     def _stop_pipelining(self) -> None:
@@ -222,7 +222,7 @@ class PipelinedAcquisition:
             self._jitter.begun(begin_s - light_s)
             return number, None
         number = schedule.pass_on(begin_s)
-        self._verification.stood_beside(number, beside)
+        self._verification.set_neighbours(number, beside)
         triggered_s = self._cameras.expose(self._while_exposed)
         try:
             frames = self._cameras.collect()
@@ -307,10 +307,10 @@ class PipelinedAcquisition:
             suspects = verification.suspects(group)
             if last is None:
                 self._rest_a_while()
-            elif verification.is_as_before(last) and last.beside.keys() >= {*suspects}:
+            elif verification.is_unchanged(last) and last.neighbours.keys() >= {*suspects}:
                 break
             self.tally.retriggered += len(suspects)
-            last = verification.look(suspects)
+            last = verification.snapshot(suspects)
             self._stop_pipelining()
             # Reverse the order: the same late picture would otherwise leave the same trace.
             order = suspects if attempt % 2 else suspects[::-1]

@@ -56,7 +56,7 @@ class StreamedRig(TimedRig):
         reader = self.streaming.reader
         return {
             "frame_period_ms": round(1e3 * self.timing.period_s, 2),
-            "missed_in_flight": self.acquisition.standing.missed,
+            "missed_in_flight": self.acquisition.stable_frames.missed,
             "doubted_frames": self.acquisition.doubted,
             "repeated_frames": reader.repeated - self._before.repeated,
             "dropped_frames": reader.dropped - self._before.dropped,

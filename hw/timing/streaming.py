@@ -1,4 +1,4 @@
-"""Takes and verifies frames of a streaming camera (`standing_frames.py` takes them).
+"""Takes and verifies frames of a streaming camera (`stable_frames.py` takes them).
 
 Complementary sums and parity verify that a frame shows its picture and not one that waited in a queue
 (`verification.py`). Such pictures are pipelined. A missed picture, frames that fail verification, and pictures that
@@ -20,7 +20,7 @@ from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
 from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import with_parity
 from hw.timing.resting import RestingLight
-from hw.timing.standing_frames import StandingFrames
+from hw.timing.stable_frames import StableFrames
 from hw.timing.stream_calibration import StreamTiming
 from hw.timing.timed_rig import Tally
 from hw.timing.verification import FrameVerification, Group
@@ -39,7 +39,7 @@ class StreamAcquisition:
     def __init__(
         self, projector: FlippingProjector, camera: StreamingCamera, timing: StreamTiming, rest: RestingLight
     ) -> None:
-        self.standing = StandingFrames(projector, camera, timing, rest)
+        self.stable_frames = StableFrames(projector, camera, timing, rest)
         self._camera = camera
         self._rest = rest
         width, height = projector.size
@@ -65,13 +65,13 @@ class StreamAcquisition:
         """
         first = self._appearance() if (level or unpaired) and not exposures_us else None
         self.tally.begin()
-        self.doubted = self._unfounded = self.standing.missed = 0
+        self.doubted = self._unfounded = self.stable_frames.missed = 0
         if exposures_us:
             for image, exposure_us in zip(images, cycle(exposures_us)):  # cycle has no end
                 exposure_control(self._camera).expose_for(exposure_us)
-                self.standing.forget()
+                self.stable_frames.forget()
                 self.tally.take()
-                yield self.standing.at_rest(image)
+                yield self.stable_frames.at_rest(image)
             return
         shown = with_parity(images, level, unpaired)
         self._pictures = NumberedPictures(shown.images)
@@ -91,7 +91,7 @@ class StreamAcquisition:
             self.changes = changes(first, self._same_view(first))
 
     def _appearance(self) -> Appearance:
-        return appearance(self.standing.at_rest(self._reference).image, self._rest.lit)
+        return appearance(self.stable_frames.at_rest(self._reference).image, self._rest.lit)
 
     def _same_view(self, first: Appearance) -> Appearance:
         """The reference picture as it looks now. Raises DeviceError if it has changed. The frames' size does not show
@@ -109,7 +109,7 @@ class StreamAcquisition:
         """Take all frames in order; yields after each one and its repetitions."""
         number = 0
         while self._pictures.has(number):
-            with closing(self.standing.pipelined(self._verifiable(number))) as frames:
+            with closing(self.stable_frames.pipelined(self._verifiable(number))) as frames:
                 frame = None
                 for frame in frames:
                     if frame is None:
@@ -123,7 +123,7 @@ class StreamAcquisition:
                     yield
             if frame is None and self._pictures.has(number):
                 self.tally.retriggered += self._may_be_pipelined(number)
-                self._note(number, self.standing.at_rest(self._pictures[number]), number - 1)
+                self._note(number, self.stable_frames.at_rest(self._pictures[number]), number - 1)
                 self._verification.judge()
                 number += 1
             self._verify(first)
@@ -145,7 +145,7 @@ class StreamAcquisition:
         so the edges of other pictures are not searched.
         """
         self._taken[number] = frame
-        self._verification.stood_beside(number, [] if number in self._even or before < 0 else [before])
+        self._verification.set_neighbours(number, [] if number in self._even or before < 0 else [before])
         self._verification.note(number, [frame])
 
     def _is_doubtful(self) -> bool:
@@ -169,13 +169,14 @@ class StreamAcquisition:
             log.info("frames %s: foreign by %.1f times the tolerance", group, foreign)
             self.doubted += 0 if attempt else len(suspects)
             self.tally.retriggered += len(suspects)
-            looked = verification.look(suspects)
-            self.standing.at_rest(self._blank)  # a late frame arrives by then, or is so late that verification finds it
+            before_repeating = verification.snapshot(suspects)
+            # A late frame arrives by then, or is so late that verification finds it.
+            self.stable_frames.at_rest(self._blank)
             last = -1
             for number in suspects if attempt % 2 else suspects[::-1]:
-                self._note(number, self.standing.at_rest(self._pictures[number]), last)
+                self._note(number, self.stable_frames.at_rest(self._pictures[number]), last)
                 last = number
-            if verification.is_as_before(looked):
+            if verification.is_unchanged(before_repeating):
                 if first is not None:
                     self._same_view(first)
                 self._unfounded += 1

@@ -16,15 +16,15 @@ from hw.timing.parity_check import mixed_share, odd_share
 
 T = TypeVar("T")
 Group = tuple[int, ...]
-Seen = dict[int, Floats]  # the brightness of a camera's frames, by picture number
+Levels = dict[int, Floats]  # the brightness of a camera's frames, by picture number
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameSnapshot:
     """Frames of each camera before they are repeated, and the pictures on the wall before and after each."""
 
-    frames: tuple[Seen, ...]
-    beside: dict[int, set[int]]
+    frames: tuple[Levels, ...]
+    neighbours: dict[int, set[int]]
 
 
 class FrameVerification:
@@ -41,47 +41,47 @@ class FrameVerification:
         level: Iterable[Sequence[int]],
         even: Iterable[Sequence[int]] = (),
     ) -> None:
-        self._cameras: tuple[tuple[ComplementarySums, Seen], ...] = tuple((each, {}) for each in sums)
+        self._cameras: tuple[tuple[ComplementarySums, Levels], ...] = tuple((each, {}) for each in sums)
         self._pictures = pictures
         self._even = frozenset(map(tuple, even))
-        self._unproven = {number: tuple(group) for group in [*level, *self._even] for number in group}
-        self._beside: dict[int, set[int]] = {}
+        self._unverified = {number: tuple(group) for group in [*level, *self._even] for number in group}
+        self._neighbours: dict[int, set[int]] = {}
         self.judged: list[Group] = []
 
     def lacks(self, number: int) -> bool:
         """Whether a picture's group still has to be verified."""
-        return number in self._unproven
+        return number in self._unverified
 
     def are_together(self, number: int, others: Iterable[int]) -> bool:
         """Whether one of the others is in the same group as a picture."""
-        group = self._unproven.get(number, ())
+        group = self._unverified.get(number, ())
         return any(other in group for other in others)
 
-    def stood_beside(self, number: int, others: Iterable[int]) -> None:
+    def set_neighbours(self, number: int, others: Iterable[int]) -> None:
         """Record the pictures before and after a pipelined picture, when it was last taken."""
-        self._beside[number] = {*others} - {number}
+        self._neighbours[number] = {*others} - {number}
 
-    def stood_in_row(self, numbers: Sequence[int], before: Collection[int]) -> None:
+    def set_sequence(self, numbers: Sequence[int], before: Collection[int]) -> None:
         """Record that these pictures followed each other, each taken at rest."""
-        self.stood_beside(numbers[0], before)
+        self.set_neighbours(numbers[0], before)
         for number in numbers[1:]:
-            self.stood_beside(number, ())
+            self.set_neighbours(number, ())
         for one, other in pairwise(numbers):
-            self._beside[one] |= {other} - {one}
-            self._beside[other] |= {one} - {other}
+            self._neighbours[one] |= {other} - {one}
+            self._neighbours[other] |= {one} - {other}
 
-    def stood_alone(self, number: int) -> None:
+    def clear_neighbours(self, number: int) -> None:
         """Record that no other picture can have been on the wall."""
-        self._beside[number] = set()
+        self._neighbours[number] = set()
 
     def note(self, number: int, frames: Sequence[Frame]) -> None:
         """Record the frames of a picture, one of each camera."""
-        for (sums, seen), frame in zip(self._cameras, frames, strict=True):
-            seen[number] = sums.brightness(frame.image)
+        for (sums, levels), frame in zip(self._cameras, frames, strict=True):
+            levels[number] = sums.brightness(frame.image)
 
     def judge(self) -> None:
         """Add all groups that can be judged now to `judged`."""
-        for group in dict.fromkeys(self._unproven.values()):
+        for group in dict.fromkeys(self._unverified.values()):
             if group not in self.judged and self._can_be_judged(group):
                 self.judged.append(group)
 
@@ -101,72 +101,74 @@ class FrameVerification:
             return group
         return tuple(number for number in group[1:] if self._worst(self._mixed_share, number) > 1)
 
-    def look(self, group: Group) -> Look:
+    def snapshot(self, group: Group) -> FrameSnapshot:
         """Keep the present frames, to compare them with the repeated ones."""
-        frames = tuple({number: seen[number] for number in group} for _, seen in self._cameras)
-        return Look(frames, {number: self._beside[number] for number in group})
+        frames = tuple({number: levels[number] for number in group} for _, levels in self._cameras)
+        return FrameSnapshot(frames, {number: self._neighbours[number] for number in group})
 
-    def is_as_before(self, look: Look) -> bool:
+    def is_unchanged(self, snapshot: FrameSnapshot) -> bool:
         """Whether repeated frames look the same, whatever was on the wall before and after them."""
-        group = tuple(look.beside)
+        group = tuple(snapshot.neighbours)
         pictures = [self._pictures[number] for number in group]
-        either = {number: self._beside[number] | look.beside[number] for number in group}
+        either = {number: self._neighbours[number] | snapshot.neighbours[number] for number in group}
         return all(
-            sums.changed_share(group, pictures, before, seen, either) <= sums.tolerance
-            for before, (sums, seen) in zip(look.frames, self._cameras, strict=True)
+            sums.changed_share(group, pictures, before, levels, either) <= sums.tolerance
+            for before, (sums, levels) in zip(snapshot.frames, self._cameras, strict=True)
         )
 
     def reopen(self, group: Group) -> None:
         """Forget the frames of a group, because all are repeated and judged again."""
         self.judged.remove(group)
-        for _, seen in self._cameras:
+        for _, levels in self._cameras:
             for number in group:
-                del seen[number]
+                del levels[number]
 
     def settle(self, group: Group) -> None:
         """Close a group. It stays open if only neighbouring frames are wrong, and is judged again after those."""
         self.judged.remove(group)
-        if self.foreign(group) <= 1 and not self._has_witnesses(group):
+        if self.foreign(group) <= 1 and not self._are_neighbours_verified(group):
             return
-        self._unproven = {number: of for number, of in self._unproven.items() if of != group}
+        self._unverified = {number: of for number, of in self._unverified.items() if of != group}
 
-    def _worst(self, share: Callable[[T, ComplementarySums, Seen], float], of: T) -> float:
+    def _worst(self, share: Callable[[T, ComplementarySums, Levels], float], of: T) -> float:
         """The largest share of all cameras, relative to the tolerance of each."""
-        return max(share(of, sums, seen) / sums.tolerance for sums, seen in self._cameras)
+        return max(share(of, sums, levels) / sums.tolerance for sums, levels in self._cameras)
 
-    def _foreign_share(self, group: Group, sums: ComplementarySums, seen: Seen) -> float:
+    def _foreign_share(self, group: Group, sums: ComplementarySums, levels: Levels) -> float:
         if self.is_even(group):
-            mixed = [self._mixed_share(number, sums, seen) for number in group[1:]]
-            return max([odd_share(group, seen), *mixed])
-        return sums.foreign_share(group, [self._pictures[number] for number in group], seen, self._beside)
+            mixed = [self._mixed_share(number, sums, levels) for number in group[1:]]
+            return max([odd_share(group, levels), *mixed])
+        return sums.foreign_share(group, [self._pictures[number] for number in group], levels, self._neighbours)
 
-    def _mixed_share(self, number: int, sums: ComplementarySums, seen: Seen) -> float:
+    def _mixed_share(self, number: int, sums: ComplementarySums, levels: Levels) -> float:
         """The share of other pictures in a frame of an even group; 1 if the neighbouring frames do not determine it.
 
         Frames at rest are checked as well: a picture may have arrived a refresh late.
         """
-        beside = sorted(self._beside[number])
-        if not beside:
+        neighbours = sorted(self._neighbours[number])
+        if not neighbours:
             return 0.0
-        if not seen.keys() >= {*beside}:
+        if not levels.keys() >= {*neighbours}:
             return 1.0
-        share = mixed_share(seen[number], [seen[other] for other in beside], sums.tolerance)
+        share = mixed_share(levels[number], [levels[other] for other in neighbours], sums.tolerance)
         return 1.0 if share is None else share
 
     def _can_be_judged(self, group: Group) -> bool:
-        return self._is_complete(group) and (self.foreign(group) > 1 or self._has_witnesses(group))
+        return self._is_complete(group) and (self.foreign(group) > 1 or self._are_neighbours_verified(group))
 
     def _is_complete(self, group: Group) -> bool:
-        seen = self._cameras[0][1].keys()
-        return all(number in seen and self._beside[number] <= seen for number in group)
+        levels = self._cameras[0][1].keys()
+        return all(number in levels and self._neighbours[number] <= levels for number in group)
 
-    def _has_witnesses(self, group: Group) -> bool:
+    def _are_neighbours_verified(self, group: Group) -> bool:
         """Whether the neighbouring frames of an even group, whose edges are used, are verified themselves."""
         if not self.is_even(group):
             return True
-        others = {self._unproven.get(other, group) for number in group for other in self._beside[number]} - {group}
+        others = {self._unverified.get(other, group) for number in group for other in self._neighbours[number]} - {
+            group
+        }
         return all(self._is_complete(other) and self.foreign(other) <= 1 for other in others)
 
 
-def _odd_share(group: Group, _: ComplementarySums, seen: Seen) -> float:
-    return odd_share(group, seen)
+def _odd_share(group: Group, _: ComplementarySums, levels: Levels) -> float:
+    return odd_share(group, levels)

@@ -27,10 +27,10 @@ class DaskWorkers:
         self._client = client
 
     def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
-        """What came of each job, in the order in which they are finished.
+        """The outcome of each job, in the order in which they finish.
 
-        There are as many tasks at a time as threads to work on them: with more, Dask would also blame those for a
-        worker's death that were waiting there, and a million would fill the scheduler's memory.
+        At most one task per thread is submitted at a time. Of more, Dask would also blame the waiting ones for a
+        worker's death, and a million would fill the scheduler's memory.
         """
         from distributed import KilledWorker, as_completed
 

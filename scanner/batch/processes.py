@@ -64,7 +64,7 @@ class Processes:
         return f"{many} of {self._memory_bytes / 2**30:.1f} GiB each"
 
     def results(self, work: Work, jobs: Iterable[Job], delivery: Delivery) -> Iterator[tuple[Job, Row | Exception]]:
-        """What came of each job, in the order in which they are finished."""
+        """The outcome of each job, in the order in which they finish."""
         waiting, deaths = list(jobs)[::-1], dict[str, int]()
         while waiting or any(worker.job for worker in self._workers):
             self._distribute(work, waiting, delivery)

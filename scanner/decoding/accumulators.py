@@ -93,7 +93,7 @@ class Accumulators:
             if index in self.plan.shown[:place]:
                 continue
             pair = self._pair_of.get(index)
-            if pair in found and found[pair].matter:
+            if pair in found and found[pair].are_harmful:
                 yield index, found[pair].equalised(pair.index(index), frame, part[0])
             else:
                 yield index, frame

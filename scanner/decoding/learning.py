@@ -191,17 +191,17 @@ def _equalise(
         if fold.fringe in swings:
             gains, common = swings[fold.fringe]
             found.append((fold.fringe.frames, gains))
-            if gains.matter:
+            if gains.are_harmful:
                 fold.correction = correction(fold.fringe, gains, places, common, middle, brightest)
     for frames, gains in found:
-        if gains.matter:
+        if gains.are_harmful:
             rows = sample.pixels // width
             by_rows = (gains.at(each) for each in (rows, coarse.rows, tiles.rows))
             for frame, of_frame, of_coarse, of_tiles in zip(frames, *by_rows, strict=True):
                 sample.divide(frame, of_frame)
                 coarse.divide(frame, of_coarse)
                 tiles.divide(plan.shown.index(frame), of_tiles)
-    for group, by in outlier_groups([(frames, gains.matter) for frames, gains in found], sample):
+    for group, by in outlier_groups([(frames, gains.are_harmful) for frames, gains in found], sample):
         for frame in group:
             sample.divide(frame, np.array([by]))
             coarse.divide(frame, np.array([by]))

@@ -54,7 +54,7 @@ def _layout(name: str, title: str, along: Sequence[_AlongAxis], side: int) -> La
 
 @dataclass(frozen=True)
 class _Direction:
-    """What there is `along` each of the `axes`, its fringes from their `first` shift on to one side or the other."""
+    """The patterns `along` each of the `axes`. `first`: a fringe's first shift; `sign`: the direction of its shifts."""
 
     along: _AlongAxis
     axes: tuple[Axis, ...] = ()

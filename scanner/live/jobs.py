@@ -101,7 +101,7 @@ class Watchers(Watcher):
 
 @dataclass
 class LiveResult:
-    """What came of it. `kept`: the stations; `ended_by`: what ended it before all were there, None if nothing did."""
+    """The kept stations. `ended_by`: the error that ended the job early, None if there was none."""
 
     calibration: Calibration
     account: Account = field(default_factory=Account)

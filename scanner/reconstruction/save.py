@@ -58,7 +58,7 @@ def set_aside(captures: Sequence[Decoded], folder: Path) -> None:
 
 
 class EarlyMatches:
-    """Writes the matches of a result's only capture while it is calibrated, which changes nothing of them."""
+    """Writes the matches of a result's only capture during its calibration, which does not change them."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

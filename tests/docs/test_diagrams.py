@@ -19,7 +19,7 @@ def diagrams() -> dict[str, Callable[[], object]]:
         return dict(module(ROOT / "docs" / "make_diagrams.py").DIAGRAMS)
 
 
-def test_the_files_are_what_the_script_draws(diagrams: dict[str, Callable[[], object]]) -> None:
+def test_stored_diagrams_are_current(diagrams: dict[str, Callable[[], object]]) -> None:
     assert len(diagrams) >= 10
     for name, draw in diagrams.items():
         written = (ROOT / "docs" / "images" / f"{name}.svg").read_text(encoding="utf-8")

@@ -84,7 +84,7 @@ def webcam(camera: str, screen: int) -> RealPair:
     return RealPair(settings, CAMERA, PROJECTOR)
 
 
-def test_each_device_is_opened_once_and_only_one_projector_shows_something(bench: Bench) -> None:
+def test_each_device_is_opened_once_and_only_one_projector_shows_pictures(bench: Bench) -> None:
     pairs = {(camera, f"p{screen}"): aravis(camera, screen) for screen in (0, 1) for camera in ("a", "b")}
     with RealDevices(pairs) as devices:
         for screen, other in ((0, 1), (1, 0)):
@@ -119,7 +119,7 @@ def test_a_camera_is_opened_anew_where_a_projector_asks_for_something_else(
     assert sorted(bench.closed) == sorted(bench.opened)
 
 
-def test_streaming_cameras_are_alone_in_a_projectors_light(bench: Bench) -> None:
+def test_streaming_cameras_capture_one_at_a_time(bench: Bench) -> None:
     pairs = {("w", "p"): webcam("w", 0), ("a", "p"): aravis("a", 0), ("v", "p"): webcam("v", 0)}
     pairs |= {("b", "p"): aravis("b", 0)}
     with RealDevices(pairs) as devices:
@@ -138,6 +138,6 @@ def test_two_projectors_on_one_screen_are_refused_and_all_is_closed(bench: Bench
     assert sorted(bench.closed) == sorted(bench.opened)
 
 
-def test_an_x_display_is_told_from_a_name_and_a_geometry() -> None:
+def test_only_x_display_names_are_recognised() -> None:
     assert [display_of(name) for name in (":0.1", ":12")] == [":0.1", ":12"]
     assert [display_of(name) for name in (None, 1, "HDMI-1", "320x180+0+0", "a:1")] == [None] * 5

@@ -61,7 +61,7 @@ def test_each_frame_shows_its_own_picture_only(
         in_flight_s = rig.tally.elapsed_s - rig.latency_s  # the first is waited for
         per_picture_s = in_flight_s / (len(patterns) + len(unpaired_bits(patterns)))
         assert 2.5 * bench.period_s < per_picture_s < 4.5 * bench.period_s  # one or two of which are of both pictures
-        assert rig.acquisition.standing.missed <= 1
+        assert rig.acquisition.stable_frames.missed <= 1
 
 
 def test_averaging_frames_reduces_noise(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +83,7 @@ def test_a_late_picture_is_waited_for_or_detected(
         1 + len(patterns) // 2, 0.8
     )  # behind the reference picture; the frames before it stand, and are others'
     assert worst_deviation(rig, patterns) < 1.0
-    assert 1 <= rig.acquisition.doubted + rig.acquisition.standing.missed <= 8
+    assert 1 <= rig.acquisition.doubted + rig.acquisition.stable_frames.missed <= 8
 
 
 def blurred(image: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ class StreamBench:
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> "StreamBench":
         clock = SimpleNamespace(monotonic=lambda: self.now)
-        for module in ("hw.timing.standing_frames", "hw.timing.stream_calibration", "hw.timing.timed_rig"):
+        for module in ("hw.timing.stable_frames", "hw.timing.stream_calibration", "hw.timing.timed_rig"):
             monkeypatch.setattr(f"{module}.time", clock)
         return self
 

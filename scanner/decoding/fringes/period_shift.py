@@ -2,7 +2,7 @@
 
 Linear interpolation between two pixels shifts long waves correctly, but short ones lag behind with the square of their
 frequency. The fringes of one period then disagree with those of the next, smoothly over whole surfaces, as if a device
-had been knocked exactly between them. The two causes cannot be told apart.
+had been knocked exactly between them. The two causes cannot be distinguished.
 """
 
 from itertools import pairwise

@@ -66,7 +66,7 @@ class Gains:
     of_rows: Floats
 
     @property
-    def matter(self) -> bool:
+    def are_harmful(self) -> bool:
         """Whether the frames differ enough to do harm."""
         logs = np.log(self.of_rows)
         return any(difference > LEAST_DIFFERENCE for difference in np.ptp(logs, axis=0).tolist())

@@ -68,7 +68,7 @@ class PairEqualiser:
             return None
         gains = self._between(pair, first, second)
         self.found[pair] = gains
-        if not gains.matter:
+        if not gains.are_harmful:
             self._add(pair, first, second)
             return None
         by_pixel = gains.at(self._rows).astype(np.float32)
@@ -202,7 +202,7 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
             gains = steady if is_steady else gains_of_fringe(fringe, of_fringe, common, places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
             found[fringe] = gains, means[number]
-        if not any(gains.matter for gains, _ in found.values()):
+        if not any(gains.are_harmful for gains, _ in found.values()):
             break
     return found
 

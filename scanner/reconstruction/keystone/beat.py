@@ -56,7 +56,7 @@ class Fit:
 
     @property
     def is_of_a_beat(self) -> bool:
-        """Whether it is as strong along both axes as one is."""
+        """Whether its strength along both axes, and what it explains, are typical of a beat."""
         is_as_strong = all(_LEAST_STRENGTH <= strength <= _MOST_STRENGTH for strength in self.strengths)
         return is_as_strong and self.explained >= _LEAST_EXPLAINED
 

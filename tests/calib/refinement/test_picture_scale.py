@@ -32,7 +32,7 @@ def deviation(found: SelfCalibration) -> float:
 
 
 @pytest.mark.parametrize(("seed", "scale"), [(0, 1.01), (9, 1.03)])
-def test_sigmas_contain_a_scale_that_explains_more_than_walls_off_square(seed: int, scale: float) -> None:
+def test_sigmas_include_a_picture_scale_that_explains_oblique_walls(seed: int, scale: float) -> None:
     square, scaled = calibrated(seed, 1.0), calibrated(seed, scale)
     assert not any("scaled in one direction" in note for note in square.notes)
     assert any("scaled in one direction" in note for note in scaled.notes)

@@ -40,7 +40,7 @@ NETWORK = CONFIG + "rigs: {cameras: {left: {}, right: {rig: {exposure_us: 500}}}
     ("pair", "exposures"),
     [(None, {"left": 3000, "right": 3000}), (("left", "stage"), {"left": 3000, "right": 500})],
 )
-def test_an_exposure_is_of_the_cameras_that_are_looked_at(
+def test_exposure_setting_applies_to_the_cameras_in_view(
     pair: tuple[str, str] | None, exposures: dict[str, float], tmp_path: Path
 ) -> None:
     path = tmp_path / "hall.yaml"
@@ -50,7 +50,7 @@ def test_an_exposure_is_of_the_cameras_that_are_looked_at(
         assert config.required_rig.exposure_us == exposures[camera]
 
 
-def test_a_network_is_looked_at_camera_by_camera_or_as_a_chosen_pair(tmp_path: Path) -> None:
+def test_network_view_cycles_through_cameras_or_shows_the_chosen_pair(tmp_path: Path) -> None:
     path = tmp_path / "hall.yaml"
     path.write_text(NETWORK)
     settings = Settings(path)

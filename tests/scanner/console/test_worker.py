@@ -278,7 +278,7 @@ def test_a_device_of_a_network_that_fails_is_named_in_the_message_and_on_the_pag
     assert page.results == []
 
 
-def test_each_camera_of_a_network_is_looked_at_in_turn_until_one_is_chosen(
+def test_live_view_cycles_through_the_cameras_of_a_network_until_one_is_chosen(
     worker: Worker, page: Notebook, wall: Wall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_module, "_TURN_S", 0.1)
@@ -306,7 +306,7 @@ def test_each_camera_of_a_network_is_looked_at_in_turn_until_one_is_chosen(
         (NETWORK.replace("right: {}", "right: {rig: {poze: 1}}"), "", Activity.NETWORK, "did you mean 'rig.pose'?"),
     ],
 )
-def test_what_no_network_can_be_captured_with_is_said_before(
+def test_unusable_network_settings_are_refused_before_devices_are_opened(
     config: str, distance: str, activity: Activity, message: str, worker: Worker, wall: Wall, tmp_path: Path
 ) -> None:
     (tmp_path / "wall.yaml").write_text(config)

@@ -22,7 +22,7 @@ def drawn(sights: list[Sight]) -> ElementTree.Element:
     return ElementTree.fromstring(str(network_graph(sights)))
 
 
-def test_each_pair_says_its_state_to_eyes_and_to_ears() -> None:
+def test_each_pair_shows_its_state_with_a_text_alternative() -> None:
     svg = drawn(ALL)
 
     assert [text.text for text in svg.iter("text")] == [

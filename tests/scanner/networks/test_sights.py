@@ -23,7 +23,7 @@ def frame(level: int) -> Frame:
     return Frame(np.full((2, 3), level, np.uint8))
 
 
-def test_cameras_that_are_captured_together_are_told_apart() -> None:
+def test_each_camera_captured_together_has_its_own_progress() -> None:
     seen: list[tuple[Sight, int]] = []
     items = [((White(), frame(10 + number)), (White(), frame(20 + number))) for number in range(2)]
 
@@ -56,11 +56,11 @@ def decoded(count: int) -> Decoded:
 
 
 @pytest.mark.parametrize(("item", "count"), [((White(), frame(1)), 1), (((White(), frame(1)),) * 3, 3), ("row", 0)])
-def test_frames_are_found_in_what_goes_by(item: object, count: int) -> None:
+def test_frames_in_stream_items_are_counted(item: object, count: int) -> None:
     assert len(frames_in(item)) == count
 
 
-def test_what_is_kept_of_a_network_says_what_takes_it(tmp_path: Path) -> None:
+def test_kept_network_captures_name_the_command_that_takes_them(tmp_path: Path) -> None:
     kept = tmp_path / "hall-incomplete"
     for pair, count in (("left-side", len(PATTERNS)), ("left-stage", len(PATTERNS)), ("right-stage", 7)):
         folder = write_capture(kept / "captures" / pair / "capture", PATTERNS[:count])

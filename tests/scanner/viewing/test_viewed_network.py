@@ -28,7 +28,7 @@ def test_every_device_is_where_the_file_says(tmp_path: Path) -> None:
         assert rig.calibration.camera.focal_px == tuple(camera["focal_px"])
 
 
-def test_without_a_projector_there_is_no_network_to_look_at(tmp_path: Path) -> None:
+def test_network_without_a_projector_is_refused(tmp_path: Path) -> None:
     folder = write_network(tmp_path / "hall", np.random.default_rng(0))
     document = yaml.safe_load((folder / "network.yaml").read_text())
     for each in document["devices"]:

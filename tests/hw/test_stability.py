@@ -8,7 +8,7 @@ import pytest
 
 from calib.numerics.array_types import Image
 from hw.timing.resting import RestingLight
-from hw.timing.standing import Standing, standing
+from hw.timing.stability import StabilityTest, stability_test
 
 SIZE, BLOCK = (320, 240), 8
 RNG = np.random.default_rng(3)
@@ -23,18 +23,20 @@ def frame(light: np.ndarray | float, noise: float) -> Image:
 
 
 @pytest.fixture(scope="module")
-def compared() -> Standing:
+def compared() -> StabilityTest:
     """Frames with much noise in black, and little in white."""
     camera = SimpleNamespace(name="bench", highest_level=255)
     rest = RestingLight(cast(Any, camera), [frame(0, 1.5) for _ in range(4)], [frame(1, 0.1) for _ in range(4)])
-    return standing(rest)
+    return stability_test(rest)
 
 
-def stand(compared: Standing, before: np.ndarray | float, now: np.ndarray | float, share: np.ndarray | float) -> bool:
+def is_stable(
+    compared: StabilityTest, before: np.ndarray | float, now: np.ndarray | float, share: np.ndarray | float
+) -> bool:
     """Whether frames are equal if the first has a share of the previous picture."""
     last = (1 - share) * np.asarray(now) + share * np.asarray(before)
     seen = [compared.sums.brightness(frame(light, 0.4)) for light in (before, last, now)]
-    return compared.stands(*seen)
+    return compared.is_stable(*seen)
 
 
 COARSE = np.arange(SIZE[0]) // 40 % 2
@@ -47,10 +49,10 @@ FRINGE = 0.5 + 0.1 * np.cos(2 * np.pi * np.arange(SIZE[0]) / 23)
     ids=["dim greys", "greys", "inverse", "faint fringe"],
 )
 def test_equal_frames_agree_and_a_few_per_cent_of_another_picture_do_not(
-    compared: Standing, before: np.ndarray | float, now: np.ndarray | float, seldom: int
+    compared: StabilityTest, before: np.ndarray | float, now: np.ndarray | float, seldom: int
 ) -> None:
-    assert all(stand(compared, before, now, 0.0) for _ in range(40))
+    assert all(is_stable(compared, before, now, 0.0) for _ in range(40))
     if seldom:  # of faint differences shares are not known so well
-        assert not any(stand(compared, before, now, 0.03) for _ in range(40))
+        assert not any(is_stable(compared, before, now, 0.03) for _ in range(40))
     rolled = np.where(np.arange(SIZE[1]) > 0.8 * SIZE[1], 0.3, 0.0)[:, None]
-    assert not any(stand(compared, before, now, rolled) for _ in range(40))
+    assert not any(is_stable(compared, before, now, rolled) for _ in range(40))

@@ -17,7 +17,7 @@ _LEAST_CHANGE = 0.02  # rms, relative to white minus black: below it two picture
 
 
 @dataclass(frozen=True)
-class Standing:
+class StabilityTest:
     """Compares frames by their brightness (N,) at the pixels of `sums`. `order` (B, P, n): indices of these pixels, by
     band of rows and part of the band.
     """
@@ -26,7 +26,7 @@ class Standing:
     order: np.ndarray
     most_change: float
 
-    def stands(self, before: Floats | None, last: Floats, now: Floats) -> bool:
+    def is_stable(self, before: Floats | None, last: Floats, now: Floats) -> bool:
         """Whether the frames `last` and `now` are alike, without a share of the picture `before` in `last`.
 
         The share s in `last` = (1 − s) now + s before is found in each band of rows by least squares, regressing
@@ -42,13 +42,13 @@ class Standing:
         step, change = step[self.order], ((now + last) / 2 - before)[self.order]
         power = np.mean(change**2, axis=2)
         total = power.mean(axis=1)
-        told = total > self._least_power
-        if not told.any():
+        significant = total > self._least_power
+        if not significant.any():
             return True
-        along = np.mean(step * change, axis=2)[told]
-        share = along.mean(axis=1) / total[told]
-        variance = np.var(along - share[:, None] * power[told], axis=1, ddof=1).mean()
-        by_chance = np.sqrt(variance / _PARTS) / total[told]
+        along = np.mean(step * change, axis=2)[significant]
+        share = along.mean(axis=1) / total[significant]
+        variance = np.var(along - share[:, None] * power[significant], axis=1, ddof=1).mean()
+        by_chance = np.sqrt(variance / _PARTS) / total[significant]
         return bool(np.all(np.abs(share) < _MOST_SHARE + _SIGMAS * by_chance))
 
     def differs(self, before: Floats, now: Floats) -> bool:
@@ -61,10 +61,10 @@ class Standing:
         return _LEAST_CHANGE**2 + 4 * self.sums.variance
 
 
-def standing(rest: RestingLight) -> Standing:
+def stability_test(rest: RestingLight) -> StabilityTest:
     """Made from black and white at rest."""
     rows, columns = rest.sums.pixels
     band = max(_PARTS, len(rows) // _BANDS // _PARTS * _PARTS)
     order = np.argsort(rows, kind="stable")[: len(rows) // band * band].reshape(-1, band)
     across = np.take_along_axis(order, np.argsort(columns[order], axis=1, kind="stable"), axis=1)
-    return Standing(rest.sums, across.reshape(len(across), _PARTS, -1), max(_MOST_CHANGE, 2 * rest.tolerance))
+    return StabilityTest(rest.sums, across.reshape(len(across), _PARTS, -1), max(_MOST_CHANGE, 2 * rest.tolerance))

@@ -6,7 +6,7 @@
     frames                  ▏…    ▏…    ▏1    ▏1: the mean of both
 
 A picture is stable when successive frames are alike, band by band, without a share of the previous picture
-(`standing.py`). Pipelined, each picture stays as long as the calibration says that the required number of complete
+(`stability.py`). Pipelined, each picture stays as long as the calibration says that the required number of complete
 frames takes; they must not contain the next picture, either. Where two pictures look alike, such as stripes finer
 than a camera pixel, a picture counts as stable some time after its light should have arrived.
 """
@@ -25,7 +25,7 @@ from hw.rig import Frame
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.frame_reader import Arrival
 from hw.timing.resting import RestingLight
-from hw.timing.standing import standing
+from hw.timing.stability import stability_test
 from hw.timing.stream_calibration import StreamTiming, frozen
 
 _PATIENCE_S = 5.0  # automatic exposure settles in one or two
@@ -53,7 +53,7 @@ class _Run:
     """Successive frames that are alike, and their brightness."""
 
     frames: list[Arrival]
-    seen: list[Floats]
+    levels: list[Floats]
 
 
 def _is_unresolved(seen: Floats) -> bool:
@@ -61,7 +61,7 @@ def _is_unresolved(seen: Floats) -> bool:
     return bool(seen.std() < _FLAT and _GREY[0] < seen.mean() < _GREY[1])
 
 
-class StandingFrames:
+class StableFrames:
     """Shows pictures and averages some frames of each. `missed`: how many pipelined pictures had no stable frames."""
 
     def __init__(
@@ -71,7 +71,7 @@ class StandingFrames:
         self._camera = camera
         self._timing = timing
         self._sums = rest.sums
-        self._standing = standing(rest)
+        self._stability = stability_test(rest)
         spread_s = max(0.0, timing.latest_s - timing.soonest_s)
         usual_s = spread_s + camera.average * timing.period_s
         self._least_s = usual_s - _SPARE * timing.period_s
@@ -158,21 +158,21 @@ class StandingFrames:
             end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
             if came_s >= end_s:
                 break
-            unseen = came_s > showing.latest_s - _SPARE * self._timing.period_s and _is_unresolved(run.seen[-1])
+            unseen = came_s > showing.latest_s - _SPARE * self._timing.period_s and _is_unresolved(run.levels[-1])
             if self._is_whole(run) and (unseen or self._has_come(run)):
                 return self._noted(run, showing)
-            found = _Run(run.frames[-1:], run.seen[-1:])
+            found = _Run(run.frames[-1:], run.levels[-1:])
         return found
 
     def _is_clean(self, run: _Run, following: _Run) -> bool:
         """Whether these frames contain no share of the next picture, compared with the next picture's own frames. If
         those show both pictures, the share is overestimated, which is safe.
         """
-        if not following.seen:
+        if not following.levels:
             return False
-        after = following.seen[-1]
-        told = self._is_whole(following) or self._standing.differs(run.seen[-1], after)
-        return told and self._standing.stands(after, run.seen[-1], run.seen[0])
+        after = following.levels[-1]
+        comparable = self._is_whole(following) or self._stability.differs(run.levels[-1], after)
+        return comparable and self._stability.is_stable(after, run.levels[-1], run.levels[0])
 
     def _runs(self, showing: _ShownPicture) -> Iterator[tuple[_Run, float]]:
         """After each frame that may show a picture: the last frames that are alike, and its time of arrival."""
@@ -183,9 +183,11 @@ class StandingFrames:
             if arrival.came_s < begin_s:
                 continue
             seen = self._sums.brightness(arrival.image)
-            alike = run if run.seen and self._standing.stands(self._before, run.seen[-1], seen) else _Run([], [])
+            alike = (
+                run if run.levels and self._stability.is_stable(self._before, run.levels[-1], seen) else _Run([], [])
+            )
             count = 1 - self._camera.average
-            run = _Run([*alike.frames[count:], arrival], [*alike.seen[count:], seen])
+            run = _Run([*alike.frames[count:], arrival], [*alike.levels[count:], seen])
             yield run, arrival.came_s
 
     def _noted(self, run: _Run, showing: _ShownPicture) -> _Run:
@@ -199,7 +201,7 @@ class StandingFrames:
 
     def _has_come(self, run: _Run) -> bool:
         """Whether the frames differ from the previous picture."""
-        return self._before is None or self._standing.differs(self._before, run.seen[-1])
+        return self._before is None or self._stability.differs(self._before, run.levels[-1])
 
     def _following(self) -> Arrival:
         """Wait for the next frame, and show pictures that are due meanwhile."""
