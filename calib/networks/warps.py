@@ -68,8 +68,10 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         found.append(Warp(name, none.cost - alone.cost, device.warp, trapezoid))
     found.sort(key=lambda each: -each.gain)
     several = none.cost - whole.cost - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
-    least = max(_BY_CHANCE, found[0].gain - _AS_LIKELY)
-    return Warps(tuple(each for each in found if each.gain > least and not several), several), none, weights
+    if several or found[0].gain < _BY_CHANCE:
+        return Warps(several=several), none, weights
+    likely = tuple(each for each in found if each.gain > found[0].gain - _AS_LIKELY)
+    return Warps(likely), none, weights
 
 
 def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:
