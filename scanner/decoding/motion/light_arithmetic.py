@@ -30,6 +30,9 @@ _FINE_BITS, _OF_FINE = 3, 2.5
 # Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make half of the swing.
 _FAR_BEYOND = 5.0
 _HARMONICS, _TRIMS = (2, 3), 3
+# Largest share of the pixels that contradict a linear law to contradict a tone curve as well: none would, and all where
+# something moved.
+_OF_CURVE = 0.5
 # Outliers exceed this multiple of the resting quantile, which is three standard deviations.
 _OUTLIER_OF_RESTING = 5.25
 
@@ -160,14 +163,23 @@ def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usua
     P).
 
     A nonlinear projector changes the mean, and adds the harmonic whose order is the number of steps. Interreflection
-    may give this harmonic any phase, so that deviations of its size are not taken for motion.
+    may give this harmonic any phase, so that deviations of its size are not taken for motion. A camera's tone curve
+    bends the mean of blurred stripes and that of white and black differently. The mean is then a smooth function of the
+    usual light, a cubic here, and deviates from it.
     """
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
     brightness, left = _fit_most(every.T, usual[:, None], _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
+    far = _LEAST * np.ptp(frames, axis=0)[:, None]
+    if contradict := np.count_nonzero(np.abs(left) > far):
+        relative = usual / max(float(usual.max()), 1e-6)
+        curved = np.stack([usual, *every[1:], usual * relative, usual * relative**2])
+        by_curve, left_of_curve = _fit_most(curved.T, parts[0][:, None], np.ones(len(usual), np.bool_))
+        if np.count_nonzero(np.abs(left_of_curve) > far) < _OF_CURVE * contradict:
+            brightness, left = by_curve, left_of_curve
     # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
-    bent = np.float32(np.hypot(*brightness[2:, 0])) * (frames.max(axis=0) - parts[1])
+    bent = np.float32(np.hypot(*brightness[2:4, 0])) * (frames.max(axis=0) - parts[1])
     return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
 
 

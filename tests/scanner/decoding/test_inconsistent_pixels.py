@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.numerics import Bools, Image
+from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.learning import _explained
@@ -14,6 +14,7 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import CoarseFrames, find_inconsistent_pixels
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
+from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
@@ -224,3 +225,33 @@ def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved:
     else:
         with pytest.raises(InputError, match="not neighbours"):
             _explained(plan, [anomaly], [], inconsistent)
+
+
+@pytest.mark.parametrize("preset", ["quick", "concave"])
+@pytest.mark.parametrize("wall", [0.5, 0.8])
+def test_a_tone_curve_is_no_motion(preset: PresetName, wall: float) -> None:
+    """Blurred fringes through a photograph's steep curve, and an object that is half as bright during some of them.
+
+    Half of the pixels see a `wall` of this albedo, the others all kinds of albedo.
+    """
+    rng, size = np.random.default_rng(3), (300, 200)
+    patterns = PRESETS[preset].patterns(size)
+    albedo, *place = (rng.uniform(low, high, 3000) for low, high in ((0.15, 0.8), (0, size[0]), (0, size[1])))
+    albedo[::2] = wall
+    light = np.stack([pattern.brightness(*place) for pattern in patterns])
+    fringes = np.array(sorted(of_fringes(patterns)))
+    light[fringes] = 0.5 + 0.2 * (light[fringes] - 0.5)
+    light = albedo * (0.9 * light + 0.05)
+    moved = np.arange(len(albedo)) % 10 == 0
+    light[np.ix_(fringes[:8], np.flatnonzero(moved))] *= 0.5
+    level = steep(light ** (1 / 2.2))
+    level = (level + steep(level)) / 2
+    levels = (255 * level + rng.normal(0, 0.7, level.shape)).astype(np.float32)
+    found = contradictions(plan_sequence(patterns, size), levels, NoiseModel(0.5, 0.0))
+    flagged = np.any([each for _, each in found], axis=0)
+    assert np.mean(flagged[~moved]) < 0.02
+    assert np.mean(flagged[moved]) > 0.8
+
+
+def steep(level: Floats) -> Floats:
+    return level**2 * (3 - 2 * level)
