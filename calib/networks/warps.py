@@ -59,6 +59,11 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     if none.cost - whole.cost < _BY_CHANCE or strained:
         return Warps(), none, weights
     whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
+    # From walls that waves bent to fit a warp, a descent may end before it is down.
+    starts = none.layout, fit.layout
+    none = min((weights.fitted(grown, sights, each, free, ROUGH) for each in starts), key=lambda each: each.cost)
+    if none.cost - whole.cost < _BY_CHANCE:
+        return Warps(), none, weights
     found = []
     for number, name in enumerate(grown.names):
         start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
