@@ -110,7 +110,7 @@ def test_the_sequence_of_another_video_is_refused(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("--from", "opencv"), "--from: is for a folder"),
+        (("--from", "opencv"), "--from: only for a folder"),
         (("--out", "x"), "needs --sequence"),
         (("--sequence", "configs/room-sim.yaml", "--out", "x"), "sequence.yaml of a video"),
     ],
