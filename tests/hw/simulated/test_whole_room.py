@@ -48,7 +48,7 @@ def test_opposite_walls_are_not_parallel_and_every_match_is_where_a_ray_met_a_su
 def test_every_station_has_a_pose() -> None:
     settings = SimulatedRigSettings.model_validate({"room": "whole", "stations": 10, "pose": 8})
     assert at_place(settings, 1) == settings.model_copy(update={"pose": 9})
-    with pytest.raises(DeviceError, match="places 0 to 9"):
+    with pytest.raises(DeviceError, match="poses 0 to 9"):
         at_place(settings, 2)
     with pytest.raises(ValueError, match="pose: expected 0 to 7, found 8"):
         SimulatedRigSettings.model_validate({"pose": 8})
