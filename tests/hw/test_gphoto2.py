@@ -32,6 +32,8 @@ from tests.support.fake_gphoto2 import Device, GPhoto2Error
 from tests.support.notebook import Notebook, until
 from tests.support.simulated_window import SimulatedWindow
 
+pytestmark = pytest.mark.xdist_group("gphoto2")  # what the module shares is made once
+
 SIZE, PROJECTOR = (306, 256), (160, 96)
 CONFIG = f"""
 rig: {{backend: gphoto2, exposure_us: 33333, refresh_hz: 60}}

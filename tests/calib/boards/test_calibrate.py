@@ -12,6 +12,8 @@ from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
 from tests.support.boards import views_of
 
+pytestmark = pytest.mark.xdist_group("board calibration")  # what the module shares is made once
+
 
 def made_up(seed: int, **changes: Any) -> SyntheticBoards:
     return random_boards(np.random.default_rng(seed), matches=3000, **changes)

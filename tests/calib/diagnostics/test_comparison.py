@@ -8,6 +8,8 @@ import pytest
 from calib.diagnostics import SystematicErrors, compare
 from tests.support.known_rigs import before, errors_of
 
+pytestmark = pytest.mark.xdist_group("comparison")  # what the module shares is made once
+
 DEPTHS = np.array([0.8, 1.2])
 
 

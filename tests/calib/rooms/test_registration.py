@@ -12,6 +12,8 @@ from calib.rooms.features import feature_poses
 from calib.rooms.surfaces import surfaces_of
 from calib.synthetic.stations import Room, Station, moved_rig, random_room, ring, seen_from
 
+pytestmark = pytest.mark.xdist_group("registration")  # what the module shares is made once
+
 CAMERA = Intrinsics(306, 256, (225.0, 225.0), (154.0, 125.5), (-0.06, 0.01, 0.0, 0.0, 0.0))
 
 

@@ -12,6 +12,8 @@ from calib.self_calibration import self_calibrate_jointly
 from calib.synthetic.boards import BoardOptions
 from tests.support.known_rigs import Before, before, errors_of, intrinsics_and_length, sigmas
 
+pytestmark = pytest.mark.xdist_group("with boards")  # what the module shares is made once
+
 
 @pytest.fixture(scope="module")
 def some() -> list[Before]:

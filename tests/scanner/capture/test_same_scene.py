@@ -10,6 +10,8 @@ from scanner.capture.same_scene import compare, refuse_another_scene, scale_of
 from scanner.errors import InputError
 from scanner.patterns.pattern import Gray, White, draw
 
+pytestmark = pytest.mark.xdist_group("same scene")  # what the module shares is made once
+
 CAMERA, PROJECTOR = (306, 256), (214, 120)
 PATTERNS = (White(), Gray("x", 4, 5, 8), Gray("y", 3, 4, 8))
 

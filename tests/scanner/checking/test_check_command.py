@@ -24,6 +24,8 @@ from scanner.configuration.schema import load_config
 from scanner.ui.terminal import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
 
+pytestmark = pytest.mark.xdist_group("checking")  # what the module shares is made once
+
 TEXT = "# My rig\nrig:\n  backend: simulated   # a room\n  seed: 0\n"
 
 

@@ -13,6 +13,8 @@ from scanner.io import read_calibration, write_calibration, write_matches
 from scanner.results import covariance_entries, read_uncertainty
 from tests.support.known_rigs import Before, before, intrinsics_and_length, sigmas
 
+pytestmark = pytest.mark.xdist_group("comparing")  # what the module shares is made once
+
 
 @pytest.fixture(scope="module")
 def case() -> Before:
