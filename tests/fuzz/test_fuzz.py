@@ -8,7 +8,7 @@ from tests.fuzz.guarded import RejectedError, rng_of
 from tests.fuzz.runner import HANG_S, fuzz
 from tests.fuzz.targets import PLANTED, TARGETS
 
-_SLOW = {"calibrating": 4, "results": 6, "capture": 20, "board": 4, "batch": 12, "compared": 6, "left_behind": 20}
+_SLOW = {"calibrating": 4, "results": 6, "capture": 20, "board": 2, "batch": 12, "compared": 6, "left_behind": 20}
 _ANSWERED = {"log", "left_behind", "asked"}  # whatever they are given
 _INPUTS = 60
 _SEED = 2026

@@ -19,8 +19,14 @@ from tests.support.places import REAL_CAPTURES
 pytestmark = pytest.mark.xdist_group("importing")
 
 
-@pytest.mark.parametrize("told", [True, False], ids=["from", "any"])
-@pytest.mark.parametrize("name", FOREIGN)
+# One folder of each layout is also imported with --from.
+OF_EACH_LAYOUT = {case.layout: name for name, case in FOREIGN.items()}.values()
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [*((name, False) for name in FOREIGN), *((name, True) for name in OF_EACH_LAYOUT)],
+)
 def test_a_foreign_folder_becomes_a_capture(
     folder: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, told: bool
 ) -> None:

@@ -19,6 +19,8 @@ from scanner.ui import Terminal
 from scanner.viewing.result import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
 
+pytestmark = pytest.mark.xdist_group("objects")  # what the module shares is made once
+
 CAMERA = (306, 256)
 
 
