@@ -11,7 +11,7 @@ from scanner.shown_text import shortened
 
 # One unit is one pixel where the graph is narrowest.
 _LETTER, _LONGEST_NAME, _GAP, _DOT = 8, 14, 10, 6
-_ROW, _NARROWEST = 72, 260
+_ROW, _NARROWEST = 72, 220
 # Labels are on their edges, those of a projector below each other, so near the cameras that no two of them meet.
 _FIRST, _PITCH, _FARTHEST = 44, 54, 0.6
 _LABEL_HEIGHT = 18
