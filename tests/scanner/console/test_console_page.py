@@ -217,8 +217,6 @@ def test_a_network_shows_who_sees_whose_light(console: Console) -> None:
     visit.page.mouse.click(1000, 900)
     visit.page.keyboard.press("Shift+N")
     visit.wait_for("in the light of stage, ")
-    for camera in ("left", "right"):
-        expect(visit.page.get_by_alt_text(f"what {camera} sees")).to_be_visible(timeout=PATIENCE_MS)
     visit.wait_for("devices are one network")
     visit.wait_for("Showing all")
     visit.press("Capture")
@@ -226,6 +224,8 @@ def test_a_network_shows_who_sees_whose_light(console: Console) -> None:
         r"left in the light of stage: \d+\.\d % of its picture\. right in the light of stage: \d+\.\d % of its picture"
     )
     expect(graph).to_have_accessible_name(re.compile(of_all))
+    for camera in ("left", "right"):
+        expect(visit.page.get_by_alt_text(f"what {camera} sees")).to_be_visible(timeout=PATIENCE_MS)
     expect(visit.page.get_by_role("progressbar", name="stage")).to_have_js_property("position", 1)
     visit.choose("Look at", "right in the light of stage")
     visit.press("Live image")
