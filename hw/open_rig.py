@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from calib.geometry import Calibration, Motion
 from hw.backends import RigSettings
-from hw.real_devices import Pair, RealDevices, RealPair, Size
+from hw.real_devices import Pair, PairSettings, RealDevices
 from hw.rig import Rig
 from hw.settings import CameraRigSettings, SimulatedRigSettings
 from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
@@ -32,15 +32,6 @@ class OpenedRig:
         return (self, *self.others)
 
 
-@dataclass(frozen=True)
-class PairSettings:
-    """What is configured for a camera in a projector's light; sizes are (width, height) in pixels."""
-
-    rig: RigSettings
-    camera_size: Size
-    projector_size: Size
-
-
 @contextmanager
 def open_rig(
     settings: RigSettings, camera_size: tuple[int, int], projector_size: tuple[int, int]
@@ -57,7 +48,7 @@ def open_rig(
 class OpenedNetwork:
     """Cameras and projectors of which any pair is a rig."""
 
-    def __init__(self, pairs: Mapping[Pair, PairSettings], real: RealDevices) -> None:
+    def __init__(self, pairs: Mapping[Pair, PairSettings[RigSettings]], real: RealDevices) -> None:
         self._pairs = pairs
         self._real = real
 
@@ -88,13 +79,13 @@ class OpenedNetwork:
 
 
 @contextmanager
-def open_network(pairs: Mapping[Pair, PairSettings]) -> Iterator[OpenedNetwork]:
+def open_network(pairs: Mapping[Pair, PairSettings[RigSettings]]) -> Iterator[OpenedNetwork]:
     """Open all devices of some pairs, named by camera and projector, for as long as the context lasts.
 
     Raises DeviceError.
     """
     real = {
-        names: RealPair(pair.rig, pair.camera_size, pair.projector_size)
+        names: PairSettings(pair.rig, pair.camera_size, pair.projector_size)
         for names, pair in pairs.items()
         if isinstance(pair.rig, CameraRigSettings)
     }

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -21,16 +21,19 @@ from hw.timing.timed_rig import TimedRig
 _USUAL_REFRESH_HZ = 60.0
 
 Pair = tuple[str, str]  # the names of a camera and of a projector
-Size = tuple[int, int]
+Settings = TypeVar("Settings", covariant=True)
 
 
 @dataclass(frozen=True)
-class RealPair:
+class PairSettings(Generic[Settings]):
     """What is configured for a camera in a projector's light; sizes are (width, height) in pixels."""
 
-    settings: CameraRigSettings
-    camera_size: Size
-    projector_size: Size
+    rig: Settings
+    camera_size: tuple[int, int]
+    projector_size: tuple[int, int]
+
+
+RealPair = PairSettings[CameraRigSettings]
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class RealDevices:
             opening.push(self._open)
             # First: a missing library is reported before anything is shown.
             self._drivers: dict[str, CameraDriver] = {
-                pair.settings.backend: backend_of(pair.settings).load() for pair in self._pairs.values()
+                pair.rig.backend: backend_of(pair.rig).load() for pair in self._pairs.values()
             }
             for (_, projector), pair in self._pairs.items():
                 if projector not in self._screens:
@@ -99,7 +102,7 @@ class RealDevices:
         }
         opened: list[tuple[Any, dict[str, str]]] = []
         for name in cameras:
-            camera, backend = self._camera(name, projector), self._pairs[name, projector].settings.backend
+            camera, backend = self._camera(name, projector), self._pairs[name, projector].rig.backend
             opened.append((camera, {"backend": backend, **camera.identity, **of_screen}))
         (camera, identity), *others = opened
         rig: TimedRig
@@ -113,10 +116,10 @@ class RealDevices:
             rig.stop()
 
     def _known_hz(self, camera: str, projector: str) -> float | None:
-        return self._pairs[camera, projector].settings.refresh_hz or self._screens[projector].screen.refresh_hz
+        return self._pairs[camera, projector].rig.refresh_hz or self._screens[projector].screen.refresh_hz
 
     def _open_screen(self, projector: str, pair: RealPair) -> None:
-        opened = self._open.enter_context(ScreenProjector(pair.settings.screen, pair.projector_size))
+        opened = self._open.enter_context(ScreenProjector(pair.rig.screen, pair.projector_size))
         for name, other in self._screens.items():
             if other.screen == opened.screen:
                 raise DeviceError(
@@ -131,7 +134,7 @@ class RealDevices:
         """
         pair = self._pairs[name, projector]
         refresh_hz = self._known_hz(name, projector) or _USUAL_REFRESH_HZ
-        wanted = pair.settings.model_copy(update={"screen": None, "refresh_hz": refresh_hz}), pair.camera_size
+        wanted = pair.rig.model_copy(update={"screen": None, "refresh_hz": refresh_hz}), pair.camera_size
         if name in self._cameras:
             known = self._cameras[name]
             if known.wanted == wanted:
@@ -140,8 +143,8 @@ class RealDevices:
                 return known.camera
             known.closing.close()
         closing = self._open.enter_context(ExitStack())
-        driver = self._drivers[pair.settings.backend]
-        camera = closing.enter_context(driver.connect(pair.settings, pair.camera_size, refresh_hz))
+        driver = self._drivers[pair.rig.backend]
+        camera = closing.enter_context(driver.connect(pair.rig, pair.camera_size, refresh_hz))
         control = settable_exposure(camera)
         self._cameras[name] = _Opened(camera, wanted, control.exposure_us if control else None, closing)
         return camera

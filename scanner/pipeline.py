@@ -355,4 +355,4 @@ def _finished(
 
 
 def _ignore(_: Scan) -> None:
-    """Looks."""
+    """Does nothing."""

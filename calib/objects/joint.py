@@ -17,7 +17,7 @@ from calib.geometry import Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement.likelihood import huber_weights
 from calib.rooms.alignment import composed, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
@@ -49,7 +49,7 @@ class Residuals:
     def weight(self) -> Floats:
         """Of each, under Huber's loss, (N,)."""
         size = np.abs(self.off) / self.sigma
-        weight: Floats = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12)) / self.sigma**2
+        weight: Floats = huber_weights(size) / self.sigma**2
         return weight
 
 

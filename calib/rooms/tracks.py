@@ -7,7 +7,7 @@ import numpy as np
 from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints
 from calib.refinement import CAMERA, SHARED
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement.likelihood import huber_weights
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
@@ -70,7 +70,7 @@ class Track:
         """Cost under Huber's loss, half its gradient (36,) and its Gauss–Newton Hessian (36, 36)."""
         off, by_room, _ = self.differences(room)
         size = np.linalg.norm(off, axis=1) / np.sqrt(self.variance)
-        robust = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(size, 1e-12))
+        robust = huber_weights(size)
         cost = float(np.sum(robust * size * (2 * size - robust * size)))
         weighted = by_room * (robust / self.variance)[:, None, None]
         return cost, np.einsum("nac,na->c", weighted, off), np.einsum("nac,nad->cd", weighted, by_room)

@@ -5,7 +5,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from calib.geometry import Size
-from hw.open_rig import OpenedNetwork, PairSettings, open_network
+from hw.open_rig import OpenedNetwork, open_network
+from hw.real_devices import PairSettings
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.networks.captures import Captures, Pair, labelled
@@ -69,14 +70,7 @@ def _shown_once(pairs: Mapping[Pair, Config], network: OpenedNetwork) -> Iterato
     """Pairs whose cameras see one and the same sequence of a projector, by projector."""
     for projector in dict.fromkeys(projector for _, projector in pairs):
         for cameras in network.together(projector):
-            alike: list[list[Pair]] = []
+            alike: dict[object, list[Pair]] = {}
             for pair in ((camera, projector) for camera in cameras):
-                own = pairs[pair]
-                for others in alike:
-                    first = pairs[others[0]]
-                    if (first.sequence, first.projector) == (own.sequence, own.projector):
-                        others.append(pair)
-                        break
-                else:
-                    alike.append([pair])
-            yield from alike
+                alike.setdefault((pairs[pair].sequence, pairs[pair].projector), []).append(pair)
+            yield from alike.values()

@@ -61,7 +61,7 @@ OnSight = Callable[[Sight, Frame | None], object]  # with the frame that has jus
 
 
 def nobody(_: Sight, __: Frame | None) -> None:
-    """Looks."""
+    """Does nothing."""
 
 
 class Watched:
