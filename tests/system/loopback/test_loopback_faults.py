@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hw.aravis import backend as aravis
@@ -170,13 +171,15 @@ def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopb
 
     for _ in range(2):
         one_scan()
-    before = resources()
-    for _ in range(4):
+    seen = [resources()]
+    for _ in range(7):
         one_scan()
-    memory_mb, files, threads = (now - then for now, then in zip(resources(), before, strict=True))
-    assert files <= 0
-    assert threads <= 0
-    assert memory_mb < 4 * 0.2  # the buffers of a scan alone are 0.3
+        seen.append(resources())
+    memory_mb, files, threads = np.array(seen).T
+    assert files[-1] <= files[0]
+    assert threads[-1] <= threads[0]
+    # What is left behind grows with every scan (the buffers of one are 0.3 MB); the allocator grows once in a while.
+    assert np.median(np.diff(memory_mb)) < 0.2
 
 
 def resources() -> tuple[float, int, int]:
