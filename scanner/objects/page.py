@@ -9,7 +9,7 @@ from calib.pointcloud import MergedCloud
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
-from scanner.rendering import BLUE, environment, frustum, render
+from scanner.rendering import BLUE, frustum, page, render
 from scanner.rendering.cloud_views import Wireframe, view_along
 from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
@@ -32,24 +32,21 @@ _FILES = {
 def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     files = sorted({each.name for each in path.parent.iterdir()} - {path.name})
-    page = (
-        environment()
-        .get_template("object.html")
-        .render(
-            verdict=verdict_on(solved),
-            provenance=made,
-            subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
-            views=_views(solved, cloud),
-            measured=list(_measured(solved, surface)),
-            stations=list(_station_rows(solved)),
-            names=[str(number) for number in range(1, len(solved.stations) + 1)],
-            overlaps=_matrix(solved),
-            residuals=list(_residuals(solved)),
-            files=[(name, _FILES[name]) for name in files if name in _FILES],
-            unit=solved.unit,
-        )
+    text = page(
+        "object.html",
+        verdict=verdict_on(solved),
+        provenance=made,
+        subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
+        views=_views(solved, cloud),
+        measured=list(_measured(solved, surface)),
+        stations=list(_station_rows(solved)),
+        names=[str(number) for number in range(1, len(solved.stations) + 1)],
+        overlaps=_matrix(solved),
+        residuals=list(_residuals(solved)),
+        files=[(name, _FILES[name]) for name in files if name in _FILES],
+        unit=solved.unit,
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
-from scanner.rendering import BLUE, environment, frustum, render
+from scanner.rendering import BLUE, frustum, page, render
 from scanner.rendering.cloud_views import Wireframe, view_along
 from scanner.reporting import maps
 from scanner.reporting.sections import Picture, ScaledMap, picture
@@ -46,27 +46,24 @@ class Cell:
 def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     files = sorted({path.name for path in path.parent.iterdir()} - {path.name})
-    page = (
-        environment()
-        .get_template("room.html")
-        .render(
-            verdict=verdict_on(room),
-            provenance=made,
-            subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
-            plan=plan_svg(plan),
-            views=_views(room, cloud),
-            lengths=list(_lengths(room, plan)),
-            stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
-            names=[str(number) for number in range(1, len(room.stations) + 1)],
-            overlaps=_overlaps(room),
-            pairs=list(_pairs(room)),
-            residuals=[(station.name, _missed(station)) for station in room.stations],
-            tables=rig_quantities(room.calibration),
-            files=[(name, _FILES[name]) for name in files if name in _FILES],
-            unit=room.unit,
-        )
+    text = page(
+        "room.html",
+        verdict=verdict_on(room),
+        provenance=made,
+        subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
+        plan=plan_svg(plan),
+        views=_views(room, cloud),
+        lengths=list(_lengths(room, plan)),
+        stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
+        names=[str(number) for number in range(1, len(room.stations) + 1)],
+        overlaps=_overlaps(room),
+        pairs=list(_pairs(room)),
+        residuals=[(station.name, _missed(station)) for station in room.stations],
+        tables=rig_quantities(room.calibration),
+        files=[(name, _FILES[name]) for name in files if name in _FILES],
+        unit=room.unit,
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def _views(room: SolvedRoom, cloud: MergedCloud) -> list[Picture]:
