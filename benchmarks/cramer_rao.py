@@ -62,7 +62,7 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
     prior = knowledge.prior(state)
     for device, columns in ((state.camera, CAMERA), (state.projector, PROJECTOR)):
         for column in np.flatnonzero(device[3:] == 0) + 3:
-            prior = prior.with_known(columns.start + int(column))
+            prior = prior.knowing([columns.start + int(column)])
     cells, variances = [], []
     for i, capture in enumerate(captures):
         matches = capture.matches[capture.matches.face >= 0]
@@ -97,7 +97,7 @@ def bound_of_photos(
     size = truth.camera.width, truth.camera.height
     prior = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, one_camera=True).prior(state)
     if camera[3] == 0:
-        prior = prior.with_known(CAMERA.start + 3)
+        prior = prior.knowing([CAMERA.start + 3])
     step_px = 1e-3
     pixels, face = matches.camera_px, matches.face
     at, jacobian, _ = predict(state, pixels, face)

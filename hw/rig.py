@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle, tee
+from itertools import cycle
 from typing import Literal, Protocol, cast
 
 from calib.numerics import Image
@@ -19,6 +19,24 @@ class Frame:
 
 
 Frames = tuple[Frame, ...]  # one of each camera
+
+
+@dataclass(frozen=True)
+class Redundancy:
+    """What verifies the frames of a series of images, by groups of image numbers; without any, nothing does.
+
+    `level`: the images of a group sum to uniform light. `unpaired`: two or more binary images, of which none is an
+    exclusive or of others.
+    """
+
+    level: Sequence[Sequence[int]] = ()
+    unpaired: Sequence[Sequence[int]] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.level or self.unpaired)
+
+
+NO_REDUNDANCY = Redundancy()
 
 
 class Projector(Protocol):
@@ -106,38 +124,33 @@ class Rig:
         return (self, *self.others)
 
     def photograph(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        # Devices that wait for each other need no verification.
-        level: Sequence[Sequence[int]] = (),  # noqa: ARG002
-        unpaired: Sequence[Sequence[int]] = (),  # noqa: ARG002
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), redundancy: Redundancy = NO_REDUNDANCY
     ) -> Iterator[Frame]:
-        """Show images one after the other, and yield a frame of each; each frame is taken on request.
-
-        `level`: groups of image numbers whose images sum to uniform light. `unpaired`: groups of two or more binary
-        images of which none is an exclusive or of others. Rigs of real devices use both to verify frames, which
-        allows pipelined acquisition.
-
-        `exposures_us` are used cyclically; without any, the exposure is left unchanged. Raises what the devices
-        raise, and DeviceError if the camera's exposure cannot be changed.
-        """
-        for image, exposure_us in zip(images, cycle(exposures_us or (None,)), strict=False):
-            if exposure_us is not None:
-                exposure_control(self.camera).expose_for(exposure_us)
-            self.projector.show(image)
-            yield self.camera.grab()
+        """As `photograph_together`; yields the frames of the first camera."""
+        return (frames[0] for frames in self.photograph_together(images, exposures_us, redundancy))
 
     def photograph_together(
         self,
         images: Iterable[Image],
         exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
+        redundancy: Redundancy = NO_REDUNDANCY,  # noqa: ARG002  devices that wait for each other need no verification
     ) -> Iterator[Frames]:
-        """As `photograph`, by all cameras: yields a frame of each, in the order of `all`."""
-        shown = zip(self.all, tee(images, len(self.all)), strict=True)
-        return zip(*(rig.photograph(each, exposures_us, level, unpaired) for rig, each in shown), strict=True)
+        """Show images one after the other, and yield a frame of each by each camera, in the order of `all`; they are
+        taken on request.
+
+        Rigs of real devices use the `redundancy` of the images to verify frames, which allows pipelined acquisition.
+
+        `exposures_us` are used cyclically; without any, the exposure is left unchanged. Raises what the devices
+        raise, and DeviceError if a camera's exposure cannot be changed.
+        """
+        for image, exposure_us in zip(images, cycle(exposures_us or (None,)), strict=False):
+            yield tuple(rig._photograph_one(image, exposure_us) for rig in self.all)
+
+    def _photograph_one(self, image: Image, exposure_us: float | None) -> Frame:
+        if exposure_us is not None:
+            exposure_control(self.camera).expose_for(exposure_us)
+        self.projector.show(image)
+        return self.camera.grab()
 
     def account(self) -> Mapping[str, object]:
         """Metadata of the frames taken so far, for the recording."""

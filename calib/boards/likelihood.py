@@ -4,8 +4,7 @@ Corners deviate in camera pixels, cells of matches in projector pixels, both und
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from calib.boards.parameters import (
     predict_corners,
     predict_matches,
 )
-from calib.numerics import NIELSEN, Bools, Floats, Ints, Quadratic, descend
-from calib.refinement import ORDINARY_LENSES, Cells, LensPrior, misfit, with_tails
+from calib.numerics import NIELSEN, Bools, Floats, Quadratic, descend
+from calib.refinement import ORDINARY_LENSES, Cells, ColumnPrior, LensPrior, misfit
 
 _STEPS = 60
 _TAILED = np.array(
@@ -63,22 +62,13 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Prior on the shared columns: `mean`, `sigma` (SHARED,); 0 = known, infinity = unknown. That of lens terms and of
-    the pixels' shape has tails, the others are Gaussian.
+class Prior(ColumnPrior):
+    """Prior on the shared columns, (SHARED,). Tailed are lens terms and the pixels' shape.
 
     `flex`: standard deviation of each term by which a view's bend differs from the usual one; 0 for a rigid board.
     """
 
-    mean: Floats
-    sigma: Floats
     flex: float = 0.0
-
-    @cached_property
-    def root_precision(self) -> Floats:
-        """1 / σ of unknown parameters, 0 elsewhere."""
-        unknown = self.sigma > 0
-        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
 
     def free(self, layout: State) -> Bools:
         """Which columns are estimated, (size,)."""
@@ -86,12 +76,6 @@ class Prior:
         free[:SHARED] = self.sigma > 0
         free[layout.flex_columns()] = self.flex > 0
         return free
-
-    def knowing(self, columns: Sequence[int] | Ints) -> "Prior":
-        """The prior with some columns fixed."""
-        sigma = self.sigma.copy()
-        sigma[list(columns)] = 0.0
-        return replace(self, sigma=sigma)
 
 
 def device_prior(
@@ -112,7 +96,7 @@ def device_prior(
         mean[device], sigma[device] = of_device
     sigma[BEND] = _BEND_SIGMA
     sigma[BEND.start + bend_terms : BEND.stop] = 0.0
-    return Prior(mean, sigma)
+    return Prior(mean, sigma, (_TAILED,))
 
 
 @dataclass(frozen=True)
@@ -129,13 +113,10 @@ def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, 
 
     Without `matches`, only the camera is evaluated.
     """
-    z = (state.additive() - prior.mean) * prior.root_precision
-    of_columns, slope, curvature = z**2, z.copy(), np.ones(SHARED)
-    of_columns[_TAILED], slope[_TAILED], curvature[_TAILED] = with_tails(z[_TAILED])
+    of_columns, slope, curvature = prior.misfit(state.additive())
     cost = float(of_columns.sum())
     gradient, information = np.zeros(state.size), np.zeros((state.size, state.size))
-    gradient[:SHARED] = slope * prior.root_precision
-    information[np.arange(SHARED), np.arange(SHARED)] = curvature * prior.root_precision**2
+    gradient[:SHARED], information[:SHARED, :SHARED] = slope, np.diag(curvature)
     if prior.flex:
         columns, flex = (
             state.flex_columns().ravel(),

@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
+from calib.refinement.column_prior import ColumnPrior
 from calib.refinement.known_rig import KnownRig
 from calib.refinement.lens_prior import ORDINARY_LENSES, LensPrior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_CORNER, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
-from calib.refinement.tails import with_tails
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°
@@ -25,20 +25,15 @@ _BEHIND = 100.0  # cost of a cell behind a device, as for a deviation of ten sig
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Prior on the additive columns of the model: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
+class Prior(ColumnPrior):
+    """Prior on the additive columns of the model, (size,). Tailed are lens terms, one by one, and angles, the three of
+    a corner in one row.
 
-    The prior is Gaussian, except for lens terms and angles: it is heavy-tailed there, because few lenses and walls
-    deviate strongly, but those few may do so by many sigmas. `tailed`: these columns, in arrays (n, d) of rows that
-    deviate together: lens terms one by one, the three angles of a corner in one row. `powers` (size,): power of a
-    device's focal length with which a term scales for the same image distortion, if the prior is on the distortion of
-    the image. `held`: an unknown column that is held for now; its prior still counts. `rig`: joint prior from other
-    data on the columns that all captures share.
+    `powers` (size,): power of a device's focal length with which a term scales for the same image distortion, if the
+    prior is on the distortion of the image. `held`: an unknown column that is held for now; its prior still counts.
+    `rig`: joint prior from other data on the columns that all captures share.
     """
 
-    mean: Floats
-    sigma: Floats
-    tailed: tuple[Ints, ...]
     powers: Ints
     held: int | None = None
     rig: KnownRig | None = None
@@ -56,32 +51,12 @@ class Prior:
         """Indices of the columns that are estimated."""
         return np.flatnonzero(self.free)
 
-    @cached_property
-    def root_precision(self) -> Floats:
-        """1 / σ of the columns that are not known, 0 elsewhere, (size,)."""
-        unknown = self.sigma > 0
-        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
-
-    def misfit(self, state: State) -> tuple[Floats, Floats, Floats]:
-        """Return for each column (size,) its cost, half the gradient and half the (non-negative) curvature."""
-        z = (state.additive() - self.mean) * self.root_precision
-        cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
-        for columns in self.tailed:
-            cost[columns], slope[columns], curvature[columns] = with_tails(z[columns])
-        return cost, slope * self.root_precision, curvature * self.root_precision**2
-
     def radial_scale(self, state: State, other: State) -> Floats:
         """Return the ratio (size,) of terms that distort the image equally in `state` and in `other`."""
         ratio = np.ones(len(self.powers))
         ratio[CAMERA], ratio[PROJECTOR] = state.camera[0] / other.camera[0], state.projector[0] / other.projector[0]
         scale: Floats = ratio**self.powers
         return scale
-
-    def with_known(self, column: int) -> "Prior":
-        """Return a copy with one column fixed as known."""
-        sigma = self.sigma.copy()
-        sigma[column] = 0.0
-        return replace(self, sigma=sigma)
 
     def holding(self, column: int) -> "Prior":
         """Return a copy for a minimisation that leaves one column unchanged."""
@@ -169,7 +144,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 
     `variances`: (M,) for each capture, of each coordinate of each cell.
     """
-    of_columns, gradient, curvature = prior.misfit(state)
+    of_columns, gradient, curvature = prior.misfit(state.additive())
     cost, information = float(of_columns.sum()), np.diag(curvature)
     if prior.rig is not None:
         misfit_of_rig, slope, of_rig = prior.rig.misfit(state)

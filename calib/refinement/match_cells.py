@@ -45,10 +45,6 @@ class Cells:
     def __len__(self) -> int:
         return len(self.plane)
 
-    def as_matches(self) -> Matches:
-        """Return the cell means on the faces as matches."""
-        return Matches(self.camera_px, self.projector_px, np.where(self.plane < len(FACES), self.plane, -1))
-
     def __getitem__(self, chosen: Bools | slice) -> "Cells":
         """The cells at a mask or slice."""
         return Cells(

@@ -163,8 +163,8 @@ def log_volume_across(fit: Fit, best: State, prior: Prior) -> float:
     """
     scale = prior.radial_scale(fit.state, best)
     grown = replace(prior, sigma=prior.sigma * scale)
-    cost, _, curvature = prior.misfit(fit.state)
-    grown_cost, _, grown_curvature = grown.misfit(fit.state)
+    cost, _, curvature = prior.misfit(fit.state.additive())
+    grown_cost, _, grown_curvature = grown.misfit(fit.state.additive())
     information = (fit.information + np.diag(grown_curvature - curvature)) * np.outer(scale, scale)
     across = prior.free.copy()
     across[CAMERA.start] = False

@@ -147,7 +147,7 @@ def settle(
         usual = replace(knowledge, rig=None).prior(best.state)
         apart = minimise(captures, best.state, usual, variances)
         # The general prior on lenses is not information from the captures.
-        apart = replace(apart, cost=apart.cost - float(np.sum(usual.misfit(apart.state)[0][:SHARED])))
+        apart = replace(apart, cost=apart.cost - float(np.sum(usual.misfit(apart.state.additive())[0][:SHARED])))
     return Refinement(
         tuple(captures),
         noise,

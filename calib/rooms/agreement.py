@@ -34,19 +34,18 @@ _NATS_PER_MARK, _MARKS_BY_CHANCE, _MOST_NATS_OF_MARKS = 2.0, 4, 30.0
 DECIDED_NATS = float(np.log(1000.0))
 _UPRIGHT_SIGMA = np.radians(45.0)
 _LIKE = float(np.cos(np.radians(35.0)))
-_CONTRADICTS, _HIDDEN, _UNLIKE, _FATES = 0, 1, 2, 3
+_CONTRADICTS, _HIDDEN, _FATES = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class Agreement:
     """Of K poses. `matched` (K, P + 1, Q + 1): patches that agree, by the planes in either station they are on, the
-    last for none; `contradicting`, `hidden`, `unlike` (K,): patches. `marks` (K,): those of the pictures that agree.
+    last for none; `contradicting`, `hidden` (K,): patches. `marks` (K,): those of the pictures that agree.
     """
 
     matched: Ints
     contradicting: Ints
     hidden: Ints
-    unlike: Ints
     marks: Ints
 
     @property
@@ -107,7 +106,7 @@ def compare(
     back = np.ascontiguousarray(rotations.transpose(0, 2, 1))
     _look(first, second, back, -np.einsum("kij,kj->ki", back, translations), tolerance, patches, matched, fates)
     marks = _marks(first, second, rotations, translations, tolerance)
-    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], fates[:, _UNLIKE], marks)
+    return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], marks)
 
 
 def _marks(first: Surfaces, second: Surfaces, rotations: Floats, translations: Floats, tolerance: float) -> Ints:
@@ -192,8 +191,6 @@ def _look_through(
             if np.abs(off) < within and np.abs(z - depth) < 6 * within:
                 if like > _LIKE:
                     matched[k, patch_labels[m], labels[i, j]] += 1
-                else:
-                    fates[k, _UNLIKE] += 1
             elif z < near[i, j] - within - _FREE * depth:
                 fates[k, _CONTRADICTS] += 1
             elif z > depth:

@@ -133,19 +133,17 @@ def settled(
     return place
 
 
-def settled_together(
-    stations: Mapping[int, Surfaces], places: Mapping[int, Motion], tolerance: float = FINE, steps: int = _STEPS
-) -> dict[int, Motion]:
+def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
     """All places at once; the first station's stays."""
     now = dict(places)
     names = list(now)
     pairs = [(a, b) for n, a in enumerate(names) for b in names[n + 1 :]]
-    for _ in range(steps):
+    for _ in range(_STEPS):
         size = 6 * len(names)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         kept = []
         for a, b in pairs:
-            each = normal_equations(stations[a], now[a], stations[b], now[b], tolerance)
+            each = normal_equations(stations[a], now[a], stations[b], now[b], FINE)
             if each.count == 0:
                 continue
             kept.append((a, b))

@@ -63,8 +63,7 @@ class RoomEstimate:
 
     `residual_px` (S,): robust root mean square of each coordinate of a station's cells; NaN without cells. `reach`:
     median distance of surfaces from the camera, in baselines. `waves` (P,): unevenness of each plane, root mean square,
-    in baselines; 0 if undetected. `contacts`: of surfaces that are no planes. `tracks`: of points on planes in two
-    pictures.
+    in baselines; 0 if undetected. `contacts`: of surfaces that are no planes.
     """
 
     fit: Fit[Room]
@@ -76,7 +75,6 @@ class RoomEstimate:
     reach: float
     waves: Floats
     contacts: tuple[Contact, ...]
-    tracks: tuple[Track, ...]
 
     @property
     def room(self) -> Room:
@@ -181,7 +179,7 @@ def estimate_room(
     for patch, level in zip(patches, rough_levels(patches, fit.residuals), strict=True):
         residual_px[patch.station] = np.sqrt(level)
     undetermined = undetermined_in(fit.layout, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts, tracks)
+    return RoomEstimate(fit, covariance, levels, patches, residual_px, undetermined, reach, waves, contacts)
 
 
 def _planes_of_labels(patches: Sequence[Patch], plane_of: Sequence[Sequence[int]]) -> list[list[int]]:

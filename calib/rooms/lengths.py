@@ -7,11 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.diagnostics import Uncertainty
-from calib.geometry import Matches, tangent_basis, unproject
+from calib.geometry import tangent_basis
 from calib.numerics import Floats
-from calib.refinement import CAMERA, SHARED
-from calib.refinement.further_planes import depths
 from calib.rooms.estimate import RoomEstimate
 
 _PARALLEL = 1e-4  # sine of an angle too small to have a direction
@@ -27,13 +24,10 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class RoomPoint:
-    """A point (3,) in the room's frame, how it follows the room's columns (3, size), and the covariance (3, 3) of what
-    it has from matches that are not in the estimate.
-    """
+    """A point (3,) in the room's frame, and how it follows the room's columns (3, size)."""
 
     position: Floats
     by_room: Floats
-    own: Floats
 
 
 def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
@@ -79,42 +73,7 @@ def vertex(estimate: RoomEstimate, first: int, second: int, third: int) -> RoomP
     for number, column in zip(numbers, inverse.T, strict=True):  # N δX = δd − δn · X
         tilts = -tangent_basis(room.planes[number].normal).T @ position
         by_room[:, room.plane_columns(number)] = np.outer(column, [*tilts, 1.0])
-    return RoomPoint(position, by_room, np.zeros((3, 3)))
-
-
-def point_on_plane(estimate: RoomEstimate, station: int, camera_px: tuple[float, float], plane: int) -> RoomPoint:
-    """Where the ray of a station's camera pixel meets a plane."""
-    room = estimate.room
-    place, wall = room.places[station], room.planes[plane]
-    rays, rays_by_camera = unproject(room.rig.camera, np.array([camera_px], np.float64))
-    ray = place.rotation @ rays[0]
-    facing = float(wall.normal @ ray)
-    depth = (wall.offset - float(wall.normal @ place.translation)) / facing
-    position: Floats = place.translation + depth * ray
-    by_room = np.zeros((3, room.size))
-    by_room[:, CAMERA] = depth * place.rotation @ rays_by_camera[0]
-    by_room[:, room.place_columns(station)] = np.hstack([_turned(depth * ray), np.eye(3)])
-    by_room -= np.outer(ray / facing, wall.normal @ by_room)  # back along the ray onto the plane
-    tilts = -tangent_basis(wall.normal).T @ position
-    by_room[:, room.plane_columns(plane)] = np.outer(ray / facing, [*tilts, 1.0])
-    return RoomPoint(position, by_room, np.zeros((3, 3)))
-
-
-def middle_of(estimate: RoomEstimate, station: int, matches: Matches) -> RoomPoint:
-    """The middle of the points that some of a station's matches (one or more) triangulate to."""
-    room, place = estimate.room, estimate.places[station]
-    noise_px = estimate.levels.stations[station].match_px
-    uncertainty = Uncertainty(room.rig, estimate.rig_covariance, None, noise_px)
-    by_rig, by_match = uncertainty.point_jacobians(matches)
-    rays, _ = unproject(room.rig.camera, matches.camera_px)
-    seen = np.mean(rays * depths(room.rig, rays, matches.projector_px)[:, None], axis=0)
-    turned = place.rotation @ seen
-    by_room = np.zeros((3, room.size))
-    by_room[:, :SHARED] = place.rotation @ by_rig.mean(axis=0)
-    by_room[:, room.place_columns(station)] = np.hstack([_turned(turned), np.eye(3)])
-    sigma = np.full(len(matches), noise_px) if matches.sigma_px is None else matches.sigma_px
-    own = place.rotation @ (by_match * sigma[:, None, None] / len(matches))
-    return RoomPoint(turned + place.translation, by_room, np.einsum("nij,nkj->ik", own, own))
+    return RoomPoint(position, by_room)
 
 
 def distance(estimate: RoomEstimate, first: RoomPoint, second: RoomPoint) -> Measured:
@@ -122,18 +81,7 @@ def distance(estimate: RoomEstimate, first: RoomPoint, second: RoomPoint) -> Mea
     apart = second.position - first.position
     length = float(np.linalg.norm(apart))
     direction = apart / length
-    variance = _sigma(estimate, direction @ (second.by_room - first.by_room)) ** 2
-    return Measured(length, float(np.sqrt(variance + direction @ (first.own + second.own) @ direction)))
-
-
-def sigmas_of_point(estimate: RoomEstimate, point: RoomPoint) -> Floats:
-    """Standard deviations along the room's axes, (3,)."""
-    return np.array(
-        [
-            np.hypot(_sigma(estimate, row), np.sqrt(own))
-            for row, own in zip(point.by_room, np.diag(point.own), strict=True)
-        ]
-    )
+    return Measured(length, _sigma(estimate, direction @ (second.by_room - first.by_room)))
 
 
 def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
@@ -141,12 +89,6 @@ def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
     points = [patch.points(estimate.room) for patch in estimate.patches if patch.plane == plane]
     centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
     return centre
-
-
-def _turned(vector: Floats) -> Floats:
-    """ω × v by ω, (3, 3)."""
-    x, y, z = vector
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
 def _sigma(estimate: RoomEstimate, gradient: Floats) -> float:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics, Motion, tangent_basis
+from calib.geometry import Intrinsics, tangent_basis
 from calib.numerics import Floats, Image, Ints
 from calib.rooms.drawings import drawn, logarithmic
 from calib.rooms.planes import RoomPlane
@@ -86,13 +86,6 @@ def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
     own = np.flatnonzero(there >= 0)
     mutual: Ints = own[back[there[own]] == own]
     return mutual, there[mutual]
-
-
-def apart(first: Marks, second: Marks, pose: Motion) -> tuple[Floats, Floats]:
-    """Distance (M,) of matching marks at the pose X_first = R X_second + t, and their depth."""
-    own, other = alike(first, second)
-    moved = second.points[other] @ pose.rotation.T + pose.translation
-    return np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]
 
 
 def _distinct(product: NDArray[np.float32]) -> Ints:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
 from calib.rooms.alignment import composed, inverse, normal_equations
-from calib.rooms.assembly import Assembly, Edges, assemble, gain_of
+from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit
 from calib.rooms.planes import RoomPlane
@@ -40,8 +40,7 @@ class Group:
     `places` by station, X_room = R X_camera + t, in the frame of the group's first station. `planes` in the room's
     frame; `plane_of`: for each station, the plane index of each of its labels, −1 for none. `alternatives`: equally
     likely solutions; with any, the group is ambiguous. `ahead_nats`: log likelihood ratio to the next solution
-    evaluated, infinite without one. `held_nats` by station: evidence that it belongs to the others at its pose; a small
-    value is weak.
+    evaluated, infinite without one.
     """
 
     stations: tuple[int, ...]
@@ -50,7 +49,6 @@ class Group:
     plane_of: tuple[tuple[int, ...], ...]
     alternatives: tuple[Alternative, ...]
     ahead_nats: float
-    held_nats: tuple[float, ...]
 
     @property
     def ambiguous(self) -> bool:
@@ -137,11 +135,6 @@ def register(stations: Sequence[StationView], of_another_rig: Mapping[int, str] 
     return Registration(tuple(groups), tuple(pairs), left_out)
 
 
-def _held(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, float]:
-    """By how much each station is likelier to be at its place than not to belong to the others."""
-    return {k: gain_of(surfaces, {m: at for m, at in places.items() if m != k}, k, places[k]) for k in places}
-
-
 def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[Assembly]) -> Group:
     names = tuple(sorted(best.places))
     behind = [best.nats - each.nats for each in rivals]
@@ -150,7 +143,6 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[As
         for each, nats in zip(rivals, behind, strict=True)
         if nats < DECIDED_NATS
     ]
-    held = _held(surfaces, best.places)
     planes = shared_planes(surfaces, best.places)
     return Group(
         names,
@@ -159,7 +151,6 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[As
         tuple(planes.plane_of[k] for k in names),
         tuple(alternatives[:_MOST_ALTERNATIVES]),
         min(behind, default=np.inf),
-        tuple(held[k] for k in names),
     )
 
 

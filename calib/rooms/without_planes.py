@@ -48,7 +48,7 @@ def estimate_without_planes(
     levels = Levels(tuple(Noise(_MATCH_PX, 0.0, 0.0, 1.0) for _ in loose), np.zeros(0), 1.0)
     nothing = np.full(len(loose), np.nan)
     loosely = undetermined_in(fit.layout, covariance, reach)
-    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts, ())
+    return RoomEstimate(fit, covariance, levels, (), nothing, loosely, reach, np.zeros(0), contacts)
 
 
 def _reach(loose: Sequence[Matches], rig: State) -> float:

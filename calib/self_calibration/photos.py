@@ -105,7 +105,7 @@ def calibrate_photos(
 
 def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Matches]) -> tuple[SelfCalibration, ...]:
     state, notes = refinement.fit.state, notes_on(refinement, knowledge)
-    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost, "−2 log posterior above the best")
+    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost)
     solutions = []
     for i, matches in enumerate(pairs):
         alone, covariance = _one_pair(refinement, i)

@@ -66,11 +66,10 @@ class PrincipalPoint:
 
 @dataclass(frozen=True)
 class Profile:
-    """The curve searched over the camera's focal length: `focal_px`, `cost` (n,), and a description of `cost`."""
+    """The curve searched over the camera's focal length: `focal_px` and `cost` (n,)."""
 
     focal_px: Floats
     cost: Floats
-    cost_name: str
 
 
 @dataclass(frozen=True)
@@ -265,7 +264,7 @@ def _by_paper(
         calibration,
         matches,
         corner,
-        Profile(solution.focal_px, solution.objective, "objective E (px)"),
+        Profile(solution.focal_px, solution.objective),
         residual_px,
         "paper",
         (
@@ -318,7 +317,7 @@ def _by_refinement(
         calibration = known.with_own_pixels(calibration)
     next_view = best_next_view(refinement, knowledge)
     notes += notes_on(refinement, knowledge, next_view)
-    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost, "−2 log posterior above the best")
+    profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost)
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
     along = along_valley(*refinement.valley.along(fit))

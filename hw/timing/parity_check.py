@@ -8,13 +8,14 @@ slowly.
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
 from calib.numerics import Floats, Image, median, robust_sigma
+from hw.rig import Redundancy
 
 _CERTAIN = 0.2  # distance from half-way between black and white that noise and indirect light do not exceed
 _LEAST_CERTAIN = 0.1  # of all pixels; blurred stripes leave fewer between their edges
@@ -39,18 +40,17 @@ class WithParity:
         return frozenset(group[0] for group in self.even)
 
 
-def with_parity(
-    images: Iterable[Image], level: Iterable[Sequence[int]], unpaired: Collection[Sequence[int]]
-) -> WithParity:
-    """Insert the parity picture of each `unpaired` group before its first image; images are read on demand."""
-    firsts = sorted(min(group) for group in unpaired)
+def with_parity(images: Iterable[Image], redundancy: Redundancy) -> WithParity:
+    """Insert the parity picture of each unpaired group before its first image; images are read on demand."""
+    firsts = sorted(min(group) for group in redundancy.unpaired)
 
     def moved(number: int) -> int:
         return number + sum(first <= number for first in firsts)
 
-    even = tuple((moved(min(group)) - 1, *map(moved, sorted(group))) for group in unpaired)
-    groups = {min(group): group for group in unpaired}
-    return WithParity(_with_parity(iter(images), groups), tuple(tuple(map(moved, group)) for group in level), even)
+    even = tuple((moved(min(group)) - 1, *map(moved, sorted(group))) for group in redundancy.unpaired)
+    level = tuple(tuple(map(moved, group)) for group in redundancy.level)
+    groups = {min(group): group for group in redundancy.unpaired}
+    return WithParity(_with_parity(iter(images), groups), level, even)
 
 
 def _with_parity(images: Iterator[Image], groups: Mapping[int, Sequence[int]]) -> Iterator[Image]:

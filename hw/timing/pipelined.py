@@ -19,7 +19,7 @@ from contextlib import suppress
 
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frames
+from hw.rig import NO_REDUNDANCY, Frames, Redundancy
 from hw.timing.camera_group import CameraGroup
 from hw.timing.complementary_sums import ComplementarySums
 from hw.timing.devices import ATTEMPTS, BufferedProjector
@@ -75,11 +75,8 @@ class PipelinedAcquisition:
         """Whether the exposure is still the one of the calibration."""
         return self._cameras.exposure_s == self._exposure_s
 
-    def frames(
-        self, images: Iterable[Image], level: Sequence[Sequence[int]], unpaired: Sequence[Sequence[int]] = ()
-    ) -> Iterator[Frames]:
-        """Yield the verified frames of each image, in order. `level`: groups of image numbers that sum to uniform
-        light; `unpaired`: groups of binary images to verify by parity. Images in no group are taken at rest.
+    def frames(self, images: Iterable[Image], redundancy: Redundancy) -> Iterator[Frames]:
+        """Yield the verified frames of each image, in order. Images in no group are taken at rest.
 
         Raises DeviceError, and whatever `images` raises.
         """
@@ -87,7 +84,7 @@ class PipelinedAcquisition:
         self.missed = self.doubted = 0
         taken: dict[int, Frames] = {}
         following = 0
-        shown = with_parity(images, level, unpaired)
+        shown = with_parity(images, redundancy)
         for number, frames in self._series(shown):
             taken[number] = frames
             self._verification.note(number, frames)
@@ -111,7 +108,7 @@ class PipelinedAcquisition:
 
     def rehearse(self, images: Iterable[Image]) -> Iterator[Frames]:
         """Frames in order, checked by their timing only: the caller verifies them."""
-        return (frame for _, frame in self._series(with_parity(images, (), ()), proven=False))
+        return (frame for _, frame in self._series(with_parity(images, NO_REDUNDANCY), proven=False))
 
     def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frames]]:
         """Numbers and frames; the caller may repeat others in between, after `_stop_pipelining`. Grouped pictures are

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calib.numerics import Image
-from hw.rig import Frames
+from hw.rig import Frames, Redundancy
 from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
@@ -64,15 +64,11 @@ class StreamedRig(TimedRig):
         }
 
     def _acquired(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float],
-        level: Sequence[Sequence[int]],
-        unpaired: Sequence[Sequence[int]],
+        self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
     ) -> Iterator[Frames]:
         reader = self.streaming.reader
         self._before.repeated, self._before.dropped = reader.repeated, reader.dropped
-        return ((frame,) for frame in self.acquisition.frames(images, exposures_us, level, unpaired))
+        return ((frame,) for frame in self.acquisition.frames(images, exposures_us, redundancy))
 
 
 def streamed(

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Frame, exposure_control
+from hw.rig import NO_REDUNDANCY, Frame, Redundancy, exposure_control
 from hw.timing.automatics import Appearance, appearance, changes, is_another_view, reference_picture
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
 from hw.timing.numbered_pictures import NumberedPictures
@@ -51,19 +51,14 @@ class StreamAcquisition:
         self.doubted = 0
 
     def frames(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), redundancy: Redundancy = NO_REDUNDANCY
     ) -> Iterator[Frame]:
-        """Yield a verified frame of each image, in order. `level`: groups of image numbers that sum to uniform light;
-        `unpaired`: groups of binary images to verify by parity. With `exposures_us`, which are used cyclically, frames
-        are only checked to be stable.
+        """Yield a verified frame of each image, in order. With `exposures_us`, which are used cyclically, frames are
+        only checked to be stable.
 
         Raises DeviceError, and whatever `images` raises.
         """
-        first = self._appearance() if (level or unpaired) and not exposures_us else None
+        first = self._appearance() if redundancy and not exposures_us else None
         self.tally.begin()
         self.doubted = self._unfounded = self.stable_frames.missed = 0
         if exposures_us:
@@ -73,7 +68,7 @@ class StreamAcquisition:
                 self.tally.take()
                 yield self.stable_frames.at_rest(image)
             return
-        shown = with_parity(images, level, unpaired)
+        shown = with_parity(images, redundancy)
         self._pictures = NumberedPictures(shown.images)
         self._verification = FrameVerification([self._rest.sums], self._pictures, shown.level, shown.even)
         self._even = {each for group in shown.even for each in group}

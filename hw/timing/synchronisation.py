@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Frames, Rig
+from hw.rig import Frames, Redundancy, Rig
 from hw.timing.camera_group import CameraGroup
 from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
 from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
@@ -125,16 +125,12 @@ class SynchronisedRig(TimedRig):
         return self.sequential.exposure_s + (0.0 if self._last_mode.pipelined else self.timing.latency_s)
 
     def _acquired(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float],
-        level: Sequence[Sequence[int]],
-        unpaired: Sequence[Sequence[int]],
+        self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
     ) -> Iterator[Frames]:
-        verified = self.verified if (level or unpaired) and not exposures_us else None
+        verified = self.verified if redundancy and not exposures_us else None
         if verified is not None and verified.possible:
             self._last_mode.pipelined = verified.rhythm.pipelines
-            return verified.frames(images, level, unpaired)
+            return verified.frames(images, redundancy)
         self._last_mode.pipelined = False
         return self.sequential.frames(images, exposures_us)
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from calib.numerics import Image
 from hw.ahead import Ahead
-from hw.rig import Frame, Frames, Rig
+from hw.rig import NO_REDUNDANCY, Frames, Redundancy, Rig
 
 MOST_AHEAD = 16  # prefetched frames; one frame may complete the verification of eight, which then arrive at once
 
@@ -69,11 +69,7 @@ class TimedRig(Rig):
         raise NotImplementedError
 
     def _acquired(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float],
-        level: Sequence[Sequence[int]],
-        unpaired: Sequence[Sequence[int]],
+        self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
     ) -> Iterator[Frames]:
         """The frames of `photograph_together`, each taken on request."""
         raise NotImplementedError
@@ -82,29 +78,15 @@ class TimedRig(Rig):
         """Further metadata of synchronisation for the recording."""
         raise NotImplementedError
 
-    def photograph(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
-    ) -> Iterator[Frame]:
-        """A frame of each image by the first camera, as `photograph_together` takes it."""
-        return (frames[0] for frames in self.photograph_together(images, exposures_us, level, unpaired))
-
     def photograph_together(
-        self,
-        images: Iterable[Image],
-        exposures_us: Sequence[float] = (),
-        level: Sequence[Sequence[int]] = (),
-        unpaired: Sequence[Sequence[int]] = (),
+        self, images: Iterable[Image], exposures_us: Sequence[float] = (), redundancy: Redundancy = NO_REDUNDANCY
     ) -> Iterator[Frames]:
         """A frame of each image by each camera, taken when its light is on the wall. Raises DeviceError.
 
-        With groups to verify, frames are prefetched in a thread. Otherwise each is taken on request.
+        If they can be verified, frames are prefetched in a thread. Otherwise each is taken on request.
         """
-        frames = self._acquired(images, exposures_us, level, unpaired)
-        self._lately.ahead = Ahead(frames, MOST_AHEAD) if level or unpaired else None
+        frames = self._acquired(images, exposures_us, redundancy)
+        self._lately.ahead = Ahead(frames, MOST_AHEAD) if redundancy else None
         return iter(self._lately.ahead or frames)
 
     def stop(self) -> None:

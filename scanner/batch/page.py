@@ -9,7 +9,7 @@ from scanner.batch.location import Location
 from scanner.batch.rows import Row
 from scanner.batch.work import RESULTS, THUMBNAILS
 from scanner.quantities import Quantity
-from scanner.rendering import environment, script, script_hash
+from scanner.rendering import page
 from scanner.results import REPORT_FILE, SIGNS
 from scanner.ui import EXIT_BUG, EXIT_INPUT, EXIT_REFUSED
 
@@ -22,19 +22,15 @@ _WORDS = {0: "calibrated", EXIT_INPUT: "unusable input", EXIT_REFUSED: "refused"
 def write_page(place: Location, rows: Sequence[Row]) -> None:
     """Write the page. It needs no network; it links to the results and to no other files. Raises OSError."""
     counts = Counter(_state(row) for row in rows)
-    page = (
-        environment()
-        .get_template("batch.html")
-        .render(
-            lines=[_line(row) for row in rows[:_MOST_ROWS]],
-            total=len(rows),
-            left_out=max(0, len(rows) - _MOST_ROWS),
-            counts=sorted(counts.items()),
-            script=script(_SCRIPT),
-            script_hash=script_hash(script(_SCRIPT)),
-        )
+    text = page(
+        "batch.html",
+        lines=[_line(row) for row in rows[:_MOST_ROWS]],
+        total=len(rows),
+        left_out=max(0, len(rows) - _MOST_ROWS),
+        counts=sorted(counts.items()),
+        runs=_SCRIPT,
     )
-    place.write(page.encode())
+    place.write(text.encode())
 
 
 def _line(row: Row) -> dict[str, object]:

@@ -64,7 +64,3 @@ class Row:
 
 
 _CHECKED = TypeAdapter(Row)
-
-
-# Columns that differ between two runs of the same batch.
-OF_THE_RUN = ("started", "seconds", "worker")

@@ -12,7 +12,7 @@ from calib.numerics import Floats
 from scanner.boards.calibrate import BoardCapture, FromBoards
 from scanner.boards.verdict import verdict_on
 from scanner.quantities import plain, rig_quantities
-from scanner.rendering import environment, jpeg_uri, photograph
+from scanner.rendering import jpeg_uri, page, photograph
 
 _DOTS = 2500
 _THUMB = 420
@@ -27,8 +27,8 @@ def write_page(path: Path, result: FromBoards) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     found = result.found
     rays = ray_sigmas(found.estimate, (result.camera_size, result.projector_size))
-    template = environment().get_template("board.html")
-    page = template.render(
+    text = page(
+        "board.html",
         verdict=verdict_on(result),
         subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
         warnings=(),
@@ -48,7 +48,7 @@ def write_page(path: Path, result: FromBoards) -> None:
         tilt=f"{found.coverage.tilt_deg:.0f}",
         distances=f"{found.coverage.distances:.2f}",
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def rows(result: FromBoards) -> list[tuple[str, ...]]:

@@ -7,17 +7,27 @@ from scanner.errors import InputError
 from scanner.ui import Operator
 
 
-def check_places(settings: RigSettings, number: int, operator: Operator) -> None:
-    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it."""
+def check_places(
+    settings: RigSettings,
+    number: int,
+    operator: Operator,
+    *,
+    option: str = "--captures",
+    joined: str = "scan calibrate",
+) -> None:
+    """Raise InputError if the rig cannot go to so many places, or nobody could be asked to move it.
+
+    `option`: which asked for that `number`. `joined`: the command that puts results together.
+    """
     if number > 1 and not moves_by_itself(settings) and not operator.can_ask:
         raise InputError(
-            f"--captures {number} asks you to move the rig between captures, but the input is no terminal: run it in "
-            "one, or scan several times and put the results together with scan calibrate"
+            f"{option} {number} asks you to move the rig between {option[2:]}, but the input is no terminal: run it in "
+            f"one, or scan several times and put the results together with {joined}"
         )
     try:
         at_place(settings, number - 1)
     except DeviceError as error:
-        raise InputError(f"--captures {number}: {error}") from error
+        raise InputError(f"{option} {number}: {error}") from error
 
 
 def next_place(

@@ -8,7 +8,7 @@ from operator import itemgetter
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.errors import DeviceError
-from hw.rig import Camera, Frame, Frames, Rig, exposure_control
+from hw.rig import Camera, Frame, Frames, Redundancy, Rig, exposure_control
 from scanner.patterns import Pattern, ProjectorResponse, draw, level_groups, unpaired_bits
 
 
@@ -85,7 +85,8 @@ def _taken(
 ) -> Iterator[Frames]:
     """Nothing is shown before the first frame is asked for."""
     pictures = _pictures(patterns, rig.projector.size, response)
-    yield from rig.photograph_together(pictures, exposures_us, level_groups(patterns), unpaired_bits(patterns))
+    redundancy = Redundancy(level_groups(patterns), unpaired_bits(patterns))
+    yield from rig.photograph_together(pictures, exposures_us, redundancy)
 
 
 def _frames(camera: Camera, patterns: tuple[Pattern, ...], frames: Iterator[Frame]) -> Iterator[tuple[Pattern, Frame]]:

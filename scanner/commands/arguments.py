@@ -8,6 +8,7 @@ from scanner.commands.shared_arguments import (
     add_calibration,
     add_config,
     add_masks,
+    add_new_result,
     add_out,
     add_overwrite,
     add_quiet,
@@ -17,6 +18,7 @@ from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
 
 _LONGEST_WATCH_S = 3600.0
+_INSTEAD = "known calibration of the rig, used instead of calibrating"
 
 
 class _InPlaceOfConfig(Action):
@@ -53,7 +55,7 @@ def of_scan(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--object", action="store_true", help="with --stations and --calibration: scan a thing that you turn in between"
     )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="with --object: calibration of the rig")
+    add_calibration(parser, "with --object: calibration of the rig")
     _add_fill(parser)
     add_out(parser, default="scans/<name of the configuration>")
     add_overwrite(parser)
@@ -64,11 +66,9 @@ def of_scan(parser: ArgumentParser) -> None:
 def of_replay(parser: ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
     add_config(parser, required=False)
-    add_calibration(parser)
+    add_calibration(parser, _INSTEAD)
     add_masks(parser)
-    add_out(parser, default="scans/<name of the capture>")
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser, default="scans/<name of the capture>")
 
 
 def of_batch(parser: ArgumentParser) -> None:
@@ -79,7 +79,7 @@ def of_batch(parser: ArgumentParser) -> None:
         help="folder that contains captures; or a pattern with *; or a list (.csv) with a column 'capture'",
     )
     add_config(parser, required=False)
-    add_calibration(parser, kind=str)  # may be remote, as the captures
+    add_calibration(parser, _INSTEAD, kind=str)  # may be remote, as the captures
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="memory of each process, as in 4GB (default: an equal share)")
@@ -119,9 +119,7 @@ def of_calibrate(parser: ArgumentParser) -> None:
         "one may be a result of scan board",
     )
     add_config(parser, required=True)
-    add_out(parser)
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser)
 
 
 def of_new(parser: ArgumentParser) -> None:
@@ -130,7 +128,7 @@ def of_new(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--rig", choices=list(RIGS), default="simulated", metavar="NAME", help=f"{rigs} (default: simulated)"
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
+    add_overwrite(parser, "file of that name")
     add_quiet(parser)
 
 
@@ -198,7 +196,7 @@ def of_export(parser: ArgumentParser) -> None:
         metavar="G",
         help=f"mapping: blend maps are stored as weight^(1/G) (default: {DEFAULT_GAMMA})",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier file of that name")
+    add_overwrite(parser, "file of that name")
     add_quiet(parser)
 
 
@@ -224,7 +222,7 @@ def of_measure(parser: ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
     )
     parser.add_argument("--shares", action="store_true", help="show where each sigma comes from")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier measurement there")
+    add_overwrite(parser, "measurement there")
     add_quiet(parser)
 
 
@@ -242,7 +240,7 @@ def of_accept(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="folder for acceptance.html and acceptance.json (default: beside the first result)",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier acceptance there")
+    add_overwrite(parser, "acceptance there")
     add_quiet(parser)
 
 
@@ -253,12 +251,7 @@ def of_view(parser: ArgumentParser) -> None:
 
 def of_console(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="for live clouds: of the rig (default: the newest result's)",
-    )
+    add_calibration(parser, "for live clouds: of the rig (default: the newest result's)")
     add_address(parser)
 
 
@@ -278,9 +271,7 @@ def of_photos(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--dense", action="store_true", help="match every pixel of the first two photos: dense.ply")
     add_config(parser, required=False)
-    add_out(parser)
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser)
 
 
 def of_board(parser: ArgumentParser) -> None:
@@ -313,9 +304,7 @@ def of_board(parser: ArgumentParser) -> None:
         metavar="N",
         help="with --config: capture the board N times, moving it in between (default: 8)",
     )
-    add_out(parser, default="scans/board, or a PDF's name")
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser, default="scans/board, or a PDF's name")
 
 
 def of_room(parser: ArgumentParser) -> None:
@@ -323,12 +312,8 @@ def of_room(parser: ArgumentParser) -> None:
         "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"
     )
     add_config(parser, required=True)
-    parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="known calibration of the rig: no station needs a corner"
-    )
-    add_out(parser)
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_calibration(parser, "known calibration of the rig: no station needs a corner")
+    add_new_result(parser)
 
 
 def of_network(parser: ArgumentParser) -> None:
@@ -343,9 +328,7 @@ def of_network(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--distance", metavar="A,B,LENGTH", help="known distance between two devices, as in left,stage,2.35m"
     )
-    add_out(parser, default="scans/network")
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser, default="scans/network")
 
 
 def of_object(parser: ArgumentParser) -> None:
@@ -357,16 +340,14 @@ def of_object(parser: ArgumentParser) -> None:
         help="captures, results or matches.npz, in any order; a thing's folder stands for its stations",
     )
     add_config(parser, required=True)
-    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
+    add_calibration(parser, "known calibration of the rig", required=True)
     _add_fill(parser)
-    add_out(parser)
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser)
 
 
 def of_live(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
-    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE", help="known calibration of the rig")
+    add_calibration(parser, "known calibration of the rig", required=True)
     parser.add_argument("--clouds", type=int, metavar="N", help="keep N clouds, then end")
     parser.add_argument("--room", action="store_true", help="the rig moves in a room (default: a thing is moved)")
     parser.add_argument("--every", metavar="TIME", help="keep a cloud at this interval, as in 2s")
@@ -375,9 +356,7 @@ def of_live(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--page", action="store_true", help="show the clouds on a page in the browser, too")
     add_address(parser)
-    add_out(parser, default="scans/<name of the configuration>-live")
-    add_overwrite(parser)
-    add_quiet(parser)
+    add_new_result(parser, default="scans/<name of the configuration>-live")
 
 
 def _add_fill(parser: ArgumentParser) -> None:
@@ -393,5 +372,5 @@ def of_compare(parser: ArgumentParser) -> None:
         help="depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison there")
+    add_overwrite(parser, "comparison there")
     add_quiet(parser)

@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.jobs import scan_object
@@ -33,7 +34,5 @@ def show_object(solved: SolvedObject, surface: Surface | None, out: Path, termin
     if surface is not None and surface.volume is not None:
         volume, sigma = (each * unit.factor**3 for each in surface.volume)
         terminal.show(f"Volume: {volume:.6g} ± {sigma:.2g} {unit.name}³")
-    verdict = verdict_on(solved)
     terminal.show(f"Result: {out} (report.html, object.ply, object.glb, object.yaml)")
-    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))
-    terminal.show(f"→ {verdict.advice or f'scan view {out} shows it.'}")
+    terminal.show(*conclusion(verdict_on(solved), f"scan view {out} shows it."))

@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.quantities import calibration_table, shown_unit
 from scanner.rooms.contents import SolvedRoom
@@ -34,7 +35,5 @@ def show_room(solved: SolvedRoom, out: Path, terminal: Terminal) -> None:
     for station in solved.stations[1:]:
         sigma = float(sum(station.sigma**2) ** 0.5)
         terminal.show(f"{station.name}: {len(station.decoded.matches):,} matches, its position ± {unit.error(sigma)}")
-    verdict = verdict_on(solved)
     terminal.show(f"Result: {out} (report.html, room.ply, room.glb, floorplan.svg, floorplan.dxf, room.yaml)")
-    terminal.show(f"{verdict.sign} {verdict.headline}", *(f"  {reason}" for reason in verdict.reasons))
-    terminal.show(f"→ {verdict.advice or f'scan view {out} shows it.'}")
+    terminal.show(*conclusion(verdict_on(solved), f"scan view {out} shows it."))

@@ -15,10 +15,10 @@ def add_config(parser: ArgumentParser, *, required: bool) -> None:
     )
 
 
-def add_calibration(parser: ArgumentParser, kind: type[Path] | type[str] = Path) -> None:
-    parser.add_argument(
-        "--calibration", type=kind, metavar="FILE", help="known calibration of the rig, used instead of calibrating"
-    )
+def add_calibration(
+    parser: ArgumentParser, text: str, *, kind: type[Path] | type[str] = Path, required: bool = False
+) -> None:
+    parser.add_argument("--calibration", type=kind, required=required, metavar="FILE", help=text)
 
 
 def add_out(parser: ArgumentParser, *, default: str | None = None) -> None:
@@ -26,8 +26,14 @@ def add_out(parser: ArgumentParser, *, default: str | None = None) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", required=default is None, help=text)
 
 
-def add_overwrite(parser: ArgumentParser) -> None:
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier result of that name")
+def add_overwrite(parser: ArgumentParser, what: str = "result of that name") -> None:
+    parser.add_argument("--overwrite", action="store_true", help=f"replace an earlier {what}")
+
+
+def add_new_result(parser: ArgumentParser, *, default: str | None = None) -> None:
+    add_out(parser, default=default)
+    add_overwrite(parser)
+    add_quiet(parser)
 
 
 def add_masks(parser: ArgumentParser) -> None:

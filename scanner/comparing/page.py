@@ -14,7 +14,7 @@ from calib.numerics import Floats
 from scanner.comparing.comparison import Comparison, Sheet
 from scanner.comparing.summary import headings, rows, summary
 from scanner.quantities import shown_unit
-from scanner.rendering import VIRIDIS, css_colour, environment, shaded
+from scanner.rendering import VIRIDIS, css_colour, page, shaded
 
 COMPARE_FILE, COMPARE_PAGE = "compare.json", "compare.html"
 _FORMAT = 1
@@ -31,19 +31,16 @@ class _Map:
 def write_compare_page(path: Path, found: Comparison) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     verdict, *sentences = summary(found)
-    page = (
-        environment()
-        .get_template("compare.html")
-        .render(
-            names=found.names,
-            verdict=verdict,
-            sentences=sentences,
-            headings=headings(found),
-            rows=rows(found),
-            maps=[(shown_unit(found.unit).length(sheet.depth), list(_maps(found, sheet))) for sheet in found.sheets],
-        )
+    text = page(
+        "compare.html",
+        names=found.names,
+        verdict=verdict,
+        sentences=sentences,
+        headings=headings(found),
+        rows=rows(found),
+        maps=[(shown_unit(found.unit).length(sheet.depth), list(_maps(found, sheet))) for sheet in found.sheets],
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def _maps(found: Comparison, sheet: Sheet) -> Iterator[_Map]:

@@ -19,12 +19,12 @@ def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
     return tuple(sorted(found, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))
 
 
-def newest_result(folder: Path = SCANS) -> Path | None:
+def newest_result() -> Path | None:
     """The newest of them; None where there is none."""
-    return next(iter(earlier_results(folder)), None)
+    return next(iter(earlier_results()), None)
 
 
-def newest_calibration(folder: Path = SCANS) -> Path | None:
+def newest_calibration() -> Path | None:
     """That of the newest result that has one; None where none has."""
-    found = (result / CALIBRATION_FILE for result in earlier_results(folder))
+    found = (result / CALIBRATION_FILE for result in earlier_results())
     return next((path for path in found if path.is_file()), None)

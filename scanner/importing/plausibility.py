@@ -24,6 +24,7 @@ _MOST_APART = 0.1
 _LEAST_UPRIGHT = 0.65
 _LEAST_ON_LINES = 0.6
 _MOST_FITTED = 3000
+_NEAR = 4.0  # of epipolar lines, in the units of the coordinates, which need not be pixels
 _MOST_JUMPS = 0.2
 _AS_CLOSE = 1.5
 
@@ -136,12 +137,9 @@ def _upright(x: Floats, y: Floats, there: Bools) -> float:
     return float(np.mean(turning > 0)) if len(turning) else 0.0
 
 
-def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats, within: float = 4.0) -> float:
-    """Share of matches (N, 2) near the epipolar lines of one fundamental matrix, without lens distortion.
-
-    `within` is in the units of both coordinates, which need not be pixels.
-    """
+def share_on_epipolar_lines(camera_px: Floats, projector_px: Floats) -> float:
+    """Share of matches (N, 2) near the epipolar lines of one fundamental matrix, without lens distortion."""
     chosen = np.random.default_rng(0).permutation(len(camera_px))[:_MOST_FITTED]
     cv2.setRNGSeed(0)
-    _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, within, 0.999, 2000)
+    _, near = cv2.findFundamentalMat(camera_px[chosen], projector_px[chosen], cv2.USAC_MAGSAC, _NEAR, 0.999, 2000)
     return 0.0 if near is None else float(np.mean(near > 0))

@@ -12,7 +12,7 @@ import numpy as np
 from calib.geometry import Calibration
 from calib.numerics import Image
 from hw.errors import DeviceError, FrameLostError
-from hw.rig import Frame, Rig
+from hw.rig import Frame, Redundancy, Rig
 from scanner.capture import refuse_another_size
 from scanner.live.cloud import Round
 from scanner.live.first_look import FirstLook
@@ -34,7 +34,7 @@ def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None)
     while True:
         row = (pictures[n % FRAMES] for n in range(_IN_A_ROW * FRAMES))
         groups = [tuple(n + first for n in group) for first in range(0, _IN_A_ROW * FRAMES, FRAMES) for group in level]
-        frames = rig.photograph(row, (), groups)
+        frames = rig.photograph(row, redundancy=Redundancy(level=groups))
         taken: list[Frame] = []
         try:
             for frame in frames:

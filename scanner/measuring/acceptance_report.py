@@ -17,7 +17,7 @@ from scanner.measuring.acceptance import (
 )
 from scanner.measuring.table import empty_table
 from scanner.quantities import ShownUnit, percent, plain, shown_unit
-from scanner.rendering import environment
+from scanner.rendering import page
 
 ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"
 _FORMAT = 1
@@ -106,16 +106,13 @@ def write_acceptance(path: Path, acceptance: Acceptance) -> None:
 def write_acceptance_page(path: Path, acceptance: Acceptance) -> None:
     """The page; it needs no network and no other file. Raises OSError."""
     unit = shown_unit(acceptance.unit)
-    page = (
-        environment()
-        .get_template("acceptance.html")
-        .render(
-            summary=list(summary(acceptance)),
-            kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
-            remarks=list(remarks(acceptance)),
-            sentences=list(dict.fromkeys(acceptance.sentences)),
-            diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
-            length=unit.length(acceptance.ball_bar.length),
-        )
+    text = page(
+        "acceptance.html",
+        summary=list(summary(acceptance)),
+        kinds=[(f"{quantity}: {name}", list(rows(acceptance, quantity))) for quantity, (name, _) in NAMES.items()],
+        remarks=list(remarks(acceptance)),
+        sentences=list(dict.fromkeys(acceptance.sentences)),
+        diameters=[unit.length(diameter) for diameter in acceptance.ball_bar.diameters],
+        length=unit.length(acceptance.ball_bar.length),
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")

@@ -14,7 +14,7 @@ from scanner.networks.graph import network_graph
 from scanner.networks.sights import Sight
 from scanner.networks.solve import SolvedNetwork
 from scanner.quantities import shown_unit
-from scanner.rendering import environment
+from scanner.rendering import page
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, Verdict, provenance, verdict_entries
 
 _FRAME = "network frame: that of its first device, x right, y down, z ahead"
@@ -133,16 +133,13 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
             )
         )
     cameras = {camera for camera, _ in network.captures.decoded}
-    page = (
-        environment()
-        .get_template("network.html")
-        .render(
-            verdict=verdict,
-            provenance=provenance(path.parent, config),
-            subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
-            devices=rows,
-            graph=network_graph([Sight.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
-            unit=network.unit,
-        )
+    text = page(
+        "network.html",
+        verdict=verdict,
+        provenance=provenance(path.parent, config),
+        subtitle=f"{len(cameras)} cameras, {len(network.surfaces)} projectors, {len(cloud.points):,} points.",
+        devices=rows,
+        graph=network_graph([Sight.of(pair, capture) for pair, capture in network.captures.decoded.items()]),
+        unit=network.unit,
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")

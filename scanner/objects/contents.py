@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +10,7 @@ from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.objects import Alternative, Turntable
 from scanner.exporting.triangles import Mesh
-from scanner.rooms.contents import Station
-
-
-@dataclass(frozen=True)
-class OutlierStation:
-    """A capture that is no station of this thing: `cause` in a word or two for programs, `reason` as a sentence."""
-
-    name: str
-    cause: Literal["nothing seen", "no overlap", "does not fit"]
-    reason: str
+from scanner.rooms.contents import OutlierStation, Station
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +18,7 @@ class SolvedObject:
     """Everything in the thing's frame, z up, and the unit of `calibration`.
 
     `stations` have clouds of the thing alone, and sigmas of the rotation and of the thing's origin relative to the
-    first one; `numbers`: theirs among all captures. `overlap`, `residual`: by pair of stations (in their order), as of
+    first one. `overlap`, `residual`: by pair of stations (in their order), as of
     `JointEstimate`. `apart` (H, W) of each station: distance of its points in front of the others' surfaces, NaN where
     unknown. `turntable`: None if the poses are not those of one; `axis` (2, 3): a point and a direction in the thing's
     frame. `loose`: stations that can rotate or slide. `rests`: share of the visible surfaces that did not move and was
@@ -37,7 +27,6 @@ class SolvedObject:
 
     calibration: Calibration
     stations: tuple[Station, ...]
-    numbers: tuple[int, ...]
     overlap: Mapping[tuple[int, int], float]
     residual: Mapping[tuple[int, int], float]
     apart: tuple[NDArray[np.float32], ...]

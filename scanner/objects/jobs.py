@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.refusal import NoMeasurementError
-from hw.moving import moves_by_itself
 from scanner.configuration import Config
-from scanner.errors import InputError
 from scanner.exporting.open3d_module import open3d
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.save import save_object
@@ -39,17 +37,13 @@ def scan_object(
     open3d()  # fail early if it is missing
     start = given_rig(calibration, config)
     if not stations:
-        if number < 2:
-            raise InputError(f"--stations: expected 2 or more, found {number}")
         check_stations(config, number, terminal)
     made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
     with made as folder, writing_refusals(folder, config):
         if stations:
             captures = read_stations(stations, config, terminal, start.given)
         else:
-            captures = take_object_stations(
-                config, number, folder, terminal, by_itself=moves_by_itself(config.required_rig)
-            )
+            captures = take_object_stations(config, number, folder, terminal)
         solved = solve_object(captures, start, config, terminal)
         surface = save_object(solved, folder, config, terminal, fill=fill)
         verdict = verdict_on(solved)

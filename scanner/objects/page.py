@@ -9,13 +9,13 @@ from calib.pointcloud import MergedCloud
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
-from scanner.rendering import BLUE, environment, frustum, render
-from scanner.rendering.cloud_views import Wireframe, view_along
+from scanner.rendering import page, render
+from scanner.rendering.cloud_views import view_along
 from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
-from scanner.rooms.page import Cell, residual_map
+from scanner.rooms.page_parts import HALF_PX, Cell, camera_frusta, files_beside, residual_map, sigma_cells
 
-_VIEW, _HALF = (960, 640), 480
+_VIEW = (960, 640)
 _FRUSTUM_OF_SIZE = 0.15
 _UP = np.array([0.0, 0.0, 1.0])
 _FILES = {
@@ -31,38 +31,30 @@ _FILES = {
 
 def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    files = sorted({each.name for each in path.parent.iterdir()} - {path.name})
-    page = (
-        environment()
-        .get_template("object.html")
-        .render(
-            verdict=verdict_on(solved),
-            provenance=made,
-            subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
-            views=_views(solved, cloud),
-            measured=list(_measured(solved, surface)),
-            stations=list(_station_rows(solved)),
-            names=[str(number) for number in range(1, len(solved.stations) + 1)],
-            overlaps=_matrix(solved),
-            residuals=list(_residuals(solved)),
-            files=[(name, _FILES[name]) for name in files if name in _FILES],
-            unit=solved.unit,
-        )
+    text = page(
+        "object.html",
+        verdict=verdict_on(solved),
+        provenance=made,
+        subtitle=f"{len(solved.stations)} stations of one rig, {len(cloud.points):,} points.",
+        views=_views(solved, cloud),
+        measured=list(_measured(solved, surface)),
+        stations=list(_station_rows(solved)),
+        names=[str(number) for number in range(1, len(solved.stations) + 1)],
+        overlaps=_matrix(solved),
+        residuals=list(_residuals(solved)),
+        files=files_beside(path, _FILES),
+        unit=solved.unit,
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:
     """From four sides, and from above with the cameras."""
-    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    frusta = [
-        Wireframe(station.to_room(frustum(solved.calibration.camera, _FRUSTUM_OF_SIZE * size)), BLUE)
-        for station in solved.stations
-    ]
+    frusta = camera_frusta(solved.stations, solved.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
     shown = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
     for turn in range(4):
         along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2), -0.3])
-        view = render(cloud, view_along(along, _UP), (_HALF, _HALF), [])
+        view = render(cloud, view_along(along, _UP), (HALF_PX, HALF_PX), [])
         shown.append(picture(view, f"the thing from side {turn + 1}", caption=f"Side {turn + 1}."))
     return shown
 
@@ -82,12 +74,10 @@ def _measured(solved: SolvedObject, surface: Surface | None) -> Iterator[tuple[s
 
 
 def _station_rows(solved: SolvedObject) -> Iterator[tuple[str, ...]]:
-    unit = shown_unit(solved.unit)
     for n, station in enumerate(solved.stations):
         angle = "" if solved.turntable is None else f"{solved.turntable.angles_deg[n]:.3f}°"
-        sigma = "held" if n == 0 else unit.error(float(np.linalg.norm(station.sigma)))
-        turn = "held" if n == 0 else f"{float(np.linalg.norm(station.sigma_deg)):.2g}°"
-        yield str(n + 1), station.name, angle, sigma, turn, f"{len(station.decoded.matches):,}"
+        sigmas = sigma_cells(station, solved.stations[0], solved.unit)
+        yield str(n + 1), station.name, angle, *sigmas, f"{len(station.decoded.matches):,}"
 
 
 def _residuals(solved: SolvedObject) -> Iterator[tuple[str, ScaledMap]]:

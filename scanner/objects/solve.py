@@ -29,10 +29,10 @@ from calib.refusal import NoMeasurementError
 from calib.rooms.alignment import composed
 from calib.rooms.segments import relative_noise
 from scanner.configuration import Config
-from scanner.objects.contents import OutlierStation, SolvedObject
+from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
 from scanner.results import Decoded, naming
-from scanner.rooms.contents import RigStart, Station
+from scanner.rooms.contents import OutlierStation, RigStart, Station
 from scanner.ui import Progress
 
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01
@@ -181,7 +181,7 @@ def _finished(
         own = replace(clouds[k], points=points, normals=normals)
         on_no_plane = np.full(view.depth.shape, -1, np.int32)
         place = composed(upright, places[n])
-        stations.append(Station(captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
+        stations.append(Station(k, captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
     axis = None
     if turntable is not None:
         point = upright.rotation @ turntable.point + upright.translation
@@ -189,7 +189,6 @@ def _finished(
     return SolvedObject(
         calibration,
         tuple(stations),
-        tuple(k for k, _ in members),
         joint.overlap,
         joint.residual,
         tuple(each.apart for each in kept),

@@ -19,7 +19,7 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     names = [station.name for station in solved.stations]
     if solved.alternatives:
         doubtful = sorted({each.view for each in solved.alternatives})
-        of_capture = dict(zip(solved.numbers, names, strict=True))
+        of_capture = {station.number: station.name for station in solved.stations}
         best = max(solved.alternatives, key=lambda each: each.worth)
         return Verdict(
             "refused",

@@ -41,5 +41,5 @@ from scanner.rendering.downsampling import (
 )
 from scanner.rendering.photographs import LONGEST_SIDE, encode_jpeg, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.png import IndexedPicture, Pixels
-from scanner.rendering.templates import environment, script, script_hash
+from scanner.rendering.templates import page, script, script_hash
 from scanner.rendering.ticks import even_ticks, tick_text

@@ -25,11 +25,6 @@ class IndexedPicture:
         """Rows and columns."""
         return self.index.shape
 
-    @property
-    def rgba(self) -> Pixels:
-        """The same with the colours written out, (H, W, 4)."""
-        return self.palette[self.index]
-
 
 def png_of(picture: IndexedPicture | Pixels) -> bytes:
     """The file of a picture with a palette, or of RGBA (H, W, 4)."""

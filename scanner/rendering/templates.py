@@ -11,9 +11,15 @@ from markupsafe import Markup
 from scanner.shown_text import unbroken
 
 
+def page(name: str, *, runs: str = "", **values: object) -> str:
+    """The template `name` with these values. `runs`: a script of this package for the page."""
+    if runs:
+        values |= {"script": script(runs), "script_hash": script_hash(script(runs))}
+    return _environment().get_template(name).render(values)
+
+
 @cache
-def environment() -> Environment:
-    """Return the Jinja environment with all templates of this package."""
+def _environment() -> Environment:
     made = Environment(
         loader=PackageLoader("scanner"),
         autoescape=True,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from calib.numerics import in_parallel
 from scanner.quantities import plain
-from scanner.rendering import environment, script, script_hash
+from scanner.rendering import page
 from scanner.reporting import sections
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.flatness import flatness
@@ -60,8 +60,9 @@ def write_report(path: Path, report: ReportInput) -> None:
     tables = sections.tables(report)
     solution, found = report.solution, report.reconstructed
     decision = verdict(report)
-    template = environment().get_template("report.html")
-    page = template.render(
+    text = page(
+        "report.html",
+        runs=_VIEWER,
         **parts,
         subtitle=sections.subtitle(report.metadata),
         provenance=report.provenance,
@@ -78,9 +79,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         photos=report.metadata.photos,
         captures=joint_rows(report),
         capture=sections.capture_rows(report),
-        script=script(_VIEWER),
-        script_hash=script_hash(script(_VIEWER)),
         files=[(name, _FILES.get(name, "")) for name in report.files],
         unit=found.calibration.unit if found else "",
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")

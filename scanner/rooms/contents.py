@@ -31,13 +31,14 @@ class RigStart:
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """A capture with its pose. `cloud` is in the camera's frame, `plane` (H, W) is the room's plane of a pixel, −1 for
-    none.
+    """A capture of a room or of a thing, with its pose. `number`: of the capture among all, from 0. `cloud` is in the
+    camera's frame, `plane` (H, W) is the room's plane of a pixel, −1 for none.
 
     `place`: X_room = rotation X_camera + translation. `sigma_deg`, `sigma` (3,): of its rotation about the room's axes
     and of its translation, relative to the first station; NaN in undetermined directions.
     """
 
+    number: int
     decoded: Decoded
     cloud: Cloud
     plane: NDArray[np.int32]
@@ -58,10 +59,10 @@ class Station:
 
 @dataclass(frozen=True)
 class OutlierStation:
-    """A capture that is no station of this room: `cause` in a word or two for programs, `reason` as a sentence."""
+    """A capture that belongs to no room or thing: `cause` in a word or two for programs, `reason` as a sentence."""
 
     name: str
-    cause: Literal["changed rig", "another room", "no overlap", "something moved", "nothing seen"]
+    cause: Literal["changed rig", "another room", "no overlap", "something moved", "nothing seen", "does not fit"]
     reason: str
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.errors import InputError
 from scanner.exporting.open3d_module import open3d
 from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
 from scanner.rooms.contents import SolvedRoom
@@ -57,8 +56,6 @@ def scan_room(
     Raises InputError, DeviceError, RefusalError.
     """
     config.principal_point(config.camera_size)
-    if number < 2:
-        raise InputError(f"--stations: expected 2 or more, found {number}")
     check_stations(config, number, terminal)
     open3d()
     made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)

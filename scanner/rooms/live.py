@@ -1,7 +1,7 @@
 """Stations one after the other with the configured rig: whether each overlaps the earlier ones, where to stand next."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copy2
@@ -12,8 +12,8 @@ from calib.geometry import Calibration, Motion
 from calib.numerics import Bools
 from calib.refusal import RefusalError
 from calib.rooms import Group, Pair, register
-from hw.errors import DeviceError
 from hw.moving import at_place, moves_by_itself
+from scanner.capture import check_places
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, write_matches
@@ -38,16 +38,10 @@ def check_stations(config: Config, number: int, terminal: Terminal) -> None:
     """Raise InputError if the rig does not have this many poses, nobody can be asked to move it, or a file of the
     calibration is invalid.
     """
+    if number < 2:
+        raise InputError(f"--stations: expected 2 or more, found {number}")
     lenses_of(config, config.camera_size, config.projector_size)
-    if not moves_by_itself(config.required_rig) and not terminal.can_ask:
-        raise InputError(
-            f"--stations {number} asks you to move the rig between stations, but the input is no terminal: run it in "
-            "one, or scan several times and put the results together with scan room"
-        )
-    try:
-        at_place(config.required_rig, number - 1)
-    except DeviceError as error:
-        raise InputError(f"--stations {number}: {error}") from error
+    check_places(config.required_rig, number, terminal, option="--stations", joined="scan room")
 
 
 def take_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> tuple[list[Decoded], RigStart]:
@@ -56,18 +50,10 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
     corners: dict[int, SeenCorner] = {}
     refusal: RefusalError | None = None
     comparison = Comparison()
-    for step in range(number):
-        if step and not _ready(config, step, number, terminal):
-            break
-        place = folder / CAPTURES_FOLDER / str(step + 1)
-        place.mkdir(parents=True)
-        name = f"Station {step + 1}"
-        captures.append(take(at_place(config.required_rig, step), config, place, terminal, name))
-        write_matches(place / MATCHES_FILE, captures[-1].matches)  # should a later station fail
-        if (place / TRUTH_FILE).is_file() and step == 0:
-            copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
+    for step, capture in enumerate(_taken(config, number, folder, terminal, "Move the rig as a whole")):
+        captures.append(capture)
         try:
-            corners[step] = corner_in(captures[-1], config)
+            corners[step] = corner_in(capture, config)
         except RefusalError as error:
             refusal = error
         if corners:
@@ -76,34 +62,31 @@ def take_stations(config: Config, number: int, folder: Path, terminal: Terminal)
             for sentence in guidance:
                 terminal.show(sentence)
         else:
-            terminal.show(f"{name} shows no corner to calibrate from; one of the stations should.")
+            terminal.show(f"{capture.name} shows no corner to calibrate from; one of the stations should.")
     if not corners and refusal is not None:
         raise refusal
     return captures, rig_of(corners, captures)
 
 
-def take_object_stations(
-    config: Config, number: int, folder: Path, terminal: Terminal, *, by_itself: bool
-) -> list[Decoded]:
+def take_object_stations(config: Config, number: int, folder: Path, terminal: Terminal) -> list[Decoded]:
     """Capture a thing this many times, or fewer if the operator ends, with the rig at rest. Raises DeviceError."""
-    captures: list[Decoded] = []
+    turn = "Turn the thing, or put it down another way; leave the rig as it is"
+    return list(_taken(config, number, folder, terminal, turn))
+
+
+def _taken(config: Config, number: int, folder: Path, terminal: Terminal, what_to_do: str) -> Iterator[Decoded]:
+    """Each station as it is captured; between them the operator is asked, unless the rig moves by itself."""
     for step in range(number):
-        done = f"Station {step} of {number} is done. Turn the thing, or put it down another way; leave the rig as it is"
-        if step and not by_itself and not terminal.ready(done):
-            break
+        done = f"Station {step} of {number} is done. {what_to_do}"
+        if step and not moves_by_itself(config.required_rig) and not terminal.ready(done):
+            return
         place = folder / CAPTURES_FOLDER / str(step + 1)
         place.mkdir(parents=True)
-        captures.append(take(at_place(config.required_rig, step), config, place, terminal, f"Station {step + 1}"))
-        write_matches(place / MATCHES_FILE, captures[-1].matches)  # should a later station fail
+        capture = take(at_place(config.required_rig, step), config, place, terminal, f"Station {step + 1}")
+        write_matches(place / MATCHES_FILE, capture.matches)  # should a later station fail
         if (place / TRUTH_FILE).is_file() and step == 0:
             copy2(place / TRUTH_FILE, folder / TRUTH_FILE)
-    return captures
-
-
-def _ready(config: Config, step: int, number: int, terminal: Terminal) -> bool:
-    if moves_by_itself(config.required_rig):
-        return True
-    return terminal.ready(f"Station {step} of {number} is done. Move the rig as a whole")
+        yield capture
 
 
 @dataclass

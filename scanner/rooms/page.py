@@ -1,27 +1,24 @@
 """report.html of a room: the verdict, the measurements, and the connections between stations."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
-from scanner.rendering import BLUE, environment, frustum, render
-from scanner.rendering.cloud_views import Wireframe, view_along
-from scanner.reporting import maps
+from scanner.rendering import page, render
+from scanner.rendering.cloud_views import view_along
 from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
 from scanner.rooms.floorplan_svg import plan_svg
+from scanner.rooms.page_parts import HALF_PX, Cell, camera_frusta, files_beside, residual_map, sigma_cells
 from scanner.rooms.verdict import verdict_on
 
-_VIEW, _HALF = (960, 640), 480
+_VIEW = (960, 640)
 _FRUSTUM_OF_SIZE = 0.05
-_SHOWN_SHARE = 99
 _FILES = {
     "room.ply": "one cloud of the whole room, with normals and colours",
     "room.glb": "one mesh of it",
@@ -35,52 +32,36 @@ _FILES = {
 }
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A cell of the overlap matrix: its text, and how dark it is, up to 1."""
-
-    text: str
-    shade: float
-
-
 def write_page(path: Path, room: SolvedRoom, plan: FloorPlan, cloud: MergedCloud, made: Provenance) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    files = sorted({path.name for path in path.parent.iterdir()} - {path.name})
-    page = (
-        environment()
-        .get_template("room.html")
-        .render(
-            verdict=verdict_on(room),
-            provenance=made,
-            subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
-            plan=plan_svg(plan),
-            views=_views(room, cloud),
-            lengths=list(_lengths(room, plan)),
-            stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
-            names=[str(number) for number in range(1, len(room.stations) + 1)],
-            overlaps=_overlaps(room),
-            pairs=list(_pairs(room)),
-            residuals=[(station.name, _missed(station)) for station in room.stations],
-            tables=rig_quantities(room.calibration),
-            files=[(name, _FILES[name]) for name in files if name in _FILES],
-            unit=room.unit,
-        )
+    text = page(
+        "room.html",
+        verdict=verdict_on(room),
+        provenance=made,
+        subtitle=f"{len(room.stations)} stations of one rig, {len(cloud.points):,} points.",
+        plan=plan_svg(plan),
+        views=_views(room, cloud),
+        lengths=list(_lengths(room, plan)),
+        stations=[_station_row(room, number, station) for number, station in enumerate(room.stations)],
+        names=[str(number) for number in range(1, len(room.stations) + 1)],
+        overlaps=_overlaps(room),
+        pairs=list(_pairs(room)),
+        residuals=[(station.name, _missed(station)) for station in room.stations],
+        tables=rig_quantities(room.calibration),
+        files=files_beside(path, _FILES),
+        unit=room.unit,
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
 def _views(room: SolvedRoom, cloud: MergedCloud) -> list[Picture]:
     """From two sides above, and from straight above; walls that one would look at from behind are left out."""
-    size = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
-    frusta = [
-        Wireframe(station.to_room(frustum(room.calibration.camera, _FRUSTUM_OF_SIZE * size)), BLUE)
-        for station in room.stations
-    ]
+    frusta = camera_frusta(room.stations, room.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
     up = np.array([0.0, 0.0, 1.0])
     views = {
         "From one corner, above": (view_along(np.array([1.0, 0.8, -0.9]), up), _VIEW),
-        "From the opposite one": (view_along(np.array([-1.0, -0.8, -0.9]), up), (_HALF, _HALF)),
-        "From straight above": (view_along(-up, np.array([0.0, 1.0, 0.0])), (_HALF, _HALF)),
+        "From the opposite one": (view_along(np.array([-1.0, -0.8, -0.9]), up), (HALF_PX, HALF_PX)),
+        "From straight above": (view_along(-up, np.array([0.0, 1.0, 0.0])), (HALF_PX, HALF_PX)),
     }
     return [
         picture(render(cloud, view, drawn, frusta), f"the room, {name.lower()}", caption=f"{name}.")
@@ -108,14 +89,11 @@ def _lengths(room: SolvedRoom, plan: FloorPlan) -> Iterator[tuple[str, str, str]
 def _station_row(room: SolvedRoom, number: int, station: Station) -> tuple[str, ...]:
     unit = shown_unit(room.unit)
     place = ", ".join(unit.number(value) for value in station.place.translation.tolist())
-    sigma = "held" if number == 0 else unit.error(float(np.linalg.norm(station.sigma)))
-    turn = "held" if number == 0 else f"{float(np.linalg.norm(station.sigma_deg)):.2g}°"
     return (
         str(number + 1),
         station.name,
         f"{place} {unit.name}",
-        sigma,
-        turn,
+        *sigma_cells(station, room.stations[0], room.unit),
         f"{len(station.decoded.matches):,}",
         "–" if np.isnan(station.residual_px) else f"{station.residual_px:.3f}",
     )
@@ -148,14 +126,6 @@ def _pairs(room: SolvedRoom) -> Iterator[tuple[str, ...]]:
             unit.error(room.factor * pair.closure),
             f"{pair.nats:.0f}",
         )
-
-
-def residual_map(values: NDArray[np.float32], unit: str, alt: str) -> ScaledMap:
-    """Of signed values (H, W), NaN for none; the scale leaves out the farthest few."""
-    known = np.abs(values[np.isfinite(values)])
-    limit = float(np.percentile(known, _SHOWN_SHARE)) if len(known) and known.any() else 1e-3
-    painted, scale = maps.signed_map(values, limit, unit, _HALF)
-    return ScaledMap(picture(painted, alt), scale)
 
 
 def _missed(station: Station) -> ScaledMap:

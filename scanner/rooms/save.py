@@ -5,29 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Motion
 from scanner.configuration import Config
-from scanner.exporting.glb import write_pieces
-from scanner.io import (
-    MATCHES_FILE,
-    write_calibration,
-    write_matches,
-    write_ply,
-    write_room,
-    write_room_ply,
-)
-from scanner.quantities import METRES
+from scanner.io import write_room, write_room_ply
 from scanner.results import (
-    CALIBRATION_FILE,
-    CAPTURES_FOLDER,
-    CLOUD_FILE,
     PLAN_DXF_FILE,
     PLAN_FILE,
     REPORT_FILE,
     ROOM_CLOUD_FILE,
     ROOM_FILE,
     ROOM_MESH_FILE,
-    confidence_entries,
     provenance,
 )
 from scanner.rooms.blended_cloud import blended
@@ -37,29 +23,23 @@ from scanner.rooms.floorplan_dxf import write_dxf
 from scanner.rooms.floorplan_svg import plan_svg
 from scanner.rooms.mesh import fused
 from scanner.rooms.page import write_page
-from scanner.rooms.textures import textured
+from scanner.rooms.station_files import (
+    motion_entries,
+    outlier_entries,
+    station_entries,
+    write_stations,
+    write_textured,
+)
 from scanner.rooms.upright import moved_place
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import Progress
 
 
-def folder_of_station(room: SolvedRoom, number: int) -> str:
-    """Where the result of the group's station `number` is, relative to that of the room: by its capture."""
-    return f"{CAPTURES_FOLDER}/{room.group.stations[number] + 1}"
-
-
 def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress) -> None:
     """Write everything. Raises OSError, InputError if Open3D cannot be loaded."""
+    made = provenance(folder, config)
     with progress.step("Writing the stations"):
-        for number, station in enumerate(room.stations):
-            place = folder / folder_of_station(room, number)
-            place.mkdir(parents=True, exist_ok=True)
-            write_matches(place / MATCHES_FILE, station.decoded.matches, None, station.decoded.only_axis)
-            write_ply(place / CLOUD_FILE, station.cloud, match=station.cloud.match)
-            write_calibration(place / CALIBRATION_FILE, room.calibration)
-    verdict, made = verdict_on(room), provenance(folder, config)
-    entries = made.entries(room.stations[0].decoded.metadata.identity) | confidence_entries(verdict, room.uncertainty)
-    write_calibration(folder / CALIBRATION_FILE, room.calibration, entries)
+        write_stations(folder, room.stations, room.calibration, verdict_on(room), room.uncertainty, made)
     write_room(folder / ROOM_FILE, entries_of(room))
     with progress.step("Floor plan"):
         plan = floor_plan(room)
@@ -71,9 +51,7 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
     with progress.step("Meshing"):
         mesh = fused(room)
         if mesh is not None:
-            write_pieces(
-                folder / ROOM_MESH_FILE, textured(room.stations, room.calibration, mesh), METRES.get(room.unit, 1.0)
-            )
+            write_textured(folder / ROOM_MESH_FILE, mesh, room.stations, room.calibration)
     with progress.step("Report"):
         write_page(folder / REPORT_FILE, room, plan, cloud, made)
 
@@ -82,35 +60,19 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
     """room.yaml: X_room = rotation X_camera + translation; normal · X_room = offset."""
     entries: dict[str, Any] = {
         "unit": room.unit,
-        "stations": [
-            {
-                "name": station.name,
-                "folder": folder_of_station(room, number),
-                **_motion(station.place),
-                "sigma": {"rotation_deg": station.sigma_deg.tolist(), "translation": station.sigma.tolist()},
-                "residual_px": station.residual_px,
-            }
-            for number, station in enumerate(room.stations)
-        ],
+        "stations": [station_entries(each) | {"residual_px": each.residual_px} for each in room.stations],
         "planes": [_plane(room, number) for number in range(len(room.planes))],
     }
-    if room.outlier_stations:
-        entries["left_out"] = [
-            {"name": each.name, "cause": each.cause, "reason": each.reason} for each in room.outlier_stations
-        ]
+    entries |= outlier_entries(room.outlier_stations)
     if room.group.ambiguous:
         entries["alternatives"] = [
             {
                 "behind_nats": each.behind_nats,
-                "stations": [_motion(moved_place(place, room.upright, room.factor)) for place in each.places],
+                "stations": [motion_entries(moved_place(place, room.upright, room.factor)) for place in each.places],
             }
             for each in room.group.alternatives
         ]
     return entries
-
-
-def _motion(place: Motion) -> dict[str, Any]:
-    return {"rotation": place.rotation.tolist(), "translation": place.translation.tolist()}
 
 
 def _plane(room: SolvedRoom, number: int) -> dict[str, Any]:

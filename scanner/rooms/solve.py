@@ -270,6 +270,7 @@ def _finished(
     turn, floor = upright(estimate.places, estimate.planes, areas)
     stations = tuple(
         Station(
+            group.stations[i],
             each.decoded,
             build_cloud(each.decoded.matches, each.decoded.texture, calibration),
             np.array([*group.plane_of[i], -1], np.int32)[each.view.labels],

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.rig import Capabilities, Frames
+from hw.rig import Capabilities, Frames, Redundancy
 from hw.timing.synchronisation import SynchronisedRig, synchronised
 from scanner.patterns import Black, White, draw, level_groups, sequence_for, unpaired_bits
 from tests.support.more_cameras import BesideBench
@@ -57,7 +57,7 @@ def test_each_camera_has_a_frame_of_each_picture(
     rig = together(projector, cameras)
     assert latency_s - 0.001 < rig.latency_s < latency_s + 0.008
     pictures = [draw(pattern, LARGE) for pattern in PATTERNS]
-    frames = list(rig.photograph_together(pictures, level=level_groups(PATTERNS)))
+    frames = list(rig.photograph_together(pictures, redundancy=Redundancy(level_groups(PATTERNS))))
     check(pictures, frames, (1.0, other.get("gain", 1.0)))
     assert cameras[0].exposures == cameras[1].exposures
 
@@ -68,7 +68,11 @@ def test_two_cameras_take_as_long_as_one(monkeypatch: pytest.MonkeyPatch) -> Non
         projector, cameras = before_a_wall(monkeypatch)
         rig = together(projector, cameras[:count])
         assert rig.pipelined is not None
-        list(rig.photograph_together([draw(pattern, LARGE) for pattern in PATTERNS], level=level_groups(PATTERNS)))
+        list(
+            rig.photograph_together(
+                [draw(pattern, LARGE) for pattern in PATTERNS], redundancy=Redundancy(level_groups(PATTERNS))
+            )
+        )
         seconds.append(rig.tally.elapsed_s)
     one, two = seconds
     assert 0.9 * one < two < 1.1 * one
@@ -85,7 +89,10 @@ def test_the_frames_of_each_camera_are_verified(
     assert rig.pipelined is not None
     late.held_up, late.held_up_s = range(late.exposures, late.exposures + 1000, 7), 0.035
     pictures = [draw(pattern, LARGE) for pattern in patterns]
-    check(pictures, list(rig.photograph_together(pictures, (), level_groups(patterns), unpaired_bits(patterns))))
+    check(
+        pictures,
+        list(rig.photograph_together(pictures, (), Redundancy(level_groups(patterns), unpaired_bits(patterns)))),
+    )
     account = cast(dict[str, Any], rig.account()["synchronisation"])
     assert account["doubted_frames"] > 0
 

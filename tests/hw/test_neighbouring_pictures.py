@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hw.rig import Redundancy
 from hw.timing.synchronisation import synchronised
 from scanner.patterns import draw, level_groups, sequence_for
 from tests.support.rig_bench import Bench
@@ -42,7 +43,7 @@ def test_more_than_two_per_cent_of_a_neighbouring_picture_is_detected(
         bench = Bench(0.05, transfer_s=0.005, noise=12.0, size=SIZE).install(monkeypatch)
         rig = synchronised(bench, bench, {})
         bench.delay(number + (late_ms < 0), (late_ms - np.sign(late_ms) * less_ms) / 1e3)
-        frames = list(rig.photograph(shown, level=level_groups(PATTERNS)))
+        frames = list(rig.photograph(shown, redundancy=Redundancy(level_groups(PATTERNS))))
         most.append(max(held(shown, frame.image, index) for index, frame in enumerate(frames)))
         assert rig.pipelined is not None
         assert (rig.pipelined.doubted > 0) == (less_ms == 0)

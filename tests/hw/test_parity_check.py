@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hw.rig import Redundancy
 from hw.timing.complementary_sums import complementary_sums
 from hw.timing.parity_check import mixed_share, odd_share, with_parity
 from scanner.patterns import draw, gray_sequence
@@ -38,7 +39,7 @@ _TOLERANCE = 0.03
 
 def test_a_group_lights_every_pixel_an_even_number_of_times() -> None:
     white, black = np.full(SIZE[::-1], 255, np.uint8), np.zeros(SIZE[::-1], np.uint8)
-    series = with_parity(iter([white, black, *BITS, white]), [(0, 1)], [tuple(range(2, 2 + len(BITS)))])
+    series = with_parity(iter([white, black, *BITS, white]), Redundancy([(0, 1)], [tuple(range(2, 2 + len(BITS)))]))
     images = list(series.images)
     assert len(images) == len(BITS) + 4
     assert series.level == ((0, 1),)
@@ -53,7 +54,7 @@ def test_a_group_lights_every_pixel_an_even_number_of_times() -> None:
 @pytest.mark.parametrize("for_good", [False, True])
 def test_frames_of_wrong_pictures_fail_the_parity_check(late: int, for_good: bool) -> None:
     """One picture is shown too long, and all that follow may be late, too."""
-    right = list(with_parity(iter(BITS), [], [tuple(range(len(BITS)))]).images)
+    right = list(with_parity(iter(BITS), Redundancy(unpaired=[tuple(range(len(BITS)))])).images)
     scene = Scene(3.0)
     assert odd_share(range(len(right)), scene.seen(right)) < 0.002
     shown = right[: late + 1] + [right[late]] + (right[late + 1 : -1] if for_good else right[late + 2 :])

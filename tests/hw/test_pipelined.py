@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
+from hw.rig import Redundancy
 from hw.timing.devices import nothing
 from hw.timing.synchronisation import SynchronisedRig, synchronised
 from scanner.patterns import draw, level_groups, sequence_for, unpaired_bits
@@ -43,7 +44,7 @@ def scanned(
     if late_every:
         bench.delay_every(late_every)
     shown = pictures()
-    frames = list(rig.photograph(shown, level=pairs()))
+    frames = list(rig.photograph(shown, redundancy=Redundancy(pairs())))
     assert len(frames) == len(shown)
     for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
         np.testing.assert_allclose(frame.image, expected(picture), atol=foreign * _WHITE, err_msg=f"frame {number}")
@@ -109,7 +110,7 @@ def test_a_lost_frame_costs_the_time_of_one(monkeypatch: pytest.MonkeyPatch, lat
         rig = synchronised(bench, bench, {})
         bench._lost = frozenset({bench.exposures + 9} if loses else ())
         shown = pictures()
-        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(pairs())), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=7)
         lost[loses] = rig.sequential.tally.elapsed_s / bench.exposure_s
         assert rig.sequential.tally.retriggered == loses
@@ -126,7 +127,7 @@ def test_a_single_late_picture_does_not_stop_the_pipeline(monkeypatch: pytest.Mo
         if late:
             bench.delay_every(10**6)
         shown = pictures()
-        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(pairs())), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
         assert rig.pipelined is not None
         assert rig.pipelined.doubted == 2 * late
@@ -148,7 +149,7 @@ def test_the_delay_of_exposures_is_learnt(monkeypatch: pytest.MonkeyPatch) -> No
         rig = synchronised(bench, bench, {})
         bench._lag_s = 0.009
         shown = pictures()
-        for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+        for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(pairs())), strict=True):
             np.testing.assert_allclose(frame.image, expected(picture), atol=0.0023 * _WHITE)
         assert rig.pipelined is not None
         missed.append(rig.pipelined.missed)
@@ -166,7 +167,7 @@ def test_noise_causes_no_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005, noise=60.0).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     shown = pictures()
-    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+    for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(pairs())), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=300)
     assert rig.pipelined is not None
     assert rig.pipelined.doubted <= 2
@@ -177,7 +178,7 @@ def test_unverifiable_pictures_are_taken_sequentially(monkeypatch: pytest.Monkey
     rig = synchronised(bench, bench, {})
     shown = pictures(12)
     proven = [(0, 1), (8, 9)]
-    for picture, frame in zip(shown, rig.photograph(shown, level=proven), strict=True):
+    for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(proven)), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
     begun = bench.log[-bench.log[::-1].index("prepare") :]
     assert begun  # the pictures in turns are flipped one by one
@@ -204,7 +205,7 @@ def scanned_without_inverses(
     if late_share:
         bench.delay_some(late_share, busy_share=0.2)
     shown = [draw(pattern, QUICK_SIZE) for pattern in QUICK]
-    frames = list(rig.photograph(shown, (), level_groups(QUICK), unpaired_bits(QUICK)))
+    frames = list(rig.photograph(shown, (), Redundancy(level_groups(QUICK), unpaired_bits(QUICK))))
     assert len(frames) == len(shown)
     for number, (picture, frame) in enumerate(zip(shown, frames, strict=True)):
         off = frame.image - expected(picture)
@@ -287,14 +288,14 @@ def test_late_pictures_of_a_sequential_acquisition_are_repeated(
     assert rig.pipelined is None
     assert rig.timing.overlaps == overlaps
     assert 4 <= rig.sequential.tally.retriggered <= 16
-    assert len(list(rig.photograph(pictures(), level=pairs()))) == COUNT
+    assert len(list(rig.photograph(pictures(), redundancy=Redundancy(pairs())))) == COUNT
 
 
 def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
     bench._lost = frozenset(range(bench.exposures + 6, 10_000))
-    frames = rig.photograph(pictures(), level=pairs())
+    frames = rig.photograph(pictures(), redundancy=Redundancy(pairs()))
     with pytest.raises(DeviceError, match="was lost 8 times"):
         list(frames)
 
@@ -306,7 +307,7 @@ def test_a_complement_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> No
     shown = pictures(24)
     shown = [*shown[0::2], *shown[1::2][::-1]]
     around = [(number, 23 - number) for number in range(12)]
-    for picture, frame in zip(shown, rig.photograph(shown, level=around), strict=True):
+    for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(around)), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=7)
     assert rig.pipelined is not None
     assert rig.pipelined.doubted >= 2
@@ -315,7 +316,7 @@ def test_a_complement_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> No
 def test_an_abandoned_scan_leaves_no_picture_in_the_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.12, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
-    frames = rig.photograph(pictures(), level=pairs())
+    frames = rig.photograph(pictures(), redundancy=Redundancy(pairs()))
     next(frames)
     del frames
     assert bench._swaps == []
@@ -330,7 +331,7 @@ def test_in_a_scene_that_verifies_nothing_acquisition_is_sequential(monkeypatch:
     shown = pictures()
     for number in range(1, len(shown), 2):
         shown[number] = np.where(shown[number - 2] == 255, 0, shown[number]).astype(np.uint8)
-    for picture, frame in zip(shown, rig.photograph(shown, level=pairs()), strict=True):
+    for picture, frame in zip(shown, rig.photograph(shown, redundancy=Redundancy(pairs())), strict=True):
         np.testing.assert_allclose(frame.image, expected(picture), atol=2)
     assert rig.pipelined is not None
     assert 6 <= rig.pipelined.doubted <= 10

@@ -9,6 +9,7 @@ import pytest
 
 from calib.numerics.array_types import Image
 from hw.errors import DeviceError
+from hw.rig import Redundancy
 from hw.timing.streamed_rig import StreamedRig, streamed
 from scanner.capture.steady_camera import remarks_on_camera
 from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, level_groups, unpaired_bits
@@ -26,7 +27,7 @@ BITS: tuple[Pattern, ...] = (White(), Black(), *(Gray(axis, bit, 6) for axis in 
 def photographed(rig: StreamedRig, patterns: tuple[Pattern, ...]) -> Iterator[tuple[Image, np.ndarray]]:
     """Frames, and the expected ones."""
     pictures = [draw(pattern, SIZE) for pattern in patterns]
-    frames = rig.photograph(pictures, (), level_groups(patterns), unpaired_bits(patterns))
+    frames = rig.photograph(pictures, (), Redundancy(level_groups(patterns), unpaired_bits(patterns)))
     for picture, frame in zip(pictures, frames, strict=True):
         yield frame.image, seen_row(picture.astype(float))
 

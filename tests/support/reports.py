@@ -41,7 +41,7 @@ def calibrated_report(scene: Scene) -> ReportInput:
         replace(calibration, translation=calibration.translation / calibration.baseline, unit="baseline"),
         scene.matches,
         Corner(scene.corner.vertex / calibration.baseline, scene.corner.legs),
-        Profile(focal_px, 400 * np.log(focal_px / 299.5) ** 2, "−2 log posterior above the best"),
+        Profile(focal_px, 400 * np.log(focal_px / 299.5) ** 2),
         0.083,
         "refined",
         ("The faces seem to be off by +0.10 degrees.",),

@@ -135,7 +135,8 @@ def test_straightness_of_planes_gives_the_lens_distortion(bends: tuple[float, fl
     capture = random_capture(np.random.default_rng(1), camera=camera, projector=projector, noise_px=0.01)
     found = straighten(into_cells(capture.matches), KNOWN.px, PAPER_PROJECTOR.principal_point_px)
     # A bend on one side can stand for one on the other; what counts is that planes become straight.
-    bent = _bend_of_faces(into_cells(capture.matches).as_matches())
+    cells = into_cells(capture.matches)
+    bent = _bend_of_faces(Matches(cells.camera_px, cells.projector_px, cells.plane))
     assert 0 < _bend_of_faces(found.matches) < 0.2 * bent
 
 

@@ -118,7 +118,7 @@ def test_the_volume_across_the_profile_includes_a_prior_that_grows_with_the_foca
     step = np.zeros(case.truth.size)
     step[PROJECTOR.start], step[column] = np.log(ratio), 0.5 * prior.sigma[column]
     state = case.truth.moved(step)
-    own = prior.misfit(state)[2]
+    own = prior.misfit(state.additive())[2]
     information = np.diag(own + only / (told * np.where(only, prior.sigma, 1.0)) ** 2)
     found = log_volume_across(Fit(0.0, np.zeros(state.size), information, state, ()), case.truth, prior)
 

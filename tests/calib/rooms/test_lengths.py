@@ -5,7 +5,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calib.geometry import Matches
 from calib.numerics import Floats
 from calib.rooms import Room, RoomEstimate, lengths
 from calib.rooms.lengths import Measured, RoomPoint
@@ -28,28 +27,25 @@ def facing(room: Room) -> tuple[int, int]:
     return min(pairs, key=lambda pair: float(room.planes[pair[0]].normal @ room.planes[pair[1]].normal))
 
 
-def crossing(room: Room) -> tuple[int, int, int]:
+def crossings(room: Room) -> list[tuple[int, int, int]]:
+    """Planes that meet in a point, the most nearly perpendicular first."""
     normals = [plane.normal for plane in room.planes]
     triples = combinations(range(len(normals)), 3)
-    return max(triples, key=lambda triple: abs(np.linalg.det(np.stack([normals[i] for i in triple]))))
+    return sorted(triples, key=lambda triple: -abs(np.linalg.det(np.stack([normals[i] for i in triple]))))
 
 
 def some_points(case: Case) -> list[Callable[[RoomEstimate], RoomPoint]]:
-    cells, plane = case.cells[1], int(case.cells[1].plane[0])
-    pixel = float(cells.camera_px[0, 0]), float(cells.camera_px[0, 1])
-    part = Matches(cells.camera_px[:20], cells.projector_px[:20])
-    return [
-        lambda found: lengths.vertex(found, *crossing(case.truth)),
-        lambda found: lengths.point_on_plane(found, 1, pixel, case.plane_of[1][plane]),
-        lambda found: lengths.middle_of(found, 2, part),
-    ]
+    """The ends of an edge between two walls that face each other."""
+    one, other = facing(case.truth)
+    edge = next({*triple} - {one} for triple in crossings(case.truth) if one in triple and other not in triple)
+    return [lambda found: lengths.vertex(found, one, *edge), lambda found: lengths.vertex(found, other, *edge)]
 
 
 def test_sigmas_of_angles_and_gaps_match_their_derivatives(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     pair = facing(case.truth)
     centres = {plane: lengths.centre_of(case.found, plane) for plane in range(len(case.truth.planes))}
     monkeypatch.setattr(lengths, "centre_of", lambda _, plane: centres[plane])  # where it is taken does not move
-    first, second, _ = crossing(case.truth)
+    first, second, _ = crossings(case.truth)[0]
 
     def check(measure: Callable[[RoomEstimate], Measured]) -> None:
         by_differences = sigma_by_differences(case.found, lambda found: measure(found).value)
@@ -71,23 +67,12 @@ def test_points_follow_the_room(case: Case) -> None:
 
 
 def test_errors_of_distances_match_their_sigmas(case: Case) -> None:
-    points = some_points(case)
-    for a, b in combinations(range(2), 2):
-        measured = lengths.distance(case.found, points[a](case.found), points[b](case.found))
-        true = at(case.found, case.truth)
-        exact = lengths.distance(case.found, points[a](true), points[b](true)).value
-        assert 0 < measured.sigma < 0.01 * measured.value
-        assert abs(measured.value - exact) < 4 * measured.sigma
-
-
-def test_further_matches_add_their_own_noise(case: Case) -> None:
-    station, cells = 2, case.cells[2]
-    one = Matches(cells.camera_px[:1], cells.projector_px[:1])
-    many = Matches(np.repeat(one.camera_px, 4, axis=0), np.repeat(one.projector_px, 4, axis=0))
-    alone, together = (lengths.middle_of(case.found, station, each) for each in (one, many))
-    assert np.allclose(alone.position, together.position)
-    assert np.trace(alone.own) == pytest.approx(4 * np.trace(together.own))
-    assert np.all(lengths.sigmas_of_point(case.found, alone) > lengths.sigmas_of_point(case.found, together))
+    first, second = some_points(case)
+    measured = lengths.distance(case.found, first(case.found), second(case.found))
+    true = at(case.found, case.truth)
+    exact = lengths.distance(case.found, first(true), second(true)).value
+    assert 0 < measured.sigma < 0.01 * measured.value
+    assert abs(measured.value - exact) < 4 * measured.sigma
 
 
 def test_angles_between_parallel_planes_have_a_sigma(case: Case) -> None:

@@ -43,7 +43,7 @@ def turned() -> tuple[list[ThingStation], SolvedObject]:
 
 def test_poses_are_found_without_order_or_initial_guess(turned: tuple[list[ThingStation], SolvedObject]) -> None:
     stations, found = turned
-    assert found.numbers == (0, 1, 2, 3, 4)
+    assert tuple(each.number for each in found.stations) == (0, 1, 2, 3, 4)
     assert verdict_on(found).grade == "good"
     for true, station in zip(stations[1:], found.stations[1:], strict=True):
         off = between(found.stations[0].place, station.place)

@@ -88,7 +88,7 @@ def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> Sel
         replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline"),
         scene.matches,
         Corner(corner.vertex / baseline, corner.legs),
-        Profile(np.ones(1), np.ones(1), "cost"),
+        Profile(np.ones(1), np.ones(1)),
         0.1,
         "refined",
     )

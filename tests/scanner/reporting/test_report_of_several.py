@@ -60,7 +60,7 @@ def report(scene: Scene) -> ReportInput:
         calibration,
         scene.matches,
         Corner(scene.corner.vertex / baseline, scene.corner.legs),
-        Profile(np.linspace(200, 400, 9), np.linspace(-4, 4, 9) ** 2, "cost"),
+        Profile(np.linspace(200, 400, 9), np.linspace(-4, 4, 9) ** 2),
         0.1,
         "refined",
         uncertainty=Uncertainty(state_of(scene.calibration), covariance, by_principal_point, 1e-4),

@@ -78,7 +78,7 @@ def test_free_space_violations_indicate_another_room(example: SolvedExample, oth
 
 def test_the_members_of_another_group_are_named(example: SolvedExample, other: TrueStation) -> None:
     group = example.solved.group
-    second = Group((0, 1), group.places[:2], (), ((), ()), (), np.inf, (1.0, 1.0))
+    second = Group((0, 1), group.places[:2], (), ((), ()), (), np.inf)
     captures = [decoded(other), decoded(other)]
     registration = Registration((group, second), (), ())
     found = outlier_stations_of(registration, captures, example.solved.calibration, example.solved.stations)

@@ -1,0 +1,66 @@
+"""Priors on parameters, one by one: Gaussian, or heavy-tailed, a mixture of a narrow and a wide Gaussian."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from calib.numerics import Floats, Ints
+
+# One in twenty comes from the wide Gaussian, whose standard deviation is four times as large.
+_ODD, _TIMES = 0.05, 4.0
+
+
+@dataclass(frozen=True)
+class ColumnPrior:
+    """Prior on parameters: `mean`, `sigma` (size,); 0 = known, infinity = unknown.
+
+    It is Gaussian, except for the columns that are `tailed`: few lenses and walls deviate strongly, but those few may
+    do so by many sigmas. These are in arrays (n, d) of rows that deviate together.
+    """
+
+    mean: Floats
+    sigma: Floats
+    tailed: tuple[Ints, ...]
+
+    @cached_property
+    def root_precision(self) -> Floats:
+        """1 / σ of the columns that are not known, 0 elsewhere, (size,)."""
+        unknown = self.sigma > 0
+        return np.where(unknown, 1.0 / np.where(unknown, self.sigma, 1.0), 0.0)
+
+    def misfit(self, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return for each column (size,) its cost, half the gradient and half the (non-negative) curvature."""
+        z = (values - self.mean) * self.root_precision
+        cost, slope, curvature = z**2, z.copy(), np.ones_like(z)
+        for columns in self.tailed:
+            cost[columns], slope[columns], curvature[columns] = with_tails(z[columns])
+        return cost, slope * self.root_precision, curvature * self.root_precision**2
+
+    def knowing(self, columns: Sequence[int] | Ints) -> Self:
+        """The prior with some columns fixed as known."""
+        sigma = self.sigma.copy()
+        sigma[list(columns)] = 0.0
+        return replace(self, sigma=sigma)
+
+
+def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return −2 log of a mixture of a Gaussian of sigma 1 and a wide one, 0 at its peak, for deviations (n, d).
+
+    The d deviations of a row come from the same Gaussian: where one wall of a corner is far off, the others may be too.
+    The cost (n, d) of a row is shared out evenly. Also return half its derivative, and half its second derivatives or
+    that of the wide Gaussian if larger, both (n, d). The prior is nearly Gaussian up to three sigmas;
+    beyond, the data outweigh it.
+    """
+    size, least = z.shape[1], _TIMES**-2.0
+    narrow, wide = np.log(1 - _ODD), np.log(_ODD) - size * np.log(_TIMES)
+    square = np.sum(z**2, axis=1, keepdims=True)
+    usual, odd = narrow - square / 2, wide - least * square / 2
+    total = np.logaddexp(usual, odd)
+    share = np.exp(odd - total)  # the probability of belonging to the wide Gaussian
+    weight = 1 - share * (1 - least)
+    curvature = weight - share * (1 - share) * (z * (1 - least)) ** 2
+    cost = 2 * (np.logaddexp(narrow, wide) - total) / size
+    return np.broadcast_to(cost, z.shape), weight * z, np.maximum(curvature, least)

@@ -1,0 +1,56 @@
+"""What the pages of rooms and of things show alike of their stations."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.geometry import Intrinsics
+from calib.pointcloud import MergedCloud
+from scanner.quantities import shown_unit
+from scanner.rendering import BLUE, frustum
+from scanner.rendering.cloud_views import Wireframe
+from scanner.reporting import maps
+from scanner.reporting.sections import ScaledMap, picture
+from scanner.rooms.contents import Station
+
+HALF_PX = 480
+_SHOWN_SHARE = 99
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of the overlap matrix: its text, and how dark it is, up to 1."""
+
+    text: str
+    shade: float
+
+
+def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The files beside a page with their meanings, by name."""
+    names = sorted({path.name for path in page.parent.iterdir()} - {page.name})
+    return [(name, meanings[name]) for name in names if name in meanings]
+
+
+def camera_frusta(stations: Sequence[Station], camera: Intrinsics, cloud: MergedCloud, share: float) -> list[Wireframe]:
+    """The stations' cameras, as long as this share of the cloud."""
+    length = share * float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
+    return [Wireframe(station.to_room(frustum(camera, length)), BLUE) for station in stations]
+
+
+def sigma_cells(station: Station, first: Station, unit: str) -> tuple[str, str]:
+    """The sigmas of a station's place and of its turn, relative to the first one, which is held."""
+    if station is first:
+        return "held", "held"
+    sigma, sigma_deg = (float(np.linalg.norm(each)) for each in (station.sigma, station.sigma_deg))
+    return shown_unit(unit).error(sigma), f"{sigma_deg:.2g}°"
+
+
+def residual_map(values: NDArray[np.float32], unit: str, alt: str) -> ScaledMap:
+    """Of signed values (H, W), NaN for none; the scale leaves out the farthest few."""
+    known = np.abs(values[np.isfinite(values)])
+    limit = float(np.percentile(known, _SHOWN_SHARE)) if len(known) and known.any() else 1e-3
+    painted, scale = maps.signed_map(values, limit, unit, HALF_PX)
+    return ScaledMap(picture(painted, alt), scale)
