@@ -6,7 +6,7 @@ If a second pose is nearly as good, the view is ambiguous, which is reported. Mi
 longer, because they overlap little.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -44,6 +44,18 @@ class Alternative:
     view: int
     turn_deg: float
     worth: float
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """`worth` of poses, and of the patches that it is of."""
+
+    worth: float
+    patches: int
+
+    @property
+    def rate(self) -> float:
+        return self.worth / self.patches
 
 
 @dataclass(frozen=True)
@@ -114,7 +126,6 @@ def _grown(
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
     places = {first: Motion(np.eye(3), np.zeros(3))}
-    alternatives: list[Alternative] = []
     missing = [k for k in views if k != first]
     while missing:
         tried = {k: _tried(views, edges, places, k) for k in missing}
@@ -122,9 +133,33 @@ def _grown(
         if not tried[best]:
             break
         places[best] = tried[best][0].pose
-        alternatives += _rivals(best, tried[best], views[best].grain)
         missing.remove(best)
-    return places, alternatives
+    return places, [each for k in places for each in _alternatives(views, edges, places, k)]
+
+
+def _alternatives(
+    views: Mapping[int, View],
+    edges: Mapping[tuple[int, int], Sequence[Suggestion]],
+    places: Mapping[int, Motion],
+    k: int,
+) -> Iterator[Alternative]:
+    """Other poses of a placed view, alone or with all that were placed after it, that are as good as its own.
+
+    As good is what as little speaks against: how much of the thing two views share depends on the pose itself.
+    """
+    order = list(places)
+    for part in ([k], order[order.index(k) :]):
+        rest = {member: place for member, place in places.items() if member not in part}
+        own = _judged(views, rest, {each: places[each] for each in part})
+        if own is None:
+            continue
+        for each in _tried(views, edges, rest, k):
+            if near_each_other(each.pose, places[k], views[k].grain):
+                continue
+            step = composed(each.pose, inverse(places[k]))
+            moved = _judged(views, rest, {member: composed(step, places[member]) for member in part})
+            if moved is not None and moved.rate > _AS_GOOD * own.rate:
+                yield Alternative(k, _turn_deg(places[k], each.pose), moved.rate / own.rate)
 
 
 def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
@@ -170,31 +205,23 @@ def _tried(
             pose = composed(place, each.pose if member < k else inverse(each.pose))
             if any(near_each_other(pose, other.pose, views[k].grain) for other in found):
                 continue
-            worth = _worth(views, places, k, pose)
-            if worth is not None:
-                found.append(Suggestion(pose, worth))
+            judged = _judged(views, places, {k: pose})
+            if judged is not None:
+                found.append(Suggestion(pose, judged.worth))
     return sorted(found, key=lambda each: -each.worth)
 
 
-def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
-    """Evidence of all members for a pose; None if the evidence against it prevails."""
+def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mapping[int, Motion]) -> _Judgement | None:
+    """Evidence of all members for the poses of others; None if the evidence against them prevails."""
     evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()
+        for k, pose in part.items()
     ]
     agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
-    if agreeing < _LEAST_SHARE * (agreeing + against):
+    if agreeing == 0 or agreeing < _LEAST_SHARE * (agreeing + against):
         return None
-    return sum(each.worth for each in evidences)
-
-
-def _rivals(k: int, tried: Sequence[Suggestion], grain: float) -> list[Alternative]:
-    best = tried[0]
-    return [
-        Alternative(k, _turn_deg(best.pose, each.pose), each.worth / best.worth)
-        for each in tried[1:]
-        if each.worth > _AS_GOOD * best.worth and not near_each_other(best.pose, each.pose, grain)
-    ]
+    return _Judgement(sum(each.worth for each in evidences), agreeing + against)
 
 
 def _turn_deg(one: Motion, other: Motion) -> float:
