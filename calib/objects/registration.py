@@ -39,7 +39,9 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence."""
+    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence per
+    patch.
+    """
 
     view: int
     turn_deg: float
@@ -48,14 +50,21 @@ class Alternative:
 
 @dataclass(frozen=True)
 class _Judgement:
-    """`worth` of poses, and of the patches that it is of."""
+    """Of poses by several views: `worth` as of `Evidence`, patches that agree, and that could agree."""
 
     worth: float
+    agreeing: int
     patches: int
 
     @property
     def rate(self) -> float:
-        return self.worth / self.patches
+        """Worth per patch: how much of the thing two views share depends on the pose."""
+        return self.worth / max(1, self.patches)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the evidence against it does not prevail."""
+        return self.agreeing > _SURE_SHARE * self.patches
 
 
 @dataclass(frozen=True)
@@ -143,23 +152,18 @@ def _alternatives(
     places: Mapping[int, Motion],
     k: int,
 ) -> Iterator[Alternative]:
-    """Other poses of a placed view, alone or with all that were placed after it, that are as good as its own.
-
-    As good is what as little speaks against: how much of the thing two views share depends on the pose itself.
-    """
+    """Other poses of a placed view, alone or with all that were placed after it, that little more speaks against."""
     order = list(places)
     for part in ([k], order[order.index(k) :]):
         rest = {member: place for member, place in places.items() if member not in part}
-        own = _judged(views, rest, {each: places[each] for each in part})
-        if own is None:
-            continue
+        own = _judged(views, rest, {member: places[member] for member in part})
         for each in _tried(views, edges, rest, k):
             if near_each_other(each.pose, places[k], views[k].grain):
                 continue
             step = composed(each.pose, inverse(places[k]))
             moved = _judged(views, rest, {member: composed(step, places[member]) for member in part})
-            if moved is not None and moved.rate > _AS_GOOD * own.rate:
-                yield Alternative(k, _turn_deg(places[k], each.pose), moved.rate / own.rate)
+            if moved.holds and moved.rate > _AS_GOOD * own.rate:
+                yield Alternative(k, _turn_deg(places[k], each.pose), moved.rate)
 
 
 def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
@@ -206,22 +210,20 @@ def _tried(
             if any(near_each_other(pose, other.pose, views[k].grain) for other in found):
                 continue
             judged = _judged(views, places, {k: pose})
-            if judged is not None:
+            if judged.holds:
                 found.append(Suggestion(pose, judged.worth))
     return sorted(found, key=lambda each: -each.worth)
 
 
-def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mapping[int, Motion]) -> _Judgement | None:
-    """Evidence of all members for the poses of others; None if the evidence against them prevails."""
+def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mapping[int, Motion]) -> _Judgement:
+    """Evidence of all members for the poses of others."""
     evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()
         for k, pose in part.items()
     ]
     agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
-    if agreeing == 0 or agreeing < _LEAST_SHARE * (agreeing + against):
-        return None
-    return _Judgement(sum(each.worth for each in evidences), agreeing + against)
+    return _Judgement(sum(each.worth for each in evidences), agreeing, agreeing + against)
 
 
 def _turn_deg(one: Motion, other: Motion) -> float:
