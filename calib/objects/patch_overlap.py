@@ -103,9 +103,7 @@ class Evidence:
 
     @property
     def worth(self) -> float:
-        """In patches; one against outweighs several that agree, because wrong poses agree for the most part, too. A mark
-        counts for many.
-        """
+        """In patches. Wrong poses agree for the most part, too: one against outweighs several. Marks count for many."""
         return self.agreeing - _PER_AGAINST * self.against + _PER_MARK * max(0, self.marks - _BY_CHANCE)
 
     @property
