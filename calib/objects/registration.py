@@ -2,8 +2,8 @@
 
 A group grows from the most certain pair, another one from the remaining views, and the largest is used. A view is tried
 at every suggested pose relative to a member, and judged by all members: by agreement, and by violations of free space.
-If a second pose is nearly as good, the view is ambiguous, which is reported. Missing views are searched once more,
-longer, because they overlap little.
+If a second pose of a view, or of it and all later ones, is nearly as good per patch, that ambiguity is reported.
+Missing views are searched once more, longer, because they overlap little.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ from calib.rooms.alignment import composed, inverse
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
 _LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # share of the patches that could agree; share of all patches
-_SURE_SHARE = 0.88  # for one of hundreds of poses, some of which agree by chance
+_SURE_SHARE = 0.88  # for a pose by a group, or one of hundreds, some of which agree by chance
 _FEWEST_AGREEING = 0.08  # share of all patches, before a pose is refined
 _AS_GOOD = 0.93  # relative to the best pose
 
