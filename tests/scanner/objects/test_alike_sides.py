@@ -31,7 +31,8 @@ def box(sides: tuple[float, float, float], *middle: float) -> Any:
 
 
 def solved(parts: list[Any], step_deg: float, folder: Path) -> Solved:
-    trimesh.util.concatenate(parts).export(folder / "thing.ply")
+    whole: Any = trimesh.util.concatenate(parts)
+    whole.export(folder / "thing.ply")
     stations = thing_stations(
         [*range(6)], CAMERA, seed=1, kind="file", file=str(folder / "thing.ply"), step_deg=step_deg, patches=0.0
     )
