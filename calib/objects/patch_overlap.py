@@ -103,8 +103,8 @@ class Evidence:
 
     @property
     def worth(self) -> float:
-        """In patches; a mark counts for many."""
-        return self.agreeing - self.against + _PER_MARK * max(0, self.marks - _BY_CHANCE)
+        """In patches. Wrong poses agree for the most part, too: one against outweighs several. Marks count for many."""
+        return self.agreeing - _PER_AGAINST * self.against + _PER_MARK * max(0, self.marks - _BY_CHANCE)
 
     @property
     def share(self) -> float:
@@ -112,7 +112,7 @@ class Evidence:
         return self.agreeing / max(1, self.agreeing + self.against)
 
 
-_PER_MARK, _BY_CHANCE = 25.0, 4
+_PER_AGAINST, _PER_MARK, _BY_CHANCE = 3.0, 25.0, 4
 _MARK_GRAINS = 1.0
 
 

@@ -2,11 +2,11 @@
 
 A group grows from the most certain pair, another one from the remaining views, and the largest is used. A view is tried
 at every suggested pose relative to a member, and judged by all members: by agreement, and by violations of free space.
-If a second pose is nearly as good, the view is ambiguous, which is reported. Missing views are searched once more,
-longer, because they overlap little.
+If a second pose of a view, or of it and all later ones, is nearly as good per patch, that ambiguity is reported.
+Missing views are searched once more, longer, because they overlap little.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -24,7 +24,7 @@ from calib.rooms.alignment import composed, inverse
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
 _LEAST_SHARE, _LEAST_AGREEING = 0.75, 0.12  # share of the patches that could agree; share of all patches
-_SURE_SHARE = 0.88  # for one of hundreds of poses, some of which agree by chance
+_SURE_SHARE = 0.88  # for a pose by a group, or one of hundreds, some of which agree by chance
 _FEWEST_AGREEING = 0.08  # share of all patches, before a pose is refined
 _AS_GOOD = 0.93  # relative to the best pose
 
@@ -39,11 +39,32 @@ class Suggestion:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence."""
+    """Another pose of a view that is almost as good: its rotation relative to the first one, and its evidence per
+    patch.
+    """
 
     view: int
     turn_deg: float
     worth: float
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """Of poses by several views: `worth` as of `Evidence`, patches that agree, and that could agree."""
+
+    worth: float
+    agreeing: int
+    patches: int
+
+    @property
+    def rate(self) -> float:
+        """Worth per patch: how much of the thing two views share depends on the pose."""
+        return self.worth / max(1, self.patches)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the evidence against it does not prevail."""
+        return self.agreeing > _SURE_SHARE * self.patches
 
 
 @dataclass(frozen=True)
@@ -114,7 +135,6 @@ def _grown(
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
     places = {first: Motion(np.eye(3), np.zeros(3))}
-    alternatives: list[Alternative] = []
     missing = [k for k in views if k != first]
     while missing:
         tried = {k: _tried(views, edges, places, k) for k in missing}
@@ -122,9 +142,28 @@ def _grown(
         if not tried[best]:
             break
         places[best] = tried[best][0].pose
-        alternatives += _rivals(best, tried[best], views[best].grain)
         missing.remove(best)
-    return places, alternatives
+    return places, [each for k in places for each in _alternatives(views, edges, places, k)]
+
+
+def _alternatives(
+    views: Mapping[int, View],
+    edges: Mapping[tuple[int, int], Sequence[Suggestion]],
+    places: Mapping[int, Motion],
+    k: int,
+) -> Iterator[Alternative]:
+    """Other poses of a placed view, alone or with all that were placed after it, that little more speaks against."""
+    order = list(places)
+    for part in ([k], order[order.index(k) :]):
+        rest = {member: place for member, place in places.items() if member not in part}
+        own = _judged(views, rest, {member: places[member] for member in part})
+        for each in _tried(views, edges, rest, k):
+            if near_each_other(each.pose, places[k], views[k].grain):
+                continue
+            step = composed(each.pose, inverse(places[k]))
+            moved = _judged(views, rest, {member: composed(step, places[member]) for member in part})
+            if moved.holds and moved.rate > _AS_GOOD * own.rate:
+                yield Alternative(k, _turn_deg(places[k], each.pose), moved.rate)
 
 
 def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
@@ -170,31 +209,21 @@ def _tried(
             pose = composed(place, each.pose if member < k else inverse(each.pose))
             if any(near_each_other(pose, other.pose, views[k].grain) for other in found):
                 continue
-            worth = _worth(views, places, k, pose)
-            if worth is not None:
-                found.append(Suggestion(pose, worth))
+            judged = _judged(views, places, {k: pose})
+            if judged.holds:
+                found.append(Suggestion(pose, judged.worth))
     return sorted(found, key=lambda each: -each.worth)
 
 
-def _worth(views: Mapping[int, View], places: Mapping[int, Motion], k: int, pose: Motion) -> float | None:
-    """Evidence of all members for a pose; None if the evidence against it prevails."""
+def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mapping[int, Motion]) -> _Judgement:
+    """Evidence of all members for the poses of others."""
     evidences = [
         evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
         for member, place in places.items()
+        for k, pose in part.items()
     ]
     agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
-    if agreeing < _LEAST_SHARE * (agreeing + against):
-        return None
-    return sum(each.worth for each in evidences)
-
-
-def _rivals(k: int, tried: Sequence[Suggestion], grain: float) -> list[Alternative]:
-    best = tried[0]
-    return [
-        Alternative(k, _turn_deg(best.pose, each.pose), each.worth / best.worth)
-        for each in tried[1:]
-        if each.worth > _AS_GOOD * best.worth and not near_each_other(best.pose, each.pose, grain)
-    ]
+    return _Judgement(sum(each.worth for each in evidences), agreeing, agreeing + against)
 
 
 def _turn_deg(one: Motion, other: Motion) -> float:
