@@ -57,7 +57,7 @@ class _TileObservations:
 
 @dataclass(frozen=True)
 class _Scales:
-    """The earlier and the later picture (H, W), `blurred` by a number of px, and the observations without motion.
+    """The earlier and the later picture, `blurred` by a number of px, and the observations without motion.
 
     `at_rest`: at full resolution; `coarsely`: at the largest blur.
     """
@@ -106,10 +106,16 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
 
 
 def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
+    """Return the pictures (H, W) or, blurred, at half their size."""
     if not blur_px:
         return pictures
-    before, after = (np.asarray(cv2.GaussianBlur(one, (0, 0), blur_px), np.float32) for one in pictures)
+    before, after = (_halved(one, blur_px) for one in pictures)
     return before, after
+
+
+def _halved(picture: Floats32, blur_px: float) -> Floats32:
+    half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(half, (0, 0), blur_px / 2), np.float32)
 
 
 def _observe_beside(
@@ -170,9 +176,10 @@ def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
         chi = np.sqrt(np.maximum(_squares(seen.normal, left), 0.0))
         scale = max(float(np.median(chi)) / _MEDIAN_CHI, 1.0) if len(chi) else 1.0
         weight = np.minimum(1.0, seen.huber * scale / np.maximum(chi, 1e-9))
-    _, group = np.unique(seen.centre_px // _GROUP_PX, axis=0, return_inverse=True)
+    across, down = (seen.centre_px // _GROUP_PX).astype(np.int64).T
+    group = down * (1 + np.max(across, initial=0)) + across
     scores = (weight[:, None, None] * design * left[:, :, None]).sum(axis=1)
-    sums = np.stack([np.bincount(group.reshape(-1), column) for column in scores.T], axis=1)
+    sums = np.stack([np.bincount(group, column) for column in scores.T], axis=1)
     inverse = np.linalg.inv(information + expected)
     covariance = inverse @ (sums.T @ sums + scale**2 * information + expected) @ inverse
     covariance += _SYSTEMATIC_PX**2 * np.eye(COLUMNS)

@@ -49,19 +49,23 @@ class TileShifts:
 def shifts_of_tiles(
     pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp, *, own_light: bool = True
 ) -> TileShifts:
-    """Observe the shifts of tiles from the `chosen` pixels (H, W) of two pictures (H, W), the later one warped back.
+    """Observe the shifts of tiles from the `chosen` pixels (H, W) of two pictures, the later one warped back.
 
-    `own_light`: whether g and o are fitted. They would absorb an edge that is blurred over more than a tile.
+    The pictures may be reduced by a whole number. `own_light`: whether g and o are fitted. They would absorb an edge
+    that is blurred over more than a tile.
     """
-    rows, columns = (size // TILE_PX for size in chosen.shape)
-    in_tiles = chosen[: rows * TILE_PX, : columns * TILE_PX].reshape(rows, TILE_PX, columns, TILE_PX)
-    tiles = np.flatnonzero(in_tiles.sum(axis=(1, 3)) >= _FEWEST_PX)
-    moments = np.zeros((len(tiles), 5, 5))
     before, after = pictures
-    # Levels are relative to the mean of the pictures, to limit rounding errors.
-    level = np.float32((before.mean() + after.mean()) / 2)
-    _sum_moments(before, after, chosen, tiles, warp.place, warp.turned, _TAPS, level, moments)
-    normal, pull = _of_moments(moments, own_light=own_light)
+    step = len(chosen) // len(before)
+    moments = np.zeros((len(warp.place), 5, 5))
+    # Levels are relative to one of the picture, to limit rounding errors.
+    level = np.float32(before[TILE_PX // 2 :: TILE_PX, TILE_PX // 2 :: TILE_PX].mean())
+    place = (warp.place + 0.5) / step - 0.5
+    seen = np.ascontiguousarray(chosen[::step, ::step])
+    _sum_moments(before, after, seen, TILE_PX // step, place, warp.turned, _TAPS, level, moments)
+    in_pixels = step * np.array([1.0, 1.0, 1 / step, 1 / step, 1.0])
+    moments *= np.outer(in_pixels, in_pixels)
+    tiles = np.flatnonzero(moments[:, 0, 0] >= _FEWEST_PX)
+    normal, pull = _of_moments(moments[tiles], own_light=own_light)
     tells = normal.trace(axis1=1, axis2=2) > 0
     return TileShifts(tiles[tells], normal[tells], pull[tells])
 
@@ -125,32 +129,36 @@ def _sum_moments(
     before: Floats32,
     after: Floats32,
     chosen: Bools,
-    tiles: Ints,
+    tile_px: int,
     place: Floats,
     turned: Floats,
     taps: Floats32,
     usual: np.float32,
     moments: Floats,
 ) -> None:
-    """Fill the moments (K, 5, 5) of 1, M, −∇M and D over the chosen pixels of each tile."""
-    columns = before.shape[1] // TILE_PX
+    """Fill the moments (T, 5, 5) of 1, M, −∇M and D over the chosen pixels of each tile."""
+    columns = before.shape[1] // tile_px
+    # As large as for whole tiles: loops of constant length are several times as fast.
+    around = np.empty((_WINDOW + 1, _WINDOW + 1), np.float32)
     mean, difference = np.empty((_WINDOW, _WINDOW), np.float32), np.empty((_WINDOW, _WINDOW), np.float32)
     across = np.empty((3, _WINDOW, TILE_PX), np.float32)
     filtered = np.empty((4, TILE_PX, TILE_PX), np.float32)
-    values = np.empty((5, TILE_PX * TILE_PX))
-    for number, tile in enumerate(tiles):
-        top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
-        _sample(before, after, top, left, place[tile], turned, mean, difference)
+    values = np.empty((5, tile_px * tile_px))
+    for tile in range(len(moments)):
+        top, left = tile // columns * tile_px, tile % columns * tile_px
+        if not chosen[top : top + tile_px, left : left + tile_px].any():
+            continue
+        _sample(before, after, top, left, tile_px, place[tile], turned, around, mean, difference)
         _filter(mean, difference, taps, usual, across, filtered)
         found = 0
-        for y in range(TILE_PX):
-            for x in range(TILE_PX):
+        for y in range(tile_px):
+            for x in range(tile_px):
                 if chosen[top + y, left + x]:
                     values[0, found] = 1.0
                     for a in range(4):
                         values[1 + a, found] = filtered[a, y, x]
                     found += 1
-        _sum_products(values, found, moments[number])
+        _sum_products(values, found, moments[tile])
 
 
 @compiled
@@ -159,38 +167,39 @@ def _sample(
     after: Floats32,
     top: int,
     left: int,
+    tile_px: int,
     place: Floats,
     turned: Floats,
+    around: Floats32,
     mean: Floats32,
     difference: Floats32,
 ) -> None:
-    """Sample mean and difference of the pictures in a tile and its margin."""
+    """Sample mean and difference of the pictures in a tile and its margin; beyond the border, its pixels repeat.
+
+    The later picture is interpolated linearly, between the neighbours `around` that the pixels have in a tile that is
+    not turned: cubic interpolation shifts ramps by up to 0.05 px.
+    """
     height, width = before.shape
+    middle = np.float32((tile_px - 1) / 2 + _REACH)
+    u, v = int(np.floor(place[0] - middle)), int(np.floor(place[1] - middle))
+    for y in range(_WINDOW + 1):
+        row = min(max(v + y, 0), height - 1)
+        for x in range(_WINDOW + 1):
+            around[y, x] = after[row, min(max(u + x, 0), width - 1)]
+    right, down = np.float32(place[0] - middle - u), np.float32(place[1] - middle - v)
+    zoom, roll = np.float32(turned[0, 0] - 1), np.float32(turned[1, 0])
     for y in range(_WINDOW):
-        v = min(max(top + y - _REACH, 0), height - 1)
-        down = v - top - (TILE_PX - 1) / 2
+        row = min(max(top + y - _REACH, 0), height - 1)
         for x in range(_WINDOW):
-            u = min(max(left + x - _REACH, 0), width - 1)
-            right = u - left - (TILE_PX - 1) / 2
-            later = _between_pixels(
-                after,
-                place[0] + turned[0, 0] * right + turned[0, 1] * down,
-                place[1] + turned[1, 0] * right + turned[1, 1] * down,
-            )
-            mean[y, x] = _HALF * (before[v, u] + later)
-            difference[y, x] = later - before[v, u]
-
-
-@compiled
-def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
-    """Interpolate linearly, clamped at the border: cubic interpolation shifts ramps by up to 0.05 px."""
-    height, width = picture.shape
-    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
-    u, v = min(int(x), width - 2), min(int(y), height - 2)
-    right, down = np.float32(x - u), np.float32(y - v)
-    upper = picture[v, u] + right * (picture[v, u + 1] - picture[v, u])
-    lower = picture[v + 1, u] + right * (picture[v + 1, u + 1] - picture[v + 1, u])
-    return np.float32(upper + down * (lower - upper))
+            mean[y, x] = before[row, min(max(left + x - _REACH, 0), width - 1)]
+        for x in range(_WINDOW):
+            further, lower = np.float32(x) - middle, np.float32(y) - middle
+            across = right + zoom * further - roll * lower
+            upper_level = around[y, x] + across * (around[y, x + 1] - around[y, x])
+            lower_level = around[y + 1, x] + across * (around[y + 1, x + 1] - around[y + 1, x])
+            later = upper_level + (down + roll * further + zoom * lower) * (lower_level - upper_level)
+            difference[y, x] = later - mean[y, x]
+            mean[y, x] = _HALF * (mean[y, x] + later)
 
 
 @compiled
@@ -216,6 +225,18 @@ def _filter(
                 change += taps[0, k] * across[2, y + k, x]
             filtered[0, y, x], filtered[1, y, x] = level, -by_x
             filtered[2, y, x], filtered[3, y, x] = -by_y, change
+
+
+@compiled
+def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
+    """Interpolate linearly, clamped at the border."""
+    height, width = picture.shape
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    u, v = min(int(x), width - 2), min(int(y), height - 2)
+    right, down = np.float32(x - u), np.float32(y - v)
+    upper = picture[v, u] + right * (picture[v, u + 1] - picture[v, u])
+    lower = picture[v + 1, u] + right * (picture[v + 1, u + 1] - picture[v + 1, u])
+    return np.float32(upper + down * (lower - upper))
 
 
 @compiled
@@ -259,7 +280,10 @@ def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
 
 
 def _solved(matrices: Floats, right: Floats) -> Floats:
-    """Solve systems (T, 2, 2) that may be singular, with a small regularisation."""
-    size = np.trace(matrices, axis1=1, axis2=2)[:, None, None]
-    solved: Floats = np.linalg.solve(matrices + (_SINGULAR * size + 1e-12) * np.eye(2), right)
-    return solved
+    """Solve symmetric systems (T, 2, 2) that may be singular, with a small regularisation."""
+    across, both, down = matrices[:, 0, 0, None], matrices[:, 0, 1, None], matrices[:, 1, 1, None]
+    little = _SINGULAR * (across + down) + 1e-12
+    across, down = across + little, down + little
+    first, second = right[:, 0], right[:, 1]
+    solved: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
+    return solved / (across * down - both**2)[:, None]

@@ -28,6 +28,7 @@ _ROUNDS = 4
 # Sums this many times farther off than the median are down-weighted as motion or flicker.
 _OUTLYING = 4.5
 _FEWEST_PAIRS, _FEWEST_PIXELS, _MOST_PIXELS = 3, 200, 1000
+_EVERY = 8  # of these pixels, one of so many finds the time of an ambient light change
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
@@ -90,8 +91,10 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
         return None
     # An ambient light change also makes sums differ: those before it from those after it.
     if has_pairs:
-        split = (_fit([sums[:place], sums[place:]], of_swing) for place in range(1, len(sums)))
-        switched = min(split, key=lambda each: each.after)
+        few, of_few = sums[:, ::_EVERY], of_swing[::_EVERY]
+        after = [_fit([few[:place], few[place:]], of_few).after for place in range(1, len(sums))]
+        place = 1 + int(np.argmin(after))
+        switched = _fit([sums[:place], sums[place:]], of_swing)
         if switched.after < _SWITCHED * fit.after and switched.before > notable:
             fit = switched
         if fit.after > _FAINT**2 * len(sums):
@@ -174,10 +177,10 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
     for _ in range(_ROUNDS):
         of_swing = swing @ light
         of_swing = np.maximum(of_swing, _LEAST_SLOPE * median(of_swing))
-        relative = rows / np.tile(of_swing, len(off))[:, None]
-        normal = relative.T @ (weights[:, None] * relative) / len(rows) + stiff
+        relative = np.tile(1 / of_swing, len(off))
+        normal = rows.T @ ((weights * relative**2)[:, None] * rows) / len(rows) + stiff
         light = np.linalg.solve(normal + _HELD * (given + offset), _HELD * as_it_is).astype(np.float64)
-        away = np.abs(relative @ light)
+        away = relative * np.abs(rows @ light)
         weights = 1 / (1 + (away / (_OUTLYING * median(away) + 1e-4)) ** 2)
     return light
 
