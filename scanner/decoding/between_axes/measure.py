@@ -17,7 +17,7 @@ from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion
 from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.moment import Moment, moment_of
-from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
+from scanner.decoding.motion.device_motion import SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS

@@ -17,12 +17,12 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
-from scanner.decoding.tune import agreeing
 from scanner.errors import InputError
 
 # Amplitudes below this share of the brightest ones cannot show the order of frames.

@@ -11,7 +11,7 @@ import numpy as np
 from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.found import Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.device_motion import Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.found import Disturbance, MotionFound
+from scanner.decoding.motion.device_motion import Disturbance, MotionFound
 from scanner.decoding.motion.frame_equations import FrameEquations, frame_equations
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
-from scanner.decoding.motion.found import MotionFound
+from scanner.decoding.motion.device_motion import MotionFound
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.errors import InputError
 
