@@ -15,18 +15,13 @@ import numpy as np
 from calib.numerics import Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import AS_GOOD, FEW, HALF
 
-# Largest share of the squared added light with the opposite sign; noise has both signs.
-_MOST_OF_OTHER_SIGN = 0.1
-# Largest share of the contradictions left with the right frame; within one group of frames all moments look alike.
-_MOST_LEFT, _AS_GOOD = 0.5, 0.8
 # Ratio of what two moments leave if they are indistinguishable; for a clear moment it is a fifteenth.
 _ALIKE = 2.0
 _NOTHING = 1e-9
 # Smaller changes invert no bit and are not removed.
 _LEAST_SHARE = 0.03
-# Stripes that are not fine may light more than half of the visible pixels by this share of white.
-_UNEVEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -96,7 +91,8 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
     if plan.white is None or plan.black is None:
         return False
     parts = (means - means[plan.black]) / max(means[plan.white] - means[plan.black], _NOTHING)
-    return any(abs(parts[frame] - 0.5) > _UNEVEN for frame in _fine(plan, 0))
+    # Stripes that are not fine may light a few more than half of the visible pixels.
+    return any(abs(parts[frame] - 0.5) > FEW for frame in _fine(plan, 0))
 
 
 def light_switch(
@@ -116,7 +112,7 @@ def light_switch(
     candidates = [
         AmbientLightChange(frame, of_light, median(of_light @ levels / swing))
         for (frame, of_light, _), much in zip(weighted, explained, strict=True)
-        if much >= _AS_GOOD * explained.max()
+        if much >= AS_GOOD * explained.max()  # within one group of frames all moments look alike
     ]
     candidates = [candidate for candidate in candidates if _is_of_one_sign(candidate.light(levels) / swing)]
     if not candidates:
@@ -124,10 +120,10 @@ def light_switch(
     left = [contradiction(candidate.undone(levels)) for candidate in candidates]
     least, best, before = min(left), candidates[int(np.argmin(left))], contradiction(levels)
     # A change in the middle of a fringe's steps causes little contradiction, but changes the means of the steps.
-    is_even = _spread_of_steps(plan, best.undone(levels)) <= _MOST_LEFT * _spread_of_steps(plan, levels)
+    is_even = _spread_of_steps(plan, best.undone(levels)) <= HALF * _spread_of_steps(plan, levels)
     near = [c.frame for c, rest in zip(candidates, left, strict=True) if rest <= _ALIKE * least]
     best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
-    return best if least <= _MOST_LEFT * before or (least < before and is_even) else None
+    return best if least <= HALF * before or (least < before and is_even) else None
 
 
 def _spread_of_steps(plan: SequencePlan, levels: Floats32) -> float:
@@ -196,5 +192,6 @@ def _fine(plan: SequencePlan, frame: int) -> list[int]:
 
 
 def _is_of_one_sign(light: Floats32) -> bool:
+    """Return whether hardly any of the squared light (P,) is of the other sign; noise has both signs."""
     brighter, darker = (float(np.sum(np.maximum(sign * light, 0) ** 2)) for sign in (1, -1))
-    return min(brighter, darker) <= _MOST_OF_OTHER_SIGN * max(brighter, darker)
+    return min(brighter, darker) <= FEW * max(brighter, darker)

@@ -18,8 +18,8 @@ from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_to
 from scanner.decoding.fringes.unchecked import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
+from scanner.decoding.significance import NEARLY_ALL
 
-_NEARLY_ALL = 0.9
 _DARKEST = 1e-3
 
 
@@ -110,7 +110,7 @@ def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """Return the index of the shortest fringe that is resolved at nearly all sample pixels."""
     seen = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
-        if variance.size and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
+        if variance.size and np.quantile(variance, NEARLY_ALL) <= largest_variance(fringe):
             seen = number
     return seen
 

@@ -20,9 +20,9 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.subsampling import at_random
 
-# Random pixels, because a regular grid could beat with the stripes.
-_MOST_PIXELS, _SEED = 65536, 20_261_124
+_MOST_PIXELS = 65536
 # Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
 # Midway between two stripes a bit says nothing of its contrast.
@@ -59,8 +59,7 @@ def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> Fi
     """
     x, y = accumulators.plan.axes
     if x.fringes and y.fringes:
-        many = min(_MOST_PIXELS, maps.reason.size)
-        pixels = np.sort(np.random.default_rng(_SEED).integers(0, maps.reason.size, many))
+        pixels = at_random(maps.reason.size, _MOST_PIXELS)
         of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels]))
         return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
     pixels, levels = sample.pixels, sample.levels

@@ -10,14 +10,12 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# An exchanged frame is wrong by the whole swing where its pattern differs; a nonlinear camera curve by less than half.
+# Deviations from the right frame, relative to what an exchange would cause. An exchanged frame is wrong by the whole
+# swing where its pattern differs, a nonlinear camera curve by less than half. N times the scatter of a fringe's mean
+# over N shifts is about an amplitude if one of the N frames shows another pattern, 0.1 to 0.2 from harmonics. The
+# amplitude and shift of a frame is off by a distance of 1 and more between phasors.
 _WRONG = 0.5
-_WRONG_SHARE = 0.05
-# N times the scatter of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames shows another
-# pattern, 0.1 to 0.2 from harmonics.
-_WRONG_MEAN = 0.5
-# Largest deviation of the amplitude and shift of a frame, as a distance between unit phasors.
-_WRONG_SHIFT = 0.4
+_WRONG_SHARE = 0.05  # of the lit pixels: people and occlusion edges cover less
 # If less than a third of a cycle is visible, shifts and amplitudes are not separable: limit on the ratio of singular
 # values.
 _MOST_UNEVEN = 2.0
@@ -26,6 +24,9 @@ _MOST_UNEVEN = 2.0
 _UNEXPLAINED = 0.25
 # Scatter of a fringe's frames in standard deviations of the noise; a barely visible fringe has 3.
 _BLURRED_AWAY = 2.0
+# Exchanged frames are named if undoing the exchange leaves at most this share of the contradictions: all but those of
+# noise and of the projector's and the camera's curves.
+LEFT_BY_EXCHANGE = 0.3
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe])
     amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
-        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
+        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG * amplitude:
             yield Anomaly(
                 f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 one.fringe.frames,
@@ -137,7 +138,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anom
         gram = components @ components.T
         if np.linalg.cond(gram) > _MOST_UNEVEN**2:
             continue
-        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
+        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
             message = f"{plan.names(suspects)} have another shift or period than their patterns"

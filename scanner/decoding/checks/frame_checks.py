@@ -16,11 +16,12 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Bools
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.contradictions import Anomaly, LitSample, contradictions
+from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, Anomaly, LitSample, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEARLY_ALL
+from scanner.decoding.subsampling import evenly_spread
 from scanner.errors import InputError
 
 # Least swing of a lit pixel over all frames: in standard deviations of a difference of two, and in grey levels.
@@ -28,23 +29,19 @@ _SEEN = 8.0
 _WELL_SEEN = 20.0
 _LEAST_SWING = 2.0
 _FEWEST_LIT = 20
-_ENOUGH_LIT = 500
-_MOST_LIT = 4000
 # Each misplaced frame adds the square of its difference from the right one to the contradictions, twice that if only
 # one other frame contradicts it. Undoing an exchange must remove at least this part.
+# It is rejected if another exchange of either frame leaves hardly more: if black was taken in brighter light, for
+# example, any dark frame in its place helps as much.
 _REPAIRED = 0.5
-# An exchange is rejected if it leaves this share of the contradictions, and another exchange of either frame leaves
-# hardly more. If black was taken in brighter light, for example, any dark frame in its place helps as much.
-_MUCH_LEFT, _AS_GOOD = 0.3, 0.9
 _DIFFERENT = 0.02
 _MOST_BRIGHTER = 4.0
 # Flicker changes white by less than this factor. If it explains the frames about as well as an ambient light change,
 # there was no such change.
 _FLICKERS, _ABOUT = 2.0, 1.1
-_FEWEST_COMPARED = 400
+_COMPARED = 400  # pixels per trial of an exchange, of which there are hundreds
 # Frames are identical if their difference is within this many standard deviations of the noise at nearly all pixels.
 _SAME_SIGMAS = 4.0
-_SAME_SHARE = 0.98
 
 
 def check_frames(
@@ -60,7 +57,7 @@ def check_frames(
     swing = high - low
     sigma = noise.sigma((high + low) / 2)
     lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
-    lit = lit[:: max(1, len(lit) // _MOST_LIT)]
+    lit = evenly_spread(lit)
     shown = LitSample(levels[:, lit], swing[lit], sigma[lit])
     made_alike = replace(shown, levels=alike[:, lit])
     found = contradictions(plan, shown)
@@ -91,8 +88,7 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
     """Return whether exchanging two frames, one a suspect, removes most contradictions in the sample (frames, P)."""
     swing = np.ptp(levels, axis=0)
-    lit = np.flatnonzero(swing > _LEAST_SWING)
-    lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
+    lit = evenly_spread(np.flatnonzero(swing > _LEAST_SWING), _COMPARED)
     seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
@@ -101,7 +97,7 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
         for second in range(len(seen)):
             order = np.arange(len(seen))
             order[[first, second]] = second, first
-            if _contradiction(plan, seen[order], swing) < _MUCH_LEFT * before:
+            if _contradiction(plan, seen[order], swing) < LEFT_BY_EXCHANGE * before:
                 return True
     return False
 
@@ -167,7 +163,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
     equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
-    few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
+    few = evenly_spread(np.arange(len(shown.swing)), _COMPARED)
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = _contradiction(plan, levels, swing)
@@ -184,7 +180,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
             if before - left > _REPAIRED * differ and left < least:
                 least, pair = left, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
-    if pair not in tried or tried[pair] > max(_MUCH_LEFT * before, _AS_GOOD * min(others, default=before)):
+    if pair not in tried or tried[pair] > max(LEFT_BY_EXCHANGE * before, AS_GOOD * min(others, default=before)):
         return ""
     return f"with {plan.names(pair)} exchanged they do"
 
@@ -218,7 +214,7 @@ def _duplicate(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -
     for frame in sorted({frame for anomaly in found for frame in anomaly.frames}):
         alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
-        for twin in np.flatnonzero(share > _SAME_SHARE).tolist():
+        for twin in np.flatnonzero(share > NEARLY_ALL).tolist():
             if not plan.shows_the_same(frame, twin):
                 return f"{plan.names((frame, twin))} show the same"
     return ""
@@ -238,4 +234,4 @@ def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
     if np.count_nonzero(lit) < _FEWEST_LIT:
         raise InputError("the frames are overexposed: all lit pixels reach the largest value; shorten the exposure")
     well_lit = lit & (sigmas > _WELL_SEEN)
-    return well_lit if np.count_nonzero(well_lit) >= _ENOUGH_LIT else lit
+    return well_lit if np.count_nonzero(well_lit) >= FEWEST_PIXELS else lit

@@ -19,10 +19,10 @@ from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
-from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
+from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
 # Amplitudes below this share of the brightest ones cannot show the order of frames.
@@ -38,8 +38,6 @@ _UNRELATED_CYCLES = 0.2
 _MOST_BAD = 0.6
 _STRIDE = 3
 _MOST_COMPARED = 100_000
-_LINES = 48
-_FARTHEST_PX = 16
 
 
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
@@ -131,7 +129,7 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
     """
     code = min(axis.codes, key=lambda code: code.cell)
     counts = [
-        _count_jumps(lines_of(image, _LINES), lines_of(there, _LINES), code.cell, code.offset + 0.5)
+        _count_jumps(lines_of(image), lines_of(there), code.cell, code.offset + 0.5)
         for image, there in ((value, kept), (value.T, kept.T))
     ]
     jumps, total = np.sum(counts, axis=0)
@@ -154,7 +152,7 @@ def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> 
         for place in range(values.shape[1]):
             if not there[line, place]:
                 continue
-            if last >= 0 and place - last <= _FARTHEST_PX:
+            if last >= 0 and place - last <= FARTHEST_PX:
                 value, value_before = values[line, place], values[line, last]
                 if np.floor((value + before) / cell) != np.floor((value_before + before) / cell):
                     total += 1

@@ -18,23 +18,18 @@ from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_fr
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import FringeObservation, MotionObserver, Trajectory, observations_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
+from scanner.decoding.significance import AS_GOOD, OUTLYING_SIGMAS
 
 # Bumps are first searched for at every second boundary between frames: one next to it is found there as well.
 _STRIDE = 2
 # Significance, and size in px below, that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-# Only the part of a shift beyond this many standard deviations counts.
-_SURE = 3.0
 _LEAST_PX = 0.02
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
-# A trajectory that explains this share of what the best one does may be the true one.
-_NEARLY = 0.8
-# A device that explains this share of what the other one does may be the one that moved.
-_AS_WELL = 0.9
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,7 @@ class MotionMeter:
         if self._is_significant(best):
             candidates += [self._try(trajectory) for trajectory in bumps[1::_STRIDE]]
             best = max(candidates, key=lambda one: one.fit.gained)
-        likely = [one for one in candidates if one.fit.gained >= _NEARLY * best.fit.gained]
+        likely = [one for one in candidates if one.fit.gained >= AS_GOOD * best.fit.gained]
         is_significant = self._is_significant(best)
         refined = self._refined(best) if is_significant else best
         explained = self._explained(refined) if is_significant else 0.0
@@ -113,7 +108,7 @@ class MotionMeter:
             ).gained
             for device in (0, 1)
         ]
-        return min(gained) > _AS_WELL * max(gained)
+        return min(gained) > AS_GOOD * max(gained)
 
     @property
     def _is_overdetermined(self) -> bool:
@@ -136,7 +131,7 @@ class MotionMeter:
     def _size_px(self, fit: Fit) -> float:
         """Return the root mean square shift of the coordinates beyond its uncertainty."""
         variance = np.einsum("rc,rc->r", self._design @ fit.covariance, self._design)
-        sure = np.maximum((self._design @ fit.motion) ** 2 - _SURE**2 * variance, 0.0)
+        sure = np.maximum((self._design @ fit.motion) ** 2 - OUTLYING_SIGMAS**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
     def _disturbance(self, candidate: _Candidate) -> Disturbance:

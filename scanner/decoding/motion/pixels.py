@@ -10,13 +10,11 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.subsampling import evenly_spread
 
-_MOST_PIXELS = 4_000
-_FEWEST_PIXELS = 300
-_FEWEST_IN_TILE = 30
+_FEWEST_IN_TILE = 30  # for a plane of three parameters: its slope is then known to a tenth of their scatter per tile
 _TRIMS = 2
-_MOST_OFF_SIGMAS = 3.5
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
 
@@ -57,10 +55,9 @@ def choose_pixels(
         usable &= seen
     projector_px = np.stack(coordinates, axis=1)
     planes, usable = _planes(tiles, projector_px, usable)
-    number = np.flatnonzero(usable)
-    if len(number) < _FEWEST_PIXELS:
+    number = evenly_spread(np.flatnonzero(usable))
+    if len(number) < FEWEST_PIXELS:
         return None
-    number = number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
     return Pixels(
         number,
         tiles.tile[number],
@@ -142,7 +139,7 @@ def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) ->
             count[t] += fit[t, p]
         count[t] = max(count[t], 1)
         rough[t] = np.sqrt(rough[t] / count[t])
-        most = max(_MOST_OFF_SIGMAS * rough[t], 1e-3)
+        most = max(OUTLYING_SIGMAS * rough[t], 1e-3)
         for p in range(len(terms)):
             fit[t, p] = on[t, p] and off2[p] <= most * most
     return rough, count
