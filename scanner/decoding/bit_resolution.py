@@ -25,9 +25,6 @@ from scanner.errors import InputError
 # Least 90 % quantile of a bit's contrast relative to the coarse bits': half of it is lost midway between two stripes
 # anyway. An exchanged frame does not make a bit weak.
 _WEAK = 0.25
-# If fewer of the lit pixels have all bits, and pixels are larger than cells, each uses the bits it has: a bit is
-# undecided at the edge of its stripe, and then nearly all pixels are near an edge.
-_MOSTLY = 0.85
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
@@ -68,7 +65,8 @@ def _resolved(
     # A cell twice as long is worth a quarter, as its variance is four times as large.
     decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
     count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
-    few = decided[count] < _MOSTLY
+    # A bit is undecided at the edge of its stripe: where pixels are larger than cells, nearly all are near an edge.
+    few = decided[count] < NEARLY_ALL
     return fold.without_finest(count, optional=few and _cells_per_pixel(accumulators, fold, noise) > 1), count
 
 

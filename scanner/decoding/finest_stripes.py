@@ -20,13 +20,12 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import HALF
 from scanner.decoding.subsampling import at_random
 
 _MOST_PIXELS = 65536
 # Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
-# Midway between two stripes a bit says nothing of its contrast.
-_LEAST_OF_WAVE = 0.5
 _STEPS = 256
 
 
@@ -110,7 +109,7 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
             # Of words 0, 1, 2, 3 the finest bit is set in 1 and 2.
             period = 4.0 * code.cell
             wave = np.cos(2 * np.pi * (coordinate + code.offset + 0.5 - 2 * code.cell) / period)
-            known: Bools = np.abs(wave) > _LEAST_OF_WAVE
+            known: Bools = np.abs(wave) > HALF  # midway between two stripes a bit says nothing of its contrast
             contrast = np.where(known, (levels[normal] - levels[inverse]) / np.where(known, wave, 1), 0)
             return np.maximum(contrast, 0).astype(np.float32), period
     return None

@@ -9,11 +9,13 @@ BY_CHANCE = erfc(SIGNIFICANT_SIGMAS / sqrt(2))
 OUTLYING_SIGMAS = 3.0
 # Residuals larger than this many sigmas are down-weighted (Huber).
 HUBER_SIGMAS = 2.0
-HUBER_ROUNDS = 6  # of reweighting, each of which leaves a fifth or less of the change
+HUBER_ROUNDS = 6  # of reweighting a linear fit
+TRIMMED_FITS = 3  # each without the outliers of the one before
 # Difference of −2 log likelihood beyond which a hypothesis is rejected: it is a hundredth as likely (2 ln 100 = 9.2).
 REJECTED = 9.0
-# Quantile that represents the brightest pixels without specular reflections.
+# Quantile that represents the brightest pixels without specular reflections, and those at both ends of a distribution.
 BRIGHTEST = 0.98
+ENDS = (1 - BRIGHTEST, BRIGHTEST)
 # With fewer pixels, cells or matches a few outliers would decide: the standard error of their median is an eighth of
 # their standard deviation.
 FEWEST_PIXELS = 100

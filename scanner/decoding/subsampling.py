@@ -9,7 +9,7 @@ from calib.numerics import Ints
 
 # Pixels of a sample: their median has a standard error of 1.25 / √n, a fiftieth of their standard deviation.
 ENOUGH_PIXELS = 4096
-# Lines of an image in a check of neighbours along lines: at 1000 px each, as many pixels as an image has per 10 × 10.
+# Lines of an image, along which neighbours are compared: they cross thousands of edges between a code's cells.
 _LINES = 128
 # Neighbours on a line may have this many px between them that are unlit or uncertain.
 FARTHEST_PX = 16
@@ -17,8 +17,8 @@ SEED = 20_240_229  # of all random choices, which must be the same in every run
 
 
 def evenly_spread(values: NDArray[Any], most: int = ENOUGH_PIXELS) -> NDArray[Any]:
-    """Return at most so many of the values (N, …), evenly spread over them."""
-    return values[np.linspace(0, len(values) - 1, min(len(values), most)).astype(np.int64)]
+    """Return every k-th of the values (N, …), as many as possible up to `most`."""
+    return values[:: max(1, -(-len(values) // most))]
 
 
 def at_random(count: int, most: int = ENOUGH_PIXELS) -> Ints:

@@ -26,7 +26,7 @@ from scanner.errors import InputError
 # Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a
 # share of the brightest pixels (STRAY_PART), which matters for cameras with many bits and little noise.
 _LEAST_DIFFERENCE = 5.0
-_FEWEST_CHANGES = 30  # of a bit: chance makes half of them look wrong once in 4000 if a quarter are
+_FEWEST_CHANGES = 30  # of a bit, before it is judged by their share
 # If the camera resolves the cells, nearly all changes are in a single bit; stripes finer than its pixels are not
 # checked.
 _MOSTLY_SINGLE = 0.8
@@ -90,7 +90,7 @@ def check_codes(
         bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
-            suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
+            suspects = fold.code.frames_of(range(min(bits), fold.code.bits))
             message = (
                 f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
                 f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
@@ -172,7 +172,7 @@ def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes,
     if min(left) > LEFT_BY_EXCHANGE * wrong:
         return
     first, second = exchanges[int(np.argmin(left))]
-    names = plan.names([*_frames_of(code, first), *_frames_of(code, second)])
+    names = plan.names(code.frames_of((first, second)))
     if first == second:
         raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")
     raise InputError(
@@ -190,7 +190,3 @@ def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
         return False
     _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
     return bool(counts.max() < len(chosen.bit) / 2)
-
-
-def _frames_of(code: GrayCode, bit: int) -> list[int]:
-    return [frames[bit] for frames in (code.normal, code.inverse) if bit in frames]

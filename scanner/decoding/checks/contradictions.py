@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.numerics import median
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
@@ -44,6 +45,12 @@ class LitSample:
     levels: Floats32
     swing: Floats32
     sigma: Floats32
+
+    @classmethod
+    def of(cls, levels: Floats32, noise: NoiseModel) -> "LitSample":
+        """Return all pixels with these levels (frames, P)."""
+        high, low = levels.max(axis=0), levels.min(axis=0)
+        return cls(levels, high - low, noise.sigma((high + low) / 2))
 
 
 @dataclass(frozen=True)
@@ -127,8 +134,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anom
     """Yield frames whose amplitude or phase shift does not fit the fringe that all of them form together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
-        angles = 2 * np.pi * np.array(fringe.shifts)
-        phasors = np.stack([np.cos(angles), -np.sin(angles)])
+        phasors = fringe.design[:, 1:].T
         components = np.stack([one.cosine, one.sine])
         unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):

@@ -21,12 +21,10 @@ from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
+from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS
 from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
-# Amplitudes below this share of the brightest ones cannot show the order of frames.
-_FAINT = 0.05
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
 _INFORMATIVE = 0.3
 # Unrelated fringes reach no more than this share of the expected cosine.
@@ -36,8 +34,7 @@ _UNRELATED_SHARE = 0.2
 _ODD_CYCLES = 0.1
 _UNRELATED_CYCLES = 0.2
 _MOST_BAD = 0.6
-_STRIDE = 3
-_MOST_COMPARED = 100_000
+_MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.1 % of it
 
 
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
@@ -54,7 +51,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     if np.any(lit):
         # Slightly wrong gains of a lamp leave a fringe where there is only ambient light.
         power = measured.power(0)
-        lit &= power > _FAINT**2 * np.quantile(power[lit], BRIGHTEST)
+        lit &= power > FEW**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
@@ -166,7 +163,7 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
         return None
-    stride = max(_STRIDE, round(sqrt(kept.size / _MOST_COMPARED)))
+    stride = max(1, round(sqrt(kept.size / _MOST_COMPARED)))
     near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
     left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
     whole = kept[left] & kept[right] & kept[above] & kept[below]

@@ -114,5 +114,4 @@ def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
 def _finest(axis: AxisPlan) -> list[int]:
     """Return the frames of the finest bits of an axis."""
     code = min(axis.codes, key=lambda code: code.cell)
-    last = range(code.bits - FINE_BITS, code.bits)
-    return [frames[bit] for bit in last for frames in (code.normal, code.inverse) if bit in frames]
+    return code.frames_of(range(code.bits - FINE_BITS, code.bits))

@@ -26,5 +26,5 @@ def unclipped(levels: Floats32, saturation: float) -> Floats32:
 
 
 def thinned(levels: Floats32, most: int) -> Floats32:
-    """Subsample the pixels of `levels` (…, P) to at most `most`."""
-    return levels[..., :: -(-levels.shape[-1] // most)]
+    """Subsample the pixels of `levels` (frames, P) to at most `most`."""
+    return levels[:, evenly_spread(np.arange(levels.shape[1]), most)]

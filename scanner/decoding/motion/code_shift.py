@@ -10,10 +10,9 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.period_slips import Offsets, PeriodSlip, moved_by_periods
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
 
-# The arc of the angles is found to a histogram bin, then refined by the middle of these quantiles.
-_BINS, _ENDS = 256, (0.02, 0.98)
+_BINS = 256  # of the histogram by which the arc of the angles is found, before the middle of its ends refines it
 _LEAST_PX = 0.5
 # A finest bit that was exchanged with its inverse also shifts by half a period.
 _MOST_CYCLES = 0.4
@@ -82,7 +81,7 @@ def middle_of(angles: Floats, width: float) -> float:
     held = np.fft.irfft(np.fft.rfft(count) * np.fft.rfft(within), _BINS)
     fullest = np.exp(2j * np.pi * np.flatnonzero(held > held.max() - 0.5) / _BINS).sum()
     about = float(np.angle(-fullest * np.exp(1j * np.pi / _BINS)))
-    return about + float(np.quantile(_wrapped(angles - about), _ENDS).mean())
+    return about + float(np.quantile(_wrapped(angles - about), ENDS).mean())
 
 
 def _wrapped(angles: Floats) -> Floats:

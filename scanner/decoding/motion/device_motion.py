@@ -10,6 +10,7 @@ from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 from scanner.decoding.significance import HALF
+from scanner.decoding.tiles import STRIP_ROWS
 
 # Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
@@ -25,7 +26,6 @@ _SIZE = "{:.2g} px"
 _REMAINDER = 0.1
 # Standard deviation assumed for an unobservable motion between the axes.
 SUSPECTED_PX = 0.3
-_ROWS = 64  # at once, to save memory
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class Disturbance:
         """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
         height, width, _ = projector_px.shape
         before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        for top in range(0, height, _ROWS):
-            rows = slice(top, min(top + _ROWS, height))
+        for top in range(0, height, STRIP_ROWS):
+            rows = slice(top, min(top + STRIP_ROWS, height))
             around = before[rows.start : rows.stop + 2]
             by_x, by_y = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
             gradient = np.nan_to_num(np.stack([by_x, by_y], axis=3) / 2).reshape(-1, 2, 2)

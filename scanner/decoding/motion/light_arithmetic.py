@@ -19,7 +19,7 @@ from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
-from scanner.decoding.significance import HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
 
 # Least contradiction, relative to the pixel's swing.
 _LEAST = 0.1
@@ -30,9 +30,7 @@ _OF_SIGMA = sqrt(2) * float(erfinv(_RESTING))
 # A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
 # adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
 _OF_FINE = 2.5
-# Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make half of the swing.
-_FAR_BEYOND = 5.0
-_HARMONICS, _TRIMS = (2, 3), 3
+_HARMONICS = (2, 3)  # of a nonlinear brightness curve; others are fainter
 
 
 @dataclass(frozen=True)
@@ -88,11 +86,7 @@ def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
 
     An error in one of them moves the coordinate by a few cells only.
     """
-    found: set[int] = set()
-    for code in plan.codes:
-        fine = range(code.bits - FINE_BITS, code.bits)
-        found |= {frames[bit] for frames in (code.normal, code.inverse) for bit in fine if bit in frames}
-    return found
+    return {frame for code in plan.codes for frame in code.frames_of(range(code.bits - FINE_BITS, code.bits))}
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -120,11 +114,14 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 
 
 def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """Yield the excess of the brightest step of each fringe over white, which counts only if it is large."""
+    """Yield the excess of the brightest step of each fringe over white, which counts only if it is half of the swing.
+
+    Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make as much.
+    """
     if plan.white is not None:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
-            yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), _FAR_BEYOND)
+            yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), HALF / _LEAST)
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -188,7 +185,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
     `first` (P,): pixels of the first fit.
     """
     kept = first
-    for _ in range(_TRIMS):
+    for _ in range(TRIMMED_FITS):
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
@@ -218,10 +215,8 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
 
     The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.
     """
-    angles = 2 * np.pi * np.array(fringe.shifts)
-    design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1).astype(np.float32)
     fit = fringe.weights.astype(np.float32) @ levels
-    left = levels - design @ fit
+    left = levels - fringe.design.astype(np.float32) @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
     size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)

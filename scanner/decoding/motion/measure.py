@@ -20,14 +20,12 @@ from scanner.decoding.motion.trajectories import FringeObservation, MotionObserv
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 from scanner.decoding.significance import AS_GOOD, OUTLYING_SIGMAS
 
-# Bumps are first searched for at every second boundary between frames: one next to it is found there as well.
-_STRIDE = 2
 # Significance, and size in px below, that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
 _LEAST_PX = 0.02
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
-_ROUNDS = 3
+_ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
 
@@ -69,10 +67,11 @@ class MotionMeter:
         """
         slow = Trajectory(self._times[0], self._times[-1], slow=True)
         bumps = [Trajectory(first, last) for first, last in pairwise(self._times)]
-        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::_STRIDE]]]
+        # A bump next to a boundary between frames is found there as well: at rest, half of them are enough.
+        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::2]]]
         best = max(candidates, key=lambda one: one.fit.gained)
         if self._is_significant(best):
-            candidates += [self._try(trajectory) for trajectory in bumps[1::_STRIDE]]
+            candidates += [self._try(trajectory) for trajectory in bumps[1::2]]
             best = max(candidates, key=lambda one: one.fit.gained)
         likely = [one for one in candidates if one.fit.gained >= AS_GOOD * best.fit.gained]
         is_significant = self._is_significant(best)

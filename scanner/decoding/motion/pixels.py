@@ -10,11 +10,10 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
 from scanner.decoding.subsampling import evenly_spread
 
-_FEWEST_IN_TILE = 30  # for a plane of three parameters: its slope is then known to a tenth of their scatter per tile
-_TRIMS = 2
+_FEWEST_IN_TILE = 30  # of 100, for a plane
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
 
@@ -95,7 +94,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
     seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
     fit = on.copy()
-    for _ in range(_TRIMS + 1):
+    for _ in range(TRIMMED_FITS):
         matrices, right = _normal_equations(terms, seen, fit)
         planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
         rough, count = _trim(terms, seen, on, planes, fit)

@@ -180,8 +180,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
 def _shares(fringe: Fringe, plan: SequencePlan, times: Ints) -> Floats:
     """Return the share (N,) of the shift of each frame in the coordinate from a fringe, averaged over its phases."""
     shares = np.zeros(len(times))
-    angles = 2 * np.pi * np.array(fringe.shifts)
-    of_frame = (fringe.weights[1] * np.cos(angles) - fringe.weights[2] * np.sin(angles)) / 2
+    of_frame = np.sum(fringe.weights[1:] * fringe.design[:, 1:].T, axis=0) / 2
     for k, number in enumerate(fringe.frames):
         shares[times == plan.shown.index(number)] = of_frame[k]
     return shares
