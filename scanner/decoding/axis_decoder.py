@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32, Reasons, Words
+from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -33,13 +33,15 @@ from scanner.decoding.mask_reasons import (
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
-from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
+# Standard deviations that suffice for a fringe weakened by blur where its stripes are seen: they show the pixel is lit.
+_FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
 # Noise may carry a coordinate this far beyond the projector's pixels.
 EDGE_PX = 0.5
-_FAINTEST_POWER = np.float32(NEGLIGIBLE)
+_FAINTEST_POWER = np.float32(1e-6)
 _CYCLE = np.float32(2 * pi)
 
 
@@ -175,10 +177,10 @@ class AxisDecoder:
         position *= np.float32(self.plan.fringes[number].period / (2 * pi))
 
     def _faintly_seen(self, variance: Floats32, signals: Signals) -> Bools:
-        """(P,): stripes are resolved, so that the pixel is lit, and the longest fringe is just above the noise."""
+        """(P,): stripes are resolved, and the longest fringe is a little above the noise."""
         _, least_seen = least_contrasts(self.noise, signals.middle)
         lit = 2 * (signals.brightest - signals.middle) > least_seen
-        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
+        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
         return seen
 
     def _saturated(self, signals: Signals) -> Bools:

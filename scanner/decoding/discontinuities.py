@@ -14,13 +14,13 @@ import numpy as np
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import Coordinate
+from scanner.decoding.codes.edge_interpolation import BEND_OF_SLOPE
 from scanner.decoding.fringes.edge_shift_correction import CROSS
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Largest second difference of a surface: this share of the first difference, plus this many projector pixels.
-_BEND_OF_SLOPE = np.float32(0.25)
-_BEND_PX = 1.0
+# Largest second difference of a surface: a share of the first difference, plus this many projector pixels.
+_BEND_OF_SLOPE, _BEND_PX = np.float32(BEND_OF_SLOPE), 1.0
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = np.float32(log(2))
 # Opposite neighbours of a pixel, along columns and along rows.

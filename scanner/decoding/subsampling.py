@@ -9,6 +9,8 @@ from calib.numerics import Ints
 
 # Pixels of a sample: their median has a standard error of 1.25 / √n, a fiftieth of their standard deviation.
 ENOUGH_PIXELS = 4096
+# The same where hundreds of trials are made: a sixteenth of it.
+TRIAL_PIXELS = 400
 # Lines of an image, along which neighbours are compared: they cross thousands of edges between a code's cells.
 _LINES = 128
 # Neighbours on a line may have this many px between them that are unlit or uncertain.

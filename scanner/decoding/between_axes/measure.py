@@ -17,13 +17,11 @@ from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion
 from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.moment import Moment, moment_of
-from scanner.decoding.motion.device_motion import SUSPECTED_PX, Disturbance, MotionFound, turns_px
+from scanner.decoding.motion.device_motion import LEAST_PX, SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# Least size in px that ripple and noise do not reach at rest.
-_LEAST_PX = 0.02
 # Largest motion to be corrected: scene and border each show one common motion.
 _LARGEST_PX = 0.5
 # A camera that moved farther sees occlusions change, and has shifted on its tripod.
@@ -96,7 +94,7 @@ def motion_between(
     _, camera_px = turns_px(fit.motion)
     shift = Disturbance(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
-    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > _LEAST_PX
+    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
     spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,

@@ -25,7 +25,7 @@ from scanner.errors import InputError
 _MOST_BROKEN = 0.35
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
-MOST_OUTLIERS = 0.15  # largest share of matches that are farther from it
+_MOST_OUTLIERS = 0.15  # largest share of matches that are farther from it
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def judge(anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, o
             f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
         )
     distance, outliers = _epipolar(matches)
-    if outliers > MOST_OUTLIERS:
+    if outliers > _MOST_OUTLIERS:
         raise InputError(
             f"{_description(anomalies)}; and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector "
             "pixels from the epipolar geometry of the others"

@@ -22,7 +22,7 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEARLY_ALL, OUTLYING_SIGMAS
-from scanner.decoding.subsampling import evenly_spread
+from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.errors import InputError
 
 # Least swing of a lit pixel over all frames: in standard deviations of a difference of two, of which a hundred frames
@@ -37,7 +37,6 @@ _REPAIRED = 0.5
 _DIFFERENT = 0.02  # least mean squared difference of exchanged frames, in swings: less does no harm
 # Flicker and automatic exposure change white by less than this factor.
 _MOST_BRIGHTER = 4.0
-_COMPARED = 400  # pixels per trial of an exchange, of which there are hundreds
 
 
 def check_frames(
@@ -76,7 +75,7 @@ def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: f
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
     """Return whether exchanging two frames, one a suspect, removes most contradictions in the sample (frames, P)."""
     swing = np.ptp(levels, axis=0)
-    lit = evenly_spread(np.flatnonzero(swing > _LEAST_SWING), _COMPARED)
+    lit = evenly_spread(np.flatnonzero(swing > _LEAST_SWING), TRIAL_PIXELS)
     seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
@@ -151,7 +150,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
     equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
-    few = evenly_spread(np.arange(len(shown.swing)), _COMPARED)
+    few = evenly_spread(np.arange(len(shown.swing)), TRIAL_PIXELS)
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = _contradiction(plan, levels, swing)

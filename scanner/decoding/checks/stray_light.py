@@ -12,14 +12,14 @@ from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.consequences import EPIPOLAR_PX, MOST_OUTLIERS, epipolar_matrix, from_epipolar_lines
+from scanner.decoding.checks.consequences import EPIPOLAR_PX, epipolar_matrix, from_epipolar_lines
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.decoding.subsampling import at_random
 
-# Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises too much.
-_STEPS = 20
+# Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises by this much.
+_STEPS, _MOST_OUTLIERS = 20, 0.25
 _FEWEST = _STEPS * FEWEST_PIXELS
 
 
@@ -58,7 +58,7 @@ def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
     order = np.argsort(-contrast, kind="stable")
     faintest = float(np.inf)
     for step in np.array_split(order, _STEPS):
-        if np.mean(is_outlier[step]) > usual + MOST_OUTLIERS:
+        if np.mean(is_outlier[step]) > usual + _MOST_OUTLIERS:
             return faintest
         faintest = float(contrast[step].min())
     return 0.0

@@ -12,6 +12,8 @@ from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 from scanner.decoding.significance import HALF
 from scanner.decoding.tiles import STRIP_ROWS
 
+# Least size of a motion, which interreflection, ripple and noise do not reach at rest.
+LEAST_PX = 0.02
 # Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
 # Share of the shortest period. Sizes can be measured up to a sixth of it (measure.py), but a bump within a fringe also

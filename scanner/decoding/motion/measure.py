@@ -11,7 +11,7 @@ import numpy as np
 from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.device_motion import Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
@@ -20,9 +20,8 @@ from scanner.decoding.motion.trajectories import FringeObservation, MotionObserv
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 from scanner.decoding.significance import AS_GOOD, OUTLYING_SIGMAS
 
-# Significance, and size in px below, that interreflection and ripple do not reach at rest.
+# Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-_LEAST_PX = 0.02
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3  # of Gauss–Newton
@@ -125,7 +124,7 @@ class MotionMeter:
 
     def _is_significant(self, candidate: _Candidate) -> bool:
         """Return whether the motion exceeds what is measured at rest."""
-        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > _LEAST_PX
+        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > LEAST_PX
 
     def _size_px(self, fit: Fit) -> float:
         """Return the root mean square shift of the coordinates beyond its uncertainty."""

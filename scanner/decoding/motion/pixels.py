@@ -1,6 +1,7 @@
 """Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -8,9 +9,10 @@ from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.motion.rigid import COLUMNS
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
 from scanner.decoding.subsampling import evenly_spread
 
 _FEWEST_IN_TILE = 30  # of 100, for a plane
@@ -55,7 +57,8 @@ def choose_pixels(
     projector_px = np.stack(coordinates, axis=1)
     planes, usable = _planes(tiles, projector_px, usable)
     number = evenly_spread(np.flatnonzero(usable))
-    if len(number) < FEWEST_PIXELS:
+    # Errors are alike within a tile: fewer tiles than unknowns would fit any motion.
+    if len(np.unique(tiles.tile[number])) <= COLUMNS:
         return None
     return Pixels(
         number,
@@ -138,7 +141,7 @@ def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) ->
             count[t] += fit[t, p]
         count[t] = max(count[t], 1)
         rough[t] = np.sqrt(rough[t] / count[t])
-        most = max(OUTLYING_SIGMAS * rough[t], 1e-3)
+        most = max(SIGNIFICANT_SIGMAS / sqrt(2) * rough[t], 1e-3)  # `rough` is of both coordinates
         for p in range(len(terms)):
             fit[t, p] = on[t, p] and off2[p] <= most * most
     return rough, count
