@@ -27,8 +27,8 @@ from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.frame_corrections import FrameCorrections
 from scanner.decoding.frame_statistics import FrameStatistics, frame_statistics, frames_alike
 from scanner.decoding.fringes.period_shift import between_periods_px
+from scanner.decoding.fringes.single_fringe import remark_on, shift_of
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
-from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel
