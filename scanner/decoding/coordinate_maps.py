@@ -24,8 +24,7 @@ from scanner.decoding.tiles import in_tiles, widened
 _HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # plus one for discontinuities
 # Reasons that motion causes: an object close to the rig is brighter than the static scene.
 _OF_MOTION = (*CONTRADICTIONS, MaskReason.SATURATED)
-_TILE_PX = 48
-_MOST_TILES = 48
+_TILE_PX, _MOST_TILES = 48, 48  # tiles for the footprint of a pixel
 _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 

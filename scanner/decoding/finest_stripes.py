@@ -23,10 +23,10 @@ from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HALF
 from scanner.decoding.subsampling import at_random
 
-_MOST_PIXELS = 65536
+_MOST_PIXELS = 65536  # for a pattern of moiré over the whole picture
 # Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
-_STEPS = 256
+_STEPS = 256  # between two pixels, for the integrals of a Fourier series
 
 
 @dataclass(frozen=True)

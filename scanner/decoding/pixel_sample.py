@@ -9,7 +9,7 @@ from calib.numerics import Bools, Floats, Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.subsampling import at_random
 
-_MOST_PIXELS = 16384
+_MOST_PIXELS = 16384  # so that a hundred are left in 1 % of the picture
 _STEP = 2  # to a neighbour of the same colour on a Bayer mosaic, px
 
 

@@ -10,7 +10,7 @@ from calib.numerics import Floats, Ints
 from scanner.decoding.arrays import Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
-_MOST_NAMED = 12
+_MOST_NAMED = 12  # frames in a message
 # Parameters of a cosine: this many frames fit one in any order, including a wrong one.
 COSINE_PARAMETERS = 3
 # Mean difference of two patterns, relative to white, below which they look alike: two bits differ by a half, a dozen
@@ -84,7 +84,7 @@ class Fringe:
     @cached_property
     def weights(self) -> Floats:
         """(3, N): least squares of offset, a cos θ and a sin θ in I = offset + a cos(θ + 2π shift)."""
-        return np.linalg.pinv(self.design)
+        return np.linalg.pinv(self.design).astype(np.float64)
 
     @cached_property
     def design(self) -> Floats:

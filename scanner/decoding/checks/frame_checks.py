@@ -69,7 +69,7 @@ def check_frames(
 def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
     """Return whether enough pixels of the sample (frames, P) are lit, and nothing in them contradicts the sequence."""
     lit = _seen(LitSample.of(levels, noise)) & (levels.max(axis=0) < saturation)
-    return np.count_nonzero(lit) >= FEWEST_PIXELS and not contradictions(plan, LitSample.of(levels[:, lit], noise))
+    return int(np.count_nonzero(lit)) >= FEWEST_PIXELS and not contradictions(plan, LitSample.of(levels[:, lit], noise))
 
 
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:

@@ -33,7 +33,7 @@ _UNRELATED_SHARE = 0.2
 # the difference is below half a cycle.
 _ODD_CYCLES = 0.1
 _UNRELATED_CYCLES = 0.2
-_MOST_BAD = 0.6
+_MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
 _MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.1 % of it
 
 

@@ -22,8 +22,7 @@ _JUMPS = 33  # to try, within half a period on either side
 _LARGEST_PX = 15.0
 # Jumps differ between surfaces, but agree between blocks: least length of the mean of their unit vectors.
 _LEAST_AGREEMENT = 0.8
-_BLOCK_TILES = 4
-_FEWEST_BLOCKS = 4
+_BLOCK_TILES, _FEWEST_BLOCKS = 4, 4  # side of a block; blocks without which their agreement means nothing
 # Largest share that the fit with a jump may leave of a fringe's power, of which the harmonics of a gamma of 2.2 leave
 # 0.05, and of what the fit without a jump leaves.
 _MOST_LEFT = 0.12

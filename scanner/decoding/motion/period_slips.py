@@ -17,7 +17,7 @@ _BLOCKS = (8, 6)  # of the projector's picture along x and y
 # Offsets fill a cell evenly, so that the middle of its ends is accurate to a hundredth of it. Blocks of partial cells
 # are rejected, whose width differs by more than this share.
 _WIDTH_OFF = 0.25
-_FEWEST_BLOCKS = 12
+_FEWEST_BLOCKS = 12  # for eight parameters
 # Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
 _SLOPES, _COLUMNS = 3, 8
 # Least and largest focal length of projectors, in widths of the picture.
