@@ -18,7 +18,7 @@ from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_fr
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import FringeObservation, MotionObserver, Trajectory, observations_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
-from scanner.decoding.significance import AS_GOOD, OUTLYING_SIGMAS
+from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
 
 # Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
@@ -106,7 +106,7 @@ class MotionMeter:
             ).gained
             for device in (0, 1)
         ]
-        return min(gained) > AS_GOOD * max(gained)
+        return min(gained) > NEARLY_ALL * max(gained)
 
     @property
     def _is_overdetermined(self) -> bool:
