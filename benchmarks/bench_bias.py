@@ -52,7 +52,7 @@ SWITCHED_OFF: dict[str, Off] = {
         ("learning", "swings_of", lambda *_: {}),
         ("light.equalise", "PairEqualiser.gains", _nothing),
     ),
-    "without taking motion back": (("motion.found", "Disturbance.take_back", _nothing),),
+    "without taking motion back": (("motion.device_motion", "Disturbance.take_back", _nothing),),
     "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 

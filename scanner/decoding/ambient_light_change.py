@@ -13,20 +13,12 @@ import cv2
 import numpy as np
 
 from calib.numerics import Image, median
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import AS_GOOD, FEW, HALF
 
-# Largest share of the squared added light with the opposite sign; noise has both signs.
-_MOST_OF_OTHER_SIGN = 0.1
-# Largest share of the contradictions left with the right frame; within one group of frames all moments look alike.
-_MOST_LEFT, _AS_GOOD = 0.5, 0.8
-# Ratio of what two moments leave if they are indistinguishable; for a clear moment it is a fifteenth.
-_ALIKE = 2.0
-_NOTHING = 1e-9
 # Smaller changes invert no bit and are not removed.
 _LEAST_SHARE = 0.03
-# Stripes that are not fine may light more than half of the visible pixels by this share of white.
-_UNEVEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -95,8 +87,9 @@ def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:
     means = levels.mean(axis=1)
     if plan.white is None or plan.black is None:
         return False
-    parts = (means - means[plan.black]) / max(means[plan.white] - means[plan.black], _NOTHING)
-    return any(abs(parts[frame] - 0.5) > _UNEVEN for frame in _fine(plan, 0))
+    parts = (means - means[plan.black]) / max(means[plan.white] - means[plan.black], NEGLIGIBLE)
+    # Stripes that are not fine may light a few more than half of the visible pixels.
+    return any(abs(parts[frame] - 0.5) > FEW for frame in _fine(plan, 0))
 
 
 def light_switch(
@@ -116,7 +109,7 @@ def light_switch(
     candidates = [
         AmbientLightChange(frame, of_light, median(of_light @ levels / swing))
         for (frame, of_light, _), much in zip(weighted, explained, strict=True)
-        if much >= _AS_GOOD * explained.max()
+        if much >= AS_GOOD * explained.max()  # within one group of frames all moments look alike
     ]
     candidates = [candidate for candidate in candidates if _is_of_one_sign(candidate.light(levels) / swing)]
     if not candidates:
@@ -124,16 +117,17 @@ def light_switch(
     left = [contradiction(candidate.undone(levels)) for candidate in candidates]
     least, best, before = min(left), candidates[int(np.argmin(left))], contradiction(levels)
     # A change in the middle of a fringe's steps causes little contradiction, but changes the means of the steps.
-    is_even = _spread_of_steps(plan, best.undone(levels)) <= _MOST_LEFT * _spread_of_steps(plan, levels)
-    near = [c.frame for c, rest in zip(candidates, left, strict=True) if rest <= _ALIKE * least]
+    is_even = _spread_of_steps(plan, best.undone(levels)) <= HALF * _spread_of_steps(plan, levels)
+    # A clear moment leaves a fifteenth of what others do.
+    near = [c.frame for c, rest in zip(candidates, left, strict=True) if AS_GOOD * rest <= least]
     best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
-    return best if least <= _MOST_LEFT * before or (least < before and is_even) else None
+    return best if least <= HALF * before or (least < before and is_even) else None
 
 
 def _spread_of_steps(plan: SequencePlan, levels: Floats32) -> float:
     means = levels.mean(axis=1)
     steps = [float(np.ptp(means[list(fringe.frames)])) for fringe in plan.fringes]
-    return max(steps, default=0.0) / max(float(np.ptp(means)), _NOTHING)
+    return max(steps, default=0.0) / max(float(np.ptp(means)), NEGLIGIBLE)
 
 
 def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Floats32, float] | None:
@@ -151,7 +145,7 @@ def _light_weights(plan: SequencePlan, levels: Floats32, frame: int) -> tuple[Fl
         after.append(share - share.mean() if base is None else share)
     shares = np.concatenate(after) if after else np.zeros(0)
     precision = float(shares @ shares)
-    return ((shares / precision) @ np.concatenate(of_means), precision) if precision > _NOTHING else None
+    return ((shares / precision) @ np.concatenate(of_means), precision) if precision > NEGLIGIBLE else None
 
 
 def _bases(
@@ -181,7 +175,7 @@ def _grey_of(plan: SequencePlan, fringes: Sequence[Sequence[int]], levels: Float
     From the fringe frames before `frame`, or else from the excess of the fine stripes after it over half of white.
     """
     white, black = levels[plan.white].mean(), levels[plan.black].mean()
-    parts = (levels.mean(axis=1) - black) / max(white - black, _NOTHING)
+    parts = (levels.mean(axis=1) - black) / max(white - black, NEGLIGIBLE)
     of_fringes = np.array([number for frames in fringes for number in frames])
     if np.any(of_fringes < frame):
         return float(parts[of_fringes[of_fringes < frame]].mean())
@@ -196,5 +190,6 @@ def _fine(plan: SequencePlan, frame: int) -> list[int]:
 
 
 def _is_of_one_sign(light: Floats32) -> bool:
+    """Return whether hardly any of the squared light (P,) is of the other sign; noise has both signs."""
     brighter, darker = (float(np.sum(np.maximum(sign * light, 0) ** 2)) for sign in (1, -1))
-    return min(brighter, darker) <= _MOST_OF_OTHER_SIGN * max(brighter, darker)
+    return min(brighter, darker) <= FEW * max(brighter, darker)

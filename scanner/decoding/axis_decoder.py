@@ -16,8 +16,8 @@ from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.edge_shift_correction import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
+from scanner.decoding.fringes.single_fringe import Unchecked
 from scanner.decoding.fringes.systematic_error import correct_systematic
-from scanner.decoding.fringes.unchecked import Unchecked
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,

@@ -18,18 +18,13 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import FEWEST_PIXELS, NEARLY_ALL
+from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
 # Least 90 % quantile of a bit's contrast relative to the coarse bits': half of it is lost midway between two stripes
 # anyway. An exchanged frame does not make a bit weak.
 _WEAK = 0.25
-_USUAL = 0.9
-# If fewer of the lit pixels have all bits, and pixels are larger than cells, each uses the bits it has: a bit is
-# undecided at the edge of its stripe, and then nearly all pixels are near an edge.
-_MOSTLY = 0.85
-# Number of rows and columns along which cells are counted, and the distance between the compared pixels.
-_ROWS, _APART_PX = 128, 16
 
 
 def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
@@ -63,31 +58,31 @@ def _resolved(
         return fold.without_finest(0), 0
     weak = 0
     for bit in sorted(fold.fine, reverse=True):
-        if np.quantile(at(fold.fine[bit])[lit] / contrast[lit], _USUAL) >= _WEAK:
+        if np.quantile(at(fold.fine[bit])[lit] / contrast[lit], NEARLY_ALL) >= _WEAK:
             break
         weak += 1
     folds = [fold.without_finest(count) for count in range(weak + 1)]
     # A cell twice as long is worth a quarter, as its variance is four times as large.
     decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
     count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
-    few = decided[count] < _MOSTLY
+    # A bit is undecided at the edge of its stripe: where pixels are larger than cells, nearly all are near an edge.
+    few = decided[count] < NEARLY_ALL
     return fold.without_finest(count, optional=few and _cells_per_pixel(accumulators, fold, noise) > 1), count
 
 
 def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel) -> float:
     """Return the median number of finest cells between adjacent camera pixels."""
-    rows = np.s_[:: max(1, fold.least.shape[0] // _ROWS)]
     squares = 0.0
-    for image, least, middle in (
-        (fold.words[rows], fold.least[rows], accumulators.middle[rows]),
-        (fold.words.T[rows], fold.least.T[rows], accumulators.middle.T[rows]),
-    ):
-        number = cell_numbers(image).astype(np.float32)
+    for is_transposed in (False, True):
+        words, least, middle = (
+            lines_of(image.T if is_transposed else image) for image in (fold.words, fold.least, accumulators.middle)
+        )
+        number = cell_numbers(words).astype(np.float32)
         certain = least > least_contrasts(noise, middle)[0]
-        both = certain[:, _APART_PX:] & certain[:, :-_APART_PX]
-        apart = np.abs(number[:, _APART_PX:] - number[:, :-_APART_PX])[both]
+        both = certain[:, FARTHEST_PX:] & certain[:, :-FARTHEST_PX]
+        apart = np.abs(number[:, FARTHEST_PX:] - number[:, :-FARTHEST_PX])[both]
         squares += float(np.median(apart)) ** 2 if apart.size else 0.0
-    return float(np.sqrt(squares)) / _APART_PX
+    return float(np.sqrt(squares)) / FARTHEST_PX
 
 
 def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:

@@ -8,9 +8,9 @@ from scanner.decoding.checks.roughness import check_roughness, widen_by_roughnes
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.edge_refinement import refine_by_edges
-from scanner.decoding.learning import CalibratedDecoders, Observations
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
+from scanner.decoding.sample_analysis import CalibratedDecoders, Observations
 
 
 def checked_maps(

@@ -5,8 +5,8 @@ import numpy as np
 from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.tiles import in_strips, widened
 
-SMALLEST_PATCH = 24
-_ROWS = 512
+SMALLEST_PATCH = 24  # pixels
+_ROWS = 512  # at once, of which twice the smallest patch is searched twice
 
 
 def small_patches(image: Bools) -> Bools:

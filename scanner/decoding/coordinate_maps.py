@@ -17,14 +17,14 @@ from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
 from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
+from scanner.decoding.subsampling import evenly_spread
 from scanner.decoding.tiles import in_tiles, widened
 
 # Margin around a tile that its pixels depend on: whole blocks, so that these are the same in every tile.
 _HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # plus one for discontinuities
 # Reasons that motion causes: an object close to the rig is brighter than the static scene.
 _OF_MOTION = (*CONTRADICTIONS, MaskReason.SATURATED)
-_TILE_PX = 48
-_MOST_TILES = 48
+_TILE_PX, _MOST_TILES = 48, 48  # tiles for the footprint of a pixel
 _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 
@@ -143,8 +143,7 @@ def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDeco
     for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
         if decoder.plan.fringes:
             lit &= decoder.measure(at_middles).well_lit
-    corners = corners[lit]
-    corners = corners[np.linspace(0, len(corners) - 1, min(len(corners), _MOST_TILES)).astype(np.int64)]
+    corners = evenly_spread(corners[lit], _MOST_TILES)
     if not len(corners):
         return Footprint.round(TYPICAL_PX2)
 

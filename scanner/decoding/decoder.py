@@ -24,12 +24,12 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.folded import Folded, folded, frames_alike
+from scanner.decoding.frame_corrections import FrameCorrections
+from scanner.decoding.frame_statistics import FrameStatistics, frame_statistics, frames_alike
 from scanner.decoding.fringes.period_shift import between_periods_px
+from scanner.decoding.fringes.single_fringe import remark_on, shift_of
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
-from scanner.decoding.fringes.unchecked import remark_on, shift_of
 from scanner.decoding.kept_matches import match_kept
-from scanner.decoding.learning import check_and_calibrate, observe
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
@@ -43,7 +43,7 @@ from scanner.decoding.motion import (
 )
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.planning import plan_sequence
-from scanner.decoding.reading import Reading
+from scanner.decoding.sample_analysis import check_and_calibrate, observe
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
@@ -116,7 +116,7 @@ class Decoder:
         self._count = 0
         self._projector_size = projector_size
         self._stack: Stack | None = None
-        self._folded: Folded | None = None
+        self._statistics: FrameStatistics | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -137,9 +137,9 @@ class Decoder:
         if self._stack is None:
             self._stack = Stack(len(self._plan.shown), image, codes_alone=not self._plan.fringes)
         grey = self._stack.keep(image)
-        if self._folded is None:
-            self._folded = Folded(self._plan, grey)
-        self._folded.add(grey)
+        if self._statistics is None:
+            self._statistics = FrameStatistics(self._plan, grey)
+        self._statistics.add(grey)
         number = self._plan.shown[self._count]
         if number not in self._plan.shown[: self._count]:
             self._note_texture(image, number)
@@ -152,58 +152,62 @@ class Decoder:
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
                 f"first that is missing: {self._plan.name(self._plan.shown[self._count])}"
             )
-        if self._stack is None or self._folded is None:
+        if self._stack is None or self._statistics is None:
             raise RuntimeError("this decoder has finished already")
         frames, self._stack = self._stack.frames, None
-        reading = Reading() if self._as_taken else self._folded.reading()
-        noise = self._folded.noise() if reading.response else None
-        if not reading.is_plain:
-            self._read(frames, reading)
-        found = self._decode(frames, reading, as_taken=self._as_taken or reading.ghost is not None)
+        corrections = FrameCorrections() if self._as_taken else self._statistics.corrections()
+        noise = self._statistics.noise() if corrections.response else None
+        if not corrections.is_plain:
+            self._read(frames, corrections)
+        found = self._decode(frames, corrections, as_taken=self._as_taken or corrections.ghost is not None)
         if isinstance(found, AmbientLightChange):
-            reading, found = self._without_ambient_change(frames, replace(reading, switch=found))
-        for sentence in reading.remarks(self._plan):
+            corrections, found = self._without_ambient_change(frames, replace(corrections, switch=found))
+        for sentence in corrections.remarks(self._plan):
             found = found.warning(sentence)
         return replace(found, noise=noise) if noise else found
 
-    def _read(self, frames: Image, reading: Reading) -> None:
-        self._folded = folded(self._plan, reading.undone(frames, self._plan))
+    def _read(self, frames: Image, corrections: FrameCorrections) -> None:
+        self._statistics = frame_statistics(self._plan, corrections.undone(frames, self._plan))
 
-    def _without_ambient_change(self, frames: Image, reading: Reading) -> tuple[Reading, Decoding]:
+    def _without_ambient_change(
+        self, frames: Image, corrections: FrameCorrections
+    ) -> tuple[FrameCorrections, Decoding]:
         """Decode the frames (N, H, W) with the ambient light change removed.
 
         If that raises InputError, decode them unchanged: the apparent light change was something else.
         """
-        self._read(frames, reading)
+        self._read(frames, corrections)
         try:
-            return reading, self._decode(frames, reading, as_taken=True)
+            return corrections, self._decode(frames, corrections, as_taken=True)
         except InputError as without:
-            reading = replace(reading, switch=None)
-            self._read(frames, reading)
+            corrections = replace(corrections, switch=None)
+            self._read(frames, corrections)
             try:
-                return reading, self._decode(frames, reading, as_taken=True)
+                return corrections, self._decode(frames, corrections, as_taken=True)
             except InputError:
                 raise without from None
 
     @overload
-    def _decode(self, frames: Image, reading: Reading, *, as_taken: Literal[True]) -> Decoding: ...
+    def _decode(self, frames: Image, corrections: FrameCorrections, *, as_taken: Literal[True]) -> Decoding: ...
 
     @overload
-    def _decode(self, frames: Image, reading: Reading, *, as_taken: bool) -> Decoding | AmbientLightChange: ...
+    def _decode(
+        self, frames: Image, corrections: FrameCorrections, *, as_taken: bool
+    ) -> Decoding | AmbientLightChange: ...
 
-    def _decode(self, frames: Image, reading: Reading, *, as_taken: bool) -> Decoding | AmbientLightChange:
+    def _decode(self, frames: Image, corrections: FrameCorrections, *, as_taken: bool) -> Decoding | AmbientLightChange:
         """Decode the kept frames (N, H, W), once folded, and release what was folded.
 
         Unless `as_taken`, return a harmful ambient light change if there is one.
         """
-        if self._folded is None or self._texture is None:
+        if self._statistics is None or self._texture is None:
             raise RuntimeError("no frames were folded")
-        whole, self._folded = self._folded, None
+        whole, self._statistics = self._statistics, None
         accumulators, sample = whole.accumulators, whole.sample
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
         observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
-        alike = partial(frames_alike, accumulators, reading, frames)
+        alike = partial(frames_alike, accumulators, corrections, frames)
         del whole
         anomalies: list[Anomaly] = []
         with blaming_motion(lambda: observed.motion, observed.broken):
@@ -268,8 +272,8 @@ class Decoder:
 
     def _note_texture(self, image: Image, number: int) -> None:
         """Keep the white frame, or without one the maximum of all frames."""
-        if number == self._plan.white and image.ndim == 2 and self._folded is not None:
-            self._texture = self._folded.accumulators.brightest
+        if number == self._plan.white and image.ndim == 2 and self._statistics is not None:
+            self._texture = self._statistics.accumulators.brightest
         elif self._texture is None or number == self._plan.white:
             self._texture = image.copy()
         elif self._plan.white is None:

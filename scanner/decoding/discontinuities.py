@@ -14,17 +14,15 @@ import numpy as np
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import Coordinate
+from scanner.decoding.codes.edge_interpolation import BEND_OF_SLOPE
+from scanner.decoding.fringes.edge_shift_correction import CROSS
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Largest second difference of a surface: this share of the first difference, plus this many projector pixels.
-_BEND_OF_SLOPE = np.float32(0.25)
-_BEND_PX = 1.0
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-_TWO = np.float32(2)
+# Largest second difference of a surface: a share of the first difference, plus this many projector pixels.
+_BEND_OF_SLOPE, _BEND_PX = np.float32(BEND_OF_SLOPE), 1.0
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = np.float32(log(2))
-_FAINT_SIGMAS = 3.0
 # Opposite neighbours of a pixel, along columns and along rows.
 _LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
 
@@ -48,11 +46,11 @@ def breaks(
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:
             # The noise of a phase in radians is the relative noise of its amplitude.
-            relative = np.float32(_FAINT_SIGMAS * 2 * pi / axis.fringes[-1].period)
+            relative = np.float32(OUTLYING_SIGMAS * 2 * pi / axis.fringes[-1].period)
             largest = cast(Floats32, cv2.dilate(amplitude, np.ones((3, 3), np.uint8)))
             faint = np.empty(kept.size, np.bool_)
             _note_faint(amplitude.ravel(), largest.ravel(), variance.ravel(), relative, faint)
-            broken |= cv2.dilate(faint.reshape(kept.shape).view(np.uint8), _CROSS).view(np.bool_)
+            broken |= cv2.dilate(faint.reshape(kept.shape).view(np.uint8), CROSS).view(np.bool_)
     return broken
 
 
@@ -70,7 +68,7 @@ def _note_bends(
         middle = slice(across, width - across)
         of_row, noise, note = value[row, middle], variance[row, middle], broken[row, middle]
         for i in range(len(of_row)):
-            bend = abs(before[i] + after[i] - _TWO * of_row[i]) - _BEND_OF_SLOPE * abs(after[i] - before[i])
+            bend = abs(before[i] + after[i] - of_row[i] - of_row[i]) - _BEND_OF_SLOPE * abs(after[i] - before[i])
             note[i] |= bend > least + sigmas * np.sqrt(noise[i])
 
 

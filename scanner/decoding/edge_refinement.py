@@ -14,13 +14,12 @@ from scanner.decoding.discontinuities import breaks
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
+from scanner.decoding.significance import HALF
 from scanner.decoding.tiles import around, in_strips, widened
 
 _UNKNOWN = np.float32(np.nan)
 _STRIP = 32
 _MOST_LINES = 100
-# With fewer pixels between edges, cell centres are kept everywhere.
-_MOSTLY = 0.5
 # In cells longer than this many camera pixels, a pixel that is not between edges lies in a cut-off cell.
 _LONG_PX = 2.0
 # Largest distance, in cells, of a cell's centre from the coordinates of diagonal neighbours.
@@ -58,7 +57,8 @@ def refine_by_edges(
         images = (image[part] for image in (fold.words, accumulators.middle, accumulators.brightest))
         _interpolate(fold.code, noise, levels, [usable, *images, *into])
     between = np.isfinite(variance).all(axis=0)
-    if np.count_nonzero(between & kept) < max(1.0, _MOSTLY * np.count_nonzero(kept)):
+    # With fewer pixels between edges, cell centres are kept everywhere.
+    if np.count_nonzero(between & kept) < max(1.0, HALF * np.count_nonzero(kept)):
         return False
     apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True)], np.float32)
     _take_over(value, variance, np.array(measured), apart, usable, seen.projector_px, seen.variance, seen.reason)

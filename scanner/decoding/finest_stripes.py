@@ -20,14 +20,13 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import HALF
+from scanner.decoding.subsampling import at_random
 
-# Random pixels, because a regular grid could beat with the stripes.
-_MOST_PIXELS, _SEED = 65536, 20_261_124
+_MOST_PIXELS = 65536  # for a pattern of moiré over the whole picture
 # Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
-# Midway between two stripes a bit says nothing of its contrast.
-_LEAST_OF_WAVE = 0.5
-_STEPS = 256
+_STEPS = 256  # between two pixels, for the integrals of a Fourier series
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,7 @@ def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> Fi
     """
     x, y = accumulators.plan.axes
     if x.fringes and y.fringes:
-        many = min(_MOST_PIXELS, maps.reason.size)
-        pixels = np.sort(np.random.default_rng(_SEED).integers(0, maps.reason.size, many))
+        pixels = at_random(maps.reason.size, _MOST_PIXELS)
         of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels]))
         return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
     pixels, levels = sample.pixels, sample.levels
@@ -111,7 +109,7 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
             # Of words 0, 1, 2, 3 the finest bit is set in 1 and 2.
             period = 4.0 * code.cell
             wave = np.cos(2 * np.pi * (coordinate + code.offset + 0.5 - 2 * code.cell) / period)
-            known: Bools = np.abs(wave) > _LEAST_OF_WAVE
+            known: Bools = np.abs(wave) > HALF  # midway between two stripes a bit says nothing of its contrast
             contrast = np.where(known, (levels[normal] - levels[inverse]) / np.where(known, wave, 1), 0)
             return np.maximum(contrast, 0).astype(np.float32), period
     return None

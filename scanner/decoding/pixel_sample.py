@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.subsampling import at_random
 
-_MOST_PIXELS = 16384
-_STEP = 2
-_SEED = 20_240_229
+_MOST_PIXELS = 16384  # so that a hundred are left in 1 % of the picture
+_STEP = 2  # to a neighbour of the same colour on a Bayer mosaic, px
 
 
 class Sample:
@@ -24,12 +24,7 @@ class Sample:
         height, width = shape
         margin = _STEP if neighbours and width > 2 * _STEP else 0
         inner = width - 2 * margin
-        count = height * inner
-        if count > _MOST_PIXELS:
-            chosen = np.sort(np.random.default_rng(_SEED).choice(count, _MOST_PIXELS, replace=False))
-        else:
-            chosen = np.arange(count)
-        row, column = np.divmod(chosen, inner)
+        row, column = np.divmod(at_random(height * inner, _MOST_PIXELS), inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
         self._margin = margin
         self._frames: list[NDArray[Any]] = []

@@ -14,7 +14,7 @@ from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode, SequenceP
 from scanner.errors import InputError
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
 
-_MAX_BITS = 32
+_MAX_BITS = 32  # of a code word
 # Two fringe orders are distinct if, for some period, they differ by at least this fraction of it.
 _DISTINCT_CYCLES = 0.05
 

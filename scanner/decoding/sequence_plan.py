@@ -1,16 +1,16 @@
 """What a sequence of patterns measures: Gray codes and fringes per axis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, Ints
 from scanner.decoding.arrays import Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
-_MOST_NAMED = 12
+_MOST_NAMED = 12  # frames in a message
 # Parameters of a cosine: this many frames fit one in any order, including a wrong one.
 COSINE_PARAMETERS = 3
 # Mean difference of two patterns, relative to white, below which they look alike: two bits differ by a half, a dozen
@@ -67,6 +67,10 @@ class GrayCode:
         """All frames, in order."""
         return sorted([*self.normal.values(), *self.inverse.values()])
 
+    def frames_of(self, bits: Iterable[int]) -> list[int]:
+        """Return the frames of some bits and of their inverses."""
+        return [frames[bit] for bit in bits for frames in (self.normal, self.inverse) if bit in frames]
+
 
 @dataclass(frozen=True)
 class Fringe:
@@ -80,9 +84,13 @@ class Fringe:
     @cached_property
     def weights(self) -> Floats:
         """(3, N): least squares of offset, a cos θ and a sin θ in I = offset + a cos(θ + 2π shift)."""
+        return np.linalg.pinv(self.design).astype(np.float64)
+
+    @cached_property
+    def design(self) -> Floats:
+        """(N, 3): derivatives of I by offset, a cos θ and a sin θ."""
         angles = 2 * np.pi * np.array(self.shifts)
-        design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-        return np.linalg.pinv(design)
+        return np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
 
     @property
     def noise_gain(self) -> float:
@@ -186,6 +194,16 @@ class SequencePlan:
         size = self.x.length, self.y.length
         one, two = (draw(self.patterns[number], size).astype(np.int16) for number in (frame, other))
         return float(np.abs(one - two).mean()) < _ALIKE * np.iinfo(np.uint8).max
+
+    def times_of(self, fringe: Fringe) -> tuple[Ints, Floats]:
+        """Return the places (N,) at which the steps of a fringe are shown, with repeats, and the shifts (N,) there."""
+        taken = [
+            (time, shift)
+            for shift, frame in zip(fringe.shifts, fringe.frames, strict=True)
+            for time, number in enumerate(self.shown)
+            if number == frame
+        ]
+        return np.array([time for time, _ in taken]), np.array([shift for _, shift in taken])
 
     def name(self, frame: int) -> str:
         """Return a frame's number and pattern, for messages."""

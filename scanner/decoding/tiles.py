@@ -11,6 +11,7 @@ from scanner.decoding.arrays import Part
 
 # Larger tiles cost memory; smaller ones cost time between the loops, where the interpreter runs one thread at a time.
 _TILE_PX = (120, 1224)
+STRIP_ROWS = 64  # of an image at once, where intermediate results need many times its memory
 
 Result = TypeVar("Result")
 

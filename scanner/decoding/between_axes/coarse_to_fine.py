@@ -11,7 +11,7 @@ from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.between_axes.edges import Edges, Shown
 from scanner.decoding.between_axes.registration import differences, shifts_of_tiles
-from scanner.decoding.motion.found import SUSPECTED_PX
+from scanner.decoding.motion.device_motion import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 

@@ -16,14 +16,12 @@ from scanner.decoding.between_axes.borders import part_around, places_of_tiles
 from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion_of
 from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
-from scanner.decoding.between_axes.moment import Moment, moment_of
-from scanner.decoding.motion.found import SUSPECTED_PX, Disturbance, MotionFound, turns_px
+from scanner.decoding.between_axes.time_of_change import TimeOfChange, time_of_change
+from scanner.decoding.motion.device_motion import LEAST_PX, SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 
-# Least size in px that ripple and noise do not reach at rest.
-_LEAST_PX = 0.02
 # Largest motion to be corrected: scene and border each show one common motion.
 _LARGEST_PX = 0.5
 # A camera that moved farther sees occlusions change, and has shifted on its tripod.
@@ -96,7 +94,7 @@ def motion_between(
     _, camera_px = turns_px(fit.motion)
     shift = Disturbance(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
-    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > _LEAST_PX
+    significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
     spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
     between = MotionFound(
         motion=fit.motion,
@@ -117,7 +115,7 @@ def motion_between(
     return replace(within, unseen=between.unseen, blind=between.blind)
 
 
-def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
+def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
     """Yield the times, other than between the halves, at which pictures of code pairs changed: the scene, then the
     border.
     """
@@ -129,7 +127,7 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[Moment]:
     stripes = [width[pair] for pair in lit.of_pairs]
     shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)
     for chosen in (shown.scene, shown.border):
-        moment = moment_of([*lit.of_pairs.values()], chosen, first, stripes)
+        moment = time_of_change([*lit.of_pairs.values()], chosen, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
@@ -146,7 +144,7 @@ def _stripe_px(lit: EvenlyLit) -> dict[tuple[int, int], float]:
     }
 
 
-def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: Moment) -> _Timing:
+def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: TimeOfChange) -> _Timing:
     """Return the effect of a change at this moment on the coordinates: half of the edges of a code belong to its finest
     bit.
     """

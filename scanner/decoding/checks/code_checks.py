@@ -13,36 +13,26 @@ import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.checks.contradictions import Anomaly
+from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, Anomaly
 from scanner.decoding.codes.gray_code import cell_numbers
-from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.codes.gray_fold import FINE_BITS, GrayFold
+from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
-from scanner.decoding.lines import lines_of
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
-from scanner.decoding.significance import BRIGHTEST
+from scanner.decoding.significance import BRIGHTEST, OUTLYING_SIGMAS
+from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
-# Number of rows and columns that are sampled, and the largest distance of compared pixels.
-_LINES = 128
-_FARTHEST_PX = 16
-_CERTAIN_SIGMAS = 3.0
 # Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a
 # share of the brightest pixels (STRAY_PART), which matters for cameras with many bits and little noise.
 _LEAST_DIFFERENCE = 5.0
-# Pixels with less than this share of the brightest ones are unlit: outside the picture, a camera with automatic tone
-# mapping sees bits, too.
-_LIT = 0.25
-_FEWEST_CHANGES = 30
-_FEWEST_BITS = 3
-_DIRECTIONS = 2
+_FEWEST_CHANGES = 30  # of a bit, before it is judged by their share
 # If the camera resolves the cells, nearly all changes are in a single bit; stripes finer than its pixels are not
 # checked.
 _MOSTLY_SINGLE = 0.8
 # Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
 # bit of the word is wrong, at most a half.
 _LEAST_ADJACENT = 0.65
-# An exchange of bits is the cause if undoing it leaves at most this share of the contradictions.
-_REPAIRED = 0.3
 
 
 @dataclass(frozen=True)
@@ -100,7 +90,7 @@ def check_codes(
         bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
-            suspects = [frame for bit in range(min(bits), fold.code.bits) for frame in _frames_of(fold.code, bit)]
+            suspects = fold.code.frames_of(range(min(bits), fold.code.bits))
             message = (
                 f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
                 f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
@@ -119,7 +109,7 @@ def _sampled(
     changes, are_single = _changes(fold, noise, middle, brightest, moved)
     yield fold, changes
     coarser = fold
-    while not are_single and fold.code.base is None and coarser.code.bits > _FEWEST_BITS:
+    while not are_single and fold.code.base is None and coarser.code.bits > FINE_BITS:
         coarser = coarser.without_finest(1)
         changes, are_single = _changes(coarser, noise, middle, brightest, moved)
     if coarser is not fold:
@@ -136,15 +126,14 @@ def _changes(
     before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
     for is_transposed in (False, True):
         words, least, level, white = (
-            lines_of(image.T if is_transposed else image, _LINES)
-            for image in (fold.words, fold.least, middle, brightest)
+            lines_of(image.T if is_transposed else image) for image in (fold.words, fold.least, middle, brightest)
         )
-        least_clear = max(_LEAST_DIFFERENCE, STRAY_PART * float(np.quantile(least[:, ::_FARTHEST_PX], BRIGHTEST)))
-        certain = least > np.maximum(least_clear, np.float32(_CERTAIN_SIGMAS * sqrt(2)) * noise.sigma(level))
+        least_clear = max(_LEAST_DIFFERENCE, STRAY_PART * float(np.quantile(least[:, ::FARTHEST_PX], BRIGHTEST)))
+        certain = least > np.maximum(least_clear, np.float32(OUTLYING_SIGMAS * sqrt(2)) * noise.sigma(level))
         swing = white.astype(np.float32) - level
-        certain &= swing >= np.float32(_LIT) * np.quantile(swing[:, ::_FARTHEST_PX], BRIGHTEST)
+        certain &= swing >= np.float32(LIT) * np.quantile(swing[:, ::FARTHEST_PX], BRIGHTEST)
         if moved is not None:
-            certain &= ~lines_of(moved.T if is_transposed else moved, _LINES)
+            certain &= ~lines_of(moved.T if is_transposed else moved)
         one, next_one = np.empty((2, words.size), np.uint32)
         single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
         if single >= _MOSTLY_SINGLE * changes:
@@ -152,7 +141,7 @@ def _changes(
             after.append(next_one[:single])
     words_before, words_after = np.concatenate(before), np.concatenate(after)
     place = np.rint(np.log2(words_before ^ words_after)).astype(np.int64)
-    return _Changes(words_before, words_after, fold.code.bits - 1 - place), len(before) == _DIRECTIONS + 1
+    return _Changes(words_before, words_after, fold.code.bits - 1 - place), len(before) == 3
 
 
 @compiled
@@ -167,7 +156,7 @@ def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> 
         for place in range(words.shape[1]):
             if not certain[line, place]:
                 continue
-            if last >= 0 and place - last <= _FARTHEST_PX:
+            if last >= 0 and place - last <= FARTHEST_PX:
                 change = words[line, place] ^ words[line, last]
                 changes += change != 0
                 if change != 0 and change & (change - 1) == 0:
@@ -180,10 +169,10 @@ def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> 
 def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:
     exchanges = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
     left = [np.count_nonzero(~changes.repaired(code, exchange).adjacent()) for exchange in exchanges]
-    if min(left) > _REPAIRED * wrong:
+    if min(left) > LEFT_BY_EXCHANGE * wrong:
         return
     first, second = exchanges[int(np.argmin(left))]
-    names = plan.names([*_frames_of(code, first), *_frames_of(code, second)])
+    names = plan.names(code.frames_of((first, second)))
     if first == second:
         raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")
     raise InputError(
@@ -201,7 +190,3 @@ def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
         return False
     _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
     return bool(counts.max() < len(chosen.bit) / 2)
-
-
-def _frames_of(code: GrayCode, bit: int) -> list[int]:
-    return [frames[bit] for frames in (code.normal, code.inverse) if bit in frames]

@@ -17,6 +17,7 @@ from scanner.decoding.arrays import Reasons
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
+from scanner.decoding.subsampling import at_random
 from scanner.errors import InputError
 
 # A corrupted frame differs from its pattern at half of the pixels; at least a part of the coordinates that depend on it
@@ -24,9 +25,7 @@ from scanner.errors import InputError
 _MOST_BROKEN = 0.35
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
-_MOST_OUTLIERS = 0.15
-_MOST_MATCHES = 4000
-_SEED = 5
+_MOST_OUTLIERS = 0.15  # largest share of matches that are farther from it
 
 
 @contextmanager
@@ -82,8 +81,7 @@ def _epipolar(matches: Matches) -> tuple[float, float]:
     """Return the median distance of the matches from their epipolar lines, in projector pixels, and the share of
     outliers.
     """
-    count = len(matches)
-    chosen = np.random.default_rng(_SEED).choice(count, min(count, _MOST_MATCHES), replace=False)
+    chosen = at_random(len(matches))
     camera, projector = (np.asarray(px[chosen], np.float64) for px in (matches.camera_px, matches.projector_px))
     some = Matches(camera, projector)
     matrix = epipolar_matrix(some)

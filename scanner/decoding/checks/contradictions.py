@@ -7,17 +7,16 @@ import numpy as np
 
 from calib.numerics import median
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
-# An exchanged frame is wrong by the whole swing where its pattern differs; a nonlinear camera curve by less than half.
+# Deviations from the right frame, relative to what an exchange would cause. An exchanged frame is wrong by the whole
+# swing where its pattern differs, a nonlinear camera curve by less than half. N times the scatter of a fringe's mean
+# over N shifts is about an amplitude if one of the N frames shows another pattern, 0.1 to 0.2 from harmonics. The
+# amplitude and shift of a frame is off by a distance of 1 and more between phasors.
 _WRONG = 0.5
-_WRONG_SHARE = 0.05
-# N times the scatter of a fringe's mean over N shifts, in amplitudes: about 1 if one of the N frames shows another
-# pattern, 0.1 to 0.2 from harmonics.
-_WRONG_MEAN = 0.5
-# Largest deviation of the amplitude and shift of a frame, as a distance between unit phasors.
-_WRONG_SHIFT = 0.4
+_WRONG_SHARE = 0.05  # of the lit pixels: people and occlusion edges cover less
 # If less than a third of a cycle is visible, shifts and amplitudes are not separable: limit on the ratio of singular
 # values.
 _MOST_UNEVEN = 2.0
@@ -26,6 +25,9 @@ _MOST_UNEVEN = 2.0
 _UNEXPLAINED = 0.25
 # Scatter of a fringe's frames in standard deviations of the noise; a barely visible fringe has 3.
 _BLURRED_AWAY = 2.0
+# Exchanged frames are named if undoing the exchange leaves at most this share of the contradictions: all but those of
+# noise and of the projector's and the camera's curves.
+LEFT_BY_EXCHANGE = 0.3
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,12 @@ class LitSample:
     levels: Floats32
     swing: Floats32
     sigma: Floats32
+
+    @classmethod
+    def of(cls, levels: Floats32, noise: NoiseModel) -> "LitSample":
+        """Return all pixels with these levels (frames, P)."""
+        high, low = levels.max(axis=0), levels.min(axis=0)
+        return cls(levels, high - low, noise.sigma((high + low) / 2))
 
 
 @dataclass(frozen=True)
@@ -115,7 +123,7 @@ def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe])
     amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
     for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
         steps = len(one.fringe.shifts)
-        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG_MEAN * amplitude:
+        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG * amplitude:
             yield Anomaly(
                 f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 one.fringe.frames,
@@ -126,8 +134,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anom
     """Yield frames whose amplitude or phase shift does not fit the fringe that all of them form together."""
     for one in seen:
         fringe, swings = one.fringe, one.levels - one.offset
-        angles = 2 * np.pi * np.array(fringe.shifts)
-        phasors = np.stack([np.cos(angles), -np.sin(angles)])
+        phasors = fringe.design[:, 1:].T
         components = np.stack([one.cosine, one.sine])
         unexplained = swings - phasors.T.astype(np.float32) @ components
         if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
@@ -137,7 +144,7 @@ def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anom
         gram = components @ components.T
         if np.linalg.cond(gram) > _MOST_UNEVEN**2:
             continue
-        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG_SHIFT
+        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG
         if wrong.any():
             suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
             message = f"{plan.names(suspects)} have another shift or period than their patterns"

@@ -11,40 +11,32 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from calib.numerics import Bools
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.contradictions import Anomaly, LitSample, contradictions
+from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, Anomaly, LitSample, contradictions
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.errors import InputError
 
-# Least swing of a lit pixel over all frames: in standard deviations of a difference of two, and in grey levels.
-_SEEN = 8.0
-_WELL_SEEN = 20.0
-_LEAST_SWING = 2.0
-_FEWEST_LIT = 20
-_ENOUGH_LIT = 500
-_MOST_LIT = 4000
+# Least swing of a lit pixel over all frames: in standard deviations of a difference of two, of which a hundred frames
+# have thousands, and in grey levels, which rounding alone may differ by. Better pixels are preferred.
+_SEEN, _WELL_SEEN, _LEAST_SWING = 8.0, 20.0, 2.0
+_FEWEST_LIT = 20  # of the sample: in the fewest pixels that can be decoded at all, 0.1 % of the picture
 # Each misplaced frame adds the square of its difference from the right one to the contradictions, twice that if only
 # one other frame contradicts it. Undoing an exchange must remove at least this part.
+# It is rejected if another exchange of either frame leaves hardly more: if black was taken in brighter light, for
+# example, any dark frame in its place helps as much.
 _REPAIRED = 0.5
-# An exchange is rejected if it leaves this share of the contradictions, and another exchange of either frame leaves
-# hardly more. If black was taken in brighter light, for example, any dark frame in its place helps as much.
-_MUCH_LEFT, _AS_GOOD = 0.3, 0.9
-_DIFFERENT = 0.02
+_DIFFERENT = 0.02  # least mean squared difference of exchanged frames, in swings: less does no harm
+# Flicker and automatic exposure change white by less than this factor.
 _MOST_BRIGHTER = 4.0
-# Flicker changes white by less than this factor. If it explains the frames about as well as an ambient light change,
-# there was no such change.
-_FLICKERS, _ABOUT = 2.0, 1.1
-_FEWEST_COMPARED = 400
-# Frames are identical if their difference is within this many standard deviations of the noise at nearly all pixels.
-_SAME_SIGMAS = 4.0
-_SAME_SHARE = 0.98
 
 
 def check_frames(
@@ -56,12 +48,8 @@ def check_frames(
 
     Raises InputError if nothing is lit, or if frames were certainly exchanged or duplicated.
     """
-    high, low = levels.max(axis=0), levels.min(axis=0)
-    swing = high - low
-    sigma = noise.sigma((high + low) / 2)
-    lit = np.flatnonzero(_well_lit(swing, sigma, high >= saturation))
-    lit = lit[:: max(1, len(lit) // _MOST_LIT)]
-    shown = LitSample(levels[:, lit], swing[lit], sigma[lit])
+    lit = _lit(levels, noise, saturation)
+    shown = LitSample.of(levels[:, lit], noise)
     made_alike = replace(shown, levels=alike[:, lit])
     found = contradictions(plan, shown)
     if not found and not may_be_switched(plan, shown.levels):
@@ -80,19 +68,14 @@ def check_frames(
 
 def agree(plan: SequencePlan, levels: Floats32, noise: NoiseModel, saturation: float) -> bool:
     """Return whether enough pixels of the sample (frames, P) are lit, and nothing in them contradicts the sequence."""
-    high, low = levels.max(axis=0), levels.min(axis=0)
-    sigma = noise.sigma((high + low) / 2)
-    lit = (high - low > _SEEN * np.sqrt(2) * sigma) & (high - low > _LEAST_SWING) & (high < saturation)
-    if np.count_nonzero(lit) < FEWEST_PIXELS:
-        return False
-    return not contradictions(plan, LitSample(levels[:, lit], (high - low)[lit], sigma[lit]))
+    lit = _seen(LitSample.of(levels, noise)) & (levels.max(axis=0) < saturation)
+    return int(np.count_nonzero(lit)) >= FEWEST_PIXELS and not contradictions(plan, LitSample.of(levels[:, lit], noise))
 
 
 def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequence[int]) -> bool:
     """Return whether exchanging two frames, one a suspect, removes most contradictions in the sample (frames, P)."""
     swing = np.ptp(levels, axis=0)
-    lit = np.flatnonzero(swing > _LEAST_SWING)
-    lit = lit[:: max(1, len(lit) // _FEWEST_COMPARED)]
+    lit = evenly_spread(np.flatnonzero(swing > _LEAST_SWING), TRIAL_PIXELS)
     seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
@@ -101,7 +84,7 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
         for second in range(len(seen)):
             order = np.arange(len(seen))
             order[[first, second]] = second, first
-            if _contradiction(plan, seen[order], swing) < _MUCH_LEFT * before:
+            if _contradiction(plan, seen[order], swing) < LEFT_BY_EXCHANGE * before:
                 return True
     return False
 
@@ -127,9 +110,9 @@ def _in_one_light(
     flickers = not np.array_equal(alike.levels, shown.levels)
     if best[1] is None or plan.white is None or not flickers:
         return best
-    flickered = _with_white(plan, alike, 1 / _FLICKERS, _FLICKERS)
+    flickered = _with_white(plan, alike, 1 / _MOST_BRIGHTER, _MOST_BRIGHTER)
     left = [_contradiction(plan, one.levels, shown.swing) for one in (flickered, best[0])]
-    return (alike, None) if left[0] <= _ABOUT * left[1] else best
+    return (alike, None) if left[0] <= left[1] else best
 
 
 def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
@@ -167,7 +150,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
     equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
-    few = np.s_[:: max(1, len(shown.swing) // _FEWEST_COMPARED)]
+    few = evenly_spread(np.arange(len(shown.swing)), TRIAL_PIXELS)
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = _contradiction(plan, levels, swing)
@@ -184,7 +167,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
             if before - left > _REPAIRED * differ and left < least:
                 least, pair = left, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
-    if pair not in tried or tried[pair] > max(_MUCH_LEFT * before, _AS_GOOD * min(others, default=before)):
+    if pair not in tried or tried[pair] > max(LEFT_BY_EXCHANGE * before, AS_GOOD * min(others, default=before)):
         return ""
     return f"with {plan.names(pair)} exchanged they do"
 
@@ -203,11 +186,9 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
     means = []
     for fringe in plan.fringes:
         of_fringe = levels[list(fringe.frames)]
-        angles = 2 * np.pi * np.array(fringe.shifts)
-        design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-        unexplained = of_fringe - (design @ fringe.weights).astype(np.float32) @ of_fringe
+        unexplained = of_fringe - (fringe.design @ fringe.weights).astype(np.float32) @ of_fringe
         total += float(np.sum((unexplained / swing) ** 2))
-        means.append(len(angles) * np.mean(of_fringe, axis=0) / swing)
+        means.append(np.sum(of_fringe, axis=0) / swing)
     if len(means) > 1:
         total += float(np.sum((np.stack(means) - medians(np.stack(means), axis=0)) ** 2))
     return total / len(swing)
@@ -216,26 +197,32 @@ def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> flo
 def _duplicate(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:
     """Return a message that names a suspected frame and its duplicate, or ''."""
     for frame in sorted({frame for anomaly in found for frame in anomaly.frames}):
-        alike = np.abs(shown.levels - shown.levels[frame]) < _SAME_SIGMAS * np.sqrt(2) * shown.sigma
+        alike = np.abs(shown.levels - shown.levels[frame]) < OUTLYING_SIGMAS * np.sqrt(2) * shown.sigma
         share = np.mean(alike, axis=1)
-        for twin in np.flatnonzero(share > _SAME_SHARE).tolist():
+        for twin in np.flatnonzero(share > NEARLY_ALL).tolist():
             if not plan.shows_the_same(frame, twin):
                 return f"{plan.names((frame, twin))} show the same"
     return ""
 
 
-def _well_lit(swing: Floats32, sigma: Floats32, saturated: Bools) -> Bools:
-    """Return the pixels that the patterns light, only the best of many. Raises InputError if there are too few."""
-    sigmas = swing / (np.float32(np.sqrt(2)) * np.maximum(sigma, np.float32(1e-6)))
-    seen = (sigmas > _SEEN) & (swing > _LEAST_SWING)
+def _seen(sample: LitSample, sigmas: float = _SEEN) -> Bools:
+    """Return the pixels (P,) of a sample that change with the patterns."""
+    seen: Bools = (sample.swing > sigmas * np.sqrt(2) * sample.sigma) & (sample.swing > _LEAST_SWING)
+    return seen
+
+
+def _lit(levels: Floats32, noise: NoiseModel, saturation: float) -> NDArray[np.intp]:
+    """Return some pixels of `levels` (frames, P) that the patterns light. Raises InputError if there are too few."""
+    sample = LitSample.of(levels, noise)
+    seen = _seen(sample)
     if np.count_nonzero(seen) < _FEWEST_LIT:
         raise InputError(
-            f"no pixel changes clearly with the patterns: half of them vary by at most {np.median(swing):.1f} grey "
-            f"levels over the capture, where noise is {np.median(sigma):.1f}; is the projector on, the lens uncapped, "
-            "the exposure long enough?"
+            "no pixel changes clearly with the patterns: half of them vary by at most "
+            f"{np.median(sample.swing):.1f} grey levels over the capture, where noise is "
+            f"{np.median(sample.sigma):.1f}; is the projector on, the lens uncapped, the exposure long enough?"
         )
-    lit: Bools = seen & ~saturated
-    if np.count_nonzero(lit) < _FEWEST_LIT:
+    lit = np.flatnonzero(seen & (levels.max(axis=0) < saturation))
+    if len(lit) < _FEWEST_LIT:
         raise InputError("the frames are overexposed: all lit pixels reach the largest value; shorten the exposure")
-    well_lit = lit & (sigmas > _WELL_SEEN)
-    return well_lit if np.count_nonzero(well_lit) >= _ENOUGH_LIT else lit
+    well_lit = lit[_seen(sample, _WELL_SEEN)[lit]]
+    return evenly_spread(well_lit if len(well_lit) >= FEWEST_PIXELS else lit)

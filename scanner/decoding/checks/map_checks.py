@@ -17,16 +17,14 @@ from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
-from scanner.decoding.lines import lines_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
-from scanner.decoding.tune import agreeing
+from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS
+from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
-# Amplitudes below this share of the brightest ones cannot show the order of frames.
-_FAINT = 0.05
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
 _INFORMATIVE = 0.3
 # Unrelated fringes reach no more than this share of the expected cosine.
@@ -35,11 +33,8 @@ _UNRELATED_SHARE = 0.2
 # the difference is below half a cycle.
 _ODD_CYCLES = 0.1
 _UNRELATED_CYCLES = 0.2
-_MOST_BAD = 0.6
-_STRIDE = 3
-_MOST_COMPARED = 100_000
-_LINES = 48
-_FARTHEST_PX = 16
+_MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
+_MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.1 % of it
 
 
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
@@ -56,7 +51,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     if np.any(lit):
         # Slightly wrong gains of a lamp leave a fringe where there is only ambient light.
         power = measured.power(0)
-        lit &= power > _FAINT**2 * np.quantile(power[lit], BRIGHTEST)
+        lit &= power > FEW**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
@@ -131,7 +126,7 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
     """
     code = min(axis.codes, key=lambda code: code.cell)
     counts = [
-        _count_jumps(lines_of(image, _LINES), lines_of(there, _LINES), code.cell, code.offset + 0.5)
+        _count_jumps(lines_of(image), lines_of(there), code.cell, code.offset + 0.5)
         for image, there in ((value, kept), (value.T, kept.T))
     ]
     jumps, total = np.sum(counts, axis=0)
@@ -154,7 +149,7 @@ def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> 
         for place in range(values.shape[1]):
             if not there[line, place]:
                 continue
-            if last >= 0 and place - last <= _FARTHEST_PX:
+            if last >= 0 and place - last <= FARTHEST_PX:
                 value, value_before = values[line, place], values[line, last]
                 if np.floor((value + before) / cell) != np.floor((value_before + before) / cell):
                     total += 1
@@ -168,7 +163,7 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
         return None
-    stride = max(_STRIDE, round(sqrt(kept.size / _MOST_COMPARED)))
+    stride = max(1, round(sqrt(kept.size / _MOST_COMPARED)))
     near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
     left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
     whole = kept[left] & kept[right] & kept[above] & kept[below]

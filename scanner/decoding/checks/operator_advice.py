@@ -8,16 +8,13 @@ from calib.numerics import Image
 from scanner.decoding.arrays import Reasons
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, count_reasons
+from scanner.decoding.significance import BRIGHTEST, FEW
 
 # Below this ratio, whole surfaces are lost in noise: simulated frames decode 99 % of the lit pixels at 18, nine tenths
 # at 15, half at 13 and hardly any at 11.
 _DARK_RATIO = 15.0
-_BRIGHT_PERCENTILE = 99.0
-_LEAST_NOISE = 0.29  # grey levels, of rounding alone
-
-_LOW_MODULATION = 0.2
-_LARGE_SHARE = 0.1
-_FEW_MATCHED = 0.02
+_LOW_MODULATION = 0.2  # of the mean brightness: noise then counts five times
+_FEW_MATCHED = 0.02  # of the camera's pixels
 # One per cent of flicker shifts a fringe of four steps by up to 1/600 of its period.
 MUCH_FLICKER = 0.01
 
@@ -28,9 +25,8 @@ def too_dark(levels: Image, noise: NoiseModel) -> str | None:
     `levels` (frames, P): of pixels sampled from the whole image.
     """
     swing = np.ptp(levels, axis=0)
-    change = float(np.percentile(swing, _BRIGHT_PERCENTILE))
-    bright = float(np.percentile(levels.max(axis=0), _BRIGHT_PERCENTILE))
-    ratio = change / max(float(noise.sigma(np.array([bright]))[0]), _LEAST_NOISE)
+    change, bright = (float(np.quantile(each, BRIGHTEST)) for each in (swing, levels.max(axis=0)))
+    ratio = change / float(noise.sigma(np.array([bright]))[0])
     if ratio >= _DARK_RATIO:
         return None
     return (
@@ -54,9 +50,9 @@ def warnings_of(
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:
         yield f"Only {matched / reasons.size:.1%} of the camera's pixels have a match: does the camera see the light?"
-    if count[MaskReason.SATURATED] > _LARGE_SHARE * lit:
+    if count[MaskReason.SATURATED] > FEW * lit:
         yield f"{count[MaskReason.SATURATED] / lit:.0%} of the lit pixels are saturated: shorten the exposure."
-    if count[MaskReason.INCONSISTENT] > _LARGE_SHARE * lit:
+    if count[MaskReason.INCONSISTENT] > FEW * lit:
         yield (
             f"At {count[MaskReason.INCONSISTENT] / lit:.0%} of the lit pixels the frames contradict each other: "
             "interreflection, or something moved."

@@ -12,21 +12,20 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from scanner.decoding.axis_decoder import largest_variance
+from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.significance import HALF
+from scanner.decoding.subsampling import evenly_spread
 from scanner.errors import InputError
 
-_TILE_PX = 12
-_MOST_ALONG, _MOST_ALONG_FRINGES = 32, 10
-# Number of candidate tiles along each side of the image.
-_GRID = 64
-_FEWEST_KNOWN = 0.6
-_FEWEST_TILES = 20
+# Size of tiles, with 24 pixels per coefficient of a quadratic surface; candidates along each side of the image; the
+# fewest and the most for a median ratio.
+_TILE_PX, _GRID, _FEWEST_TILES, _MOST_TILES = 12, 64, 20, 100
 # Largest residual variance, relative to that of a cell: 1 for a staircase, less where pixels average over cells, up to
 # 3 where a nonlinear camera without inverse patterns narrows every second stripe; 5 and more for wrong bits.
 _MOST = 4.0
-_SUSPECTED_BITS = 3
 # Relative to the noise variance; texture, edges and creases leave a median slightly above 1.
 _MOST_OF_FRINGES = 2.0
 
@@ -35,7 +34,7 @@ def check_roughness(plan: SequencePlan, maps: Maps) -> None:
     """Raise InputError if coordinates from codes alone are much rougher than their cells."""
     if plan.fringes or plan.only_axis is not None:
         return
-    for axis, relative in zip(plan.axes, _roughness(maps, _MOST_ALONG), strict=True):
+    for axis, relative in zip(plan.axes, _roughness(maps), strict=True):
         if relative > _MOST:
             raise InputError(
                 f"along {axis.axis} the cells of the Gray code do not follow each other: they are {axis.cell:g} px "
@@ -50,7 +49,7 @@ def widen_by_roughness(plan: SequencePlan, maps: Maps) -> None:
     """
     if not plan.fringes or plan.only_axis is not None:
         return
-    relative = float(np.mean(_roughness(maps, _MOST_ALONG_FRINGES)))
+    relative = float(np.mean(_roughness(maps)))
     if relative < _MOST_OF_FRINGES:
         return
     np.multiply(maps.variance, np.float32(relative), out=maps.variance)
@@ -66,17 +65,17 @@ def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
     The unknown shape of edges, due to the lens or camera software, exceeds the noise in good light.
     """
     if plan.only_axis is None:
-        relative = max(1.0, float(np.mean(_roughness(maps, _MOST_ALONG))))
+        relative = max(1.0, float(np.mean(_roughness(maps))))
         np.multiply(maps.variance, np.float32(relative), out=maps.variance)
 
 
-def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
+def _roughness(maps: Maps) -> tuple[float, float]:
     """Return for x and y the median ratio of residual variance in small tiles to the stated one; 0 if there are few."""
-    pixels = _in_tiles(maps, most_along)
+    pixels = _in_tiles(maps)
     seen = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
     variance = maps.variance.reshape(-1)[pixels]
     known = np.isfinite(seen).all(axis=2) & (maps.reason.reshape(-1)[pixels] == 0)
-    enough = known.mean(axis=1) > _FEWEST_KNOWN
+    enough = known.mean(axis=1) > HALF
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
     seen, variance, known = seen[enough], variance[enough], known[enough]
@@ -86,16 +85,15 @@ def _roughness(maps: Maps, most_along: int) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _in_tiles(maps: Maps, most_along: int) -> Ints:
+def _in_tiles(maps: Maps) -> Ints:
     """Return the pixels (T, P) of some tiles that are mostly decoded, even if these are a small part of the image."""
     height, width = maps.reason.shape
     rows, columns = (np.linspace(0, n - _TILE_PX, min(_GRID, n // _TILE_PX)).astype(np.int64) for n in (height, width))
     corners = (rows[:, None] * width + columns).reshape(-1)
     within = (np.arange(_TILE_PX)[:, None] * width + np.arange(_TILE_PX)).reshape(-1)
     kept = maps.reason.reshape(-1)[corners[:, None] + within] == np.uint8(MaskReason.KEPT)
-    corners = corners[kept.mean(axis=1) > _FEWEST_KNOWN]
-    chosen = corners[np.linspace(0, len(corners) - 1, min(len(corners), most_along**2)).astype(np.int64)]
-    pixels: Ints = chosen[:, None] + within
+    corners = corners[kept.mean(axis=1) > HALF]
+    pixels: Ints = evenly_spread(corners, _MOST_TILES)[:, None] + within
     return pixels
 
 
@@ -116,5 +114,4 @@ def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
 def _finest(axis: AxisPlan) -> list[int]:
     """Return the frames of the finest bits of an axis."""
     code = min(axis.codes, key=lambda code: code.cell)
-    last = range(code.bits - _SUSPECTED_BITS, code.bits)
-    return [frames[bit] for bit in last for frames in (code.normal, code.inverse) if bit in frames]
+    return code.frames_of(range(code.bits - FINE_BITS, code.bits))

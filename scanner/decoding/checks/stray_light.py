@@ -15,13 +15,12 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.consequences import EPIPOLAR_PX, epipolar_matrix, from_epipolar_lines
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.subsampling import at_random
 
-_FEWEST = 1000
-_MOST_FOR_MATRIX, _MOST_COMPARED = 4000, 20_000
 # Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises by this much.
-_STEPS = 20
-_MOST_OUTLIERS = 0.25
-_SEED = 6
+_STEPS, _MOST_OUTLIERS = 20, 0.25
+_FEWEST = _STEPS * FEWEST_PIXELS
 
 
 def leave_out_stray_light(accumulators: Accumulators, maps: Maps) -> None:
@@ -38,12 +37,12 @@ def leave_out_stray_light(accumulators: Accumulators, maps: Maps) -> None:
     if np.count_nonzero(whole) < _FEWEST:
         return
     # From all pixels: the brightest may lie in a plane, which leaves the geometry undetermined.
-    matrix = epipolar_matrix(_matches(_some(whole, _MOST_FOR_MATRIX), maps))
+    matrix = epipolar_matrix(_matches(_some(whole), maps))
     if matrix is None:
         return
     usual = 0.0
     for group in (whole, partial):
-        row, column = places = _some(group, _MOST_COMPARED)
+        row, column = places = _some(group)
         if len(row) < _FEWEST:
             continue
         is_outlier = from_epipolar_lines(_matches(places, maps), matrix) > EPIPOLAR_PX
@@ -65,12 +64,10 @@ def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
     return 0.0
 
 
-def _some(chosen: Bools, most: int) -> tuple[np.ndarray, np.ndarray]:
+def _some(chosen: Bools) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of some of the chosen pixels (H, W)."""
     places = np.flatnonzero(chosen)
-    if len(places) > most:
-        places = np.random.default_rng(_SEED).choice(places, most, replace=False)
-    row, column = np.divmod(places, chosen.shape[1])
+    row, column = np.divmod(places[at_random(len(places))], chosen.shape[1])
     return row, column
 
 

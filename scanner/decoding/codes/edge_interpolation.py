@@ -26,7 +26,7 @@ from scanner.decoding.sequence_plan import GrayCode
 CELLS_PER_PIXEL = 2
 # Change of slope from one pair of edges to the next, as a share of the slope, where no other pair is known. A slope is
 # a jump if it is this many times the neighbouring ones, and steeper by this many sigmas.
-_BEND_OF_SLOPE = 0.25
+BEND_OF_SLOPE = 0.25
 _JUMP, _SIGMAS = 1.5, 3.0
 # Edges of the same stripe this close together are one edge, split by noise.
 _SAME_EDGE_PX, _SHORTEST_PX = 2.0, 0.1
@@ -237,7 +237,7 @@ def _curved(edges: Floats, k: int, count: int) -> float:
     slope, before, after = _slope(edges, k, count), _slope(edges, k - 1, count), _slope(edges, k + 1, count)
     steps = max(edges[_STEP, k], edges[_STEP, k - 1])
     if before == 0 and after == 0:
-        return _BEND_OF_SLOPE * slope * length / 8 if steps == 1 else np.nan
+        return BEND_OF_SLOPE * slope * length / 8 if steps == 1 else np.nan
     by_noise = _SIGMAS * slope * np.sqrt(edges[_SPREAD, k] + edges[_SPREAD, k - 1]) / length
     steepest = _JUMP * max(before, after) + by_noise
     if slope > steepest or steps > 1 + steepest:

@@ -14,8 +14,8 @@ from scanner.decoding.sequence_plan import GrayCode
 
 Planes = NDArray[np.uint8]
 _NO_BIT = np.uint8(0)
-# This many of the finest bits may be unresolved.
-_FINE_BITS = 3
+# This many of the finest bits may be blurred by projector, camera and scattering, or not resolved at all.
+FINE_BITS = 3
 
 
 class GrayFold:
@@ -43,7 +43,7 @@ class GrayFold:
         place, position = divmod(self.code.bits - 1 - bit, 8)
         plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
         least = self.least
-        if self._keeps_fine and 0 < self.code.bits - bit <= _FINE_BITS < self.code.bits:
+        if self._keeps_fine and 0 < self.code.bits - bit <= FINE_BITS < self.code.bits:
             least = self.fine.setdefault(bit, np.full_like(self.least, largest))
         bright, dark = bright.reshape(-1), dark.reshape(-1)
         _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))

@@ -17,19 +17,13 @@ from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
+from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF, NEARLY_ALL
 
-# This share of the pixels is nearer to an edge between two cells.
-_NEARER = 0.9
 _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
 _THIN = 4
 # The blur of lenses in focus is not corrected: underestimating the direct light would mask more doubtful bits.
 _IN_FOCUS = 1.5
-# A fringe that is seen at less than this share of the pixels that decode all bits would leave out most of the image.
-_LEAST_SEEN = 0.5
-# Share of half of the projector's light at the pixel.
-_FAINT = 0.1
 
 
 def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
@@ -40,10 +34,11 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     """
     if not len(least):
         return 1.0
-    found = float(np.quantile(least / (2 * amplitude), _NEARER))
+    # Nearly all pixels are nearer to an edge between two cells than this share of half a cell.
+    found = float(np.quantile(least / (2 * amplitude), NEARLY_ALL))
     blur_px = np.linspace(_LARGEST_BLUR_CELLS * axis.cell / _STEPS, _LARGEST_BLUR_CELLS * axis.cell, _STEPS)
     times = np.exp(2 * (np.pi * blur_px / axis.fringes[0].period) ** 2)
-    of_stripes = erf(_NEARER * axis.cell / 2 / (np.sqrt(2) * blur_px))
+    of_stripes = erf(NEARLY_ALL * axis.cell / 2 / (np.sqrt(2) * blur_px))
     weaker = float(np.interp(found, of_stripes * times, times, left=1.0))
     return weaker if weaker > _IN_FOCUS else 1.0
 
@@ -89,5 +84,6 @@ def _is_lost(
     variance = (fringe.period / (2 * np.pi) * fringe.noise_gain) ** 2 * noise.variance(signals.middle)
     power = cosine**2 + sine**2
     # Motion adds noise and breaks fringes, but leaves their amplitude.
-    seen = (variance <= largest_variance(fringe, with_gray=True) * power) | (power > (_FAINT * half_lit) ** 2)
-    return bool(np.mean(seen[decided]) < _LEAST_SEEN)
+    seen = (variance <= largest_variance(fringe, with_gray=True) * power) | (power > (FEW * half_lit) ** 2)
+    # It would leave out most of the pixels that decode all bits.
+    return bool(np.mean(seen[decided]) < HALF)

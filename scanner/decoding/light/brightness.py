@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
 # Smaller differences invert hardly any bit, and change a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
@@ -32,7 +33,6 @@ _GUESSES = 2
 _PASSES = 4
 BANDS = 32
 _FEWEST_PER_BAND = 64
-_FEWEST_PIXELS = 200
 # Largest share of the squared residuals of a single weight for which bands are accepted: chance leaves 0.99, uneven
 # phases 0.95.
 _BANDED = 0.85
@@ -40,8 +40,6 @@ _BANDED = 0.85
 _BAND_SIGMA = 0.2
 # Variety of a bit that changes at one pixel in twelve.
 _LEAST_VARIETY = 0.3
-# Pixels darker than this share of the median are mostly noise and get less weight.
-_FAINT = 0.25
 _OUTLYING = 4.0
 # Share of the largest level, above which the camera may saturate.
 _SATURATED = 0.98
@@ -188,7 +186,8 @@ def _weights(
     even if poorly determined.
     """
     count = len(levels)
-    scale = 1 / np.maximum(common, np.float32(_FAINT * median(common) + 1e-3))
+    # Darker pixels are mostly noise and get less weight.
+    scale = 1 / np.maximum(common, np.float32(LIT * median(common) + 1e-3))
     mean = levels.mean(axis=0)
     design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
@@ -196,7 +195,7 @@ def _weights(
     largest = levels.max(axis=0)
     chosen = largest < _SATURATED * largest.max()
     seen = design[chosen]
-    if len(seen) < _FEWEST_PIXELS:
+    if len(seen) < FEWEST_PIXELS:
         return np.ones((count, 1)), inf
     if not is_guess and _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
         return np.ones((count, 1)), inf

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.fringes.unchecked import is_unchecked
+from scanner.decoding.fringes.single_fringe import is_unchecked
 from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
     BANDS,

@@ -20,6 +20,7 @@ from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.subsampling import TRIAL_PIXELS
 
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
@@ -32,7 +33,6 @@ _LEFT_OF_TWO = 0.2
 _TRIED = 0.03
 # Least difference between the shares of even and odd rows, if they differ.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
-_MOST_PIXELS = 400
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: floa
     lit = unclipped(levels, saturation)
     if lit.shape[1] < FEWEST_PIXELS:
         return None, 0.0
-    seen = thinned(lit, _MOST_PIXELS)
+    seen = thinned(lit, TRIAL_PIXELS)
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:

@@ -16,6 +16,7 @@ from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.subsampling import TRIAL_PIXELS
 
 # Range of shares: above it the frame is the previous picture, below it is harmless.
 _LEAST, _MOST = 0.1, 0.75
@@ -28,7 +29,6 @@ _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
 # change.
 _OF_BRIGHTNESS = 0.3
 _LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only darkens the frame
-_MOST_PIXELS = 1000
 _FEWEST_GROUPS = 3
 
 Off = Callable[[Floats32], float]
@@ -42,7 +42,7 @@ def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple
     lit = unclipped(levels, saturation)
     if lit.shape[1] < FEWEST_PIXELS:
         return None
-    seen = thinned(lit, _MOST_PIXELS)
+    seen = thinned(lit, TRIAL_PIXELS)
     seen = seen / np.ptp(seen, axis=0)
     best, least = None, 1.0
     for kind, frames, off in _groups(plan, seen):

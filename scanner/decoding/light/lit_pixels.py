@@ -6,16 +6,16 @@ from numpy.typing import NDArray
 from calib.numerics import quantile
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.significance import BRIGHTEST
+from scanner.decoding.subsampling import evenly_spread
 
-# Pixels whose swing is less than this share of the brightest pixels' are not lit.
-_LIT = 0.25
-_MOST_PIXELS = 4096  # enough to estimate a few parameters
+# Pixels whose swing is less than this share of the brightest ones' are not lit: a Lambertian surface at 75° still is.
+# Outside the picture, stray light and a camera's automatic tone mapping show the patterns as well.
+LIT = 0.25
 
 
 def lit_by(swing: Floats32) -> NDArray[np.intp]:
     """Return ascending indices of some lit pixels, from the swing (P,) of each."""
-    lit = np.flatnonzero(swing >= _LIT * quantile(swing, BRIGHTEST))
-    return lit[:: -(-len(lit) // _MOST_PIXELS)]
+    return evenly_spread(np.flatnonzero(swing >= LIT * quantile(swing, BRIGHTEST)))
 
 
 def unclipped(levels: Floats32, saturation: float) -> Floats32:
@@ -26,5 +26,5 @@ def unclipped(levels: Floats32, saturation: float) -> Floats32:
 
 
 def thinned(levels: Floats32, most: int) -> Floats32:
-    """Subsample the pixels of `levels` (…, P) to at most `most`."""
-    return levels[..., :: -(-levels.shape[-1] // most)]
+    """Subsample the pixels of `levels` (frames, P) to at most `most`."""
+    return levels[:, evenly_spread(np.arange(levels.shape[1]), most)]

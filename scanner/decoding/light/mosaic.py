@@ -7,12 +7,11 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Image
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.significance import BRIGHTEST
+from scanner.decoding.light.lit_pixels import LIT
+from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
+from scanner.decoding.subsampling import ENOUGH_PIXELS
 
 _PERIOD = 2
-# Least brightness of a lit block, as a share of the brightest ones.
-_LIT = 0.25
-_FEWEST_BLOCKS, _MOST_BLOCKS = 200, 4000
 # Least difference of the filters, in logarithms, and largest scatter between blocks relative to it.
 _LEAST, _ALIKE = 0.1, 0.5
 
@@ -21,10 +20,10 @@ def log_mosaic(lit: Image) -> Floats32 | None:
     """Return the log brightness (H, W) of each pixel's filter, from the fully lit scene; None without a mosaic."""
     down, across = (size // _PERIOD for size in lit.shape)
     parts = lit[: down * _PERIOD, : across * _PERIOD].reshape(down, _PERIOD, across, _PERIOD)
-    blocks = parts[:: max(1, down * across // _MOST_BLOCKS)].swapaxes(1, 2).reshape(-1, _PERIOD**2)
+    blocks = parts[:: max(1, down * across // ENOUGH_PIXELS)].swapaxes(1, 2).reshape(-1, _PERIOD**2)
     mean = blocks.mean(axis=1)
-    blocks = blocks[mean > _LIT * np.quantile(mean, BRIGHTEST)]
-    if len(blocks) < _FEWEST_BLOCKS:
+    blocks = blocks[mean > LIT * np.quantile(mean, BRIGHTEST)]
+    if len(blocks) < FEWEST_PIXELS:
         return None
     logs = np.log(np.maximum(blocks, 1).astype(np.float32))
     logs -= logs.mean(axis=1, keepdims=True)

@@ -15,13 +15,12 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import FEW, FEWEST_PIXELS
+from scanner.decoding.subsampling import SEED
 
-_QUANTISATION = 1 / 12
-_BINS = 10
-_QUIET = 0.1
-_ENOUGH_REPEATS = 3
-_SEED = 7
+_QUANTISATION = 1 / 12  # variance of a number that is rounded to integers
+_BINS = 10  # of grey levels, for a straight line
+_ENOUGH_REPEATS = 3  # of the same light, so that the quieter ones tell the noise
 # Stray light: largest difference that it may cause, as a share of what the brightest pixels show.
 STRAY_PART, _BRIGHTEST = 0.03, 0.995
 # Bounds of that difference in grey levels: rounding, and the most that stray light is assumed to cause.
@@ -94,7 +93,7 @@ def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[fl
     """
     level = medians(levels, axis=0)
     # Dither: the median of small integers would jump between multiples of one.
-    dithered = differences + np.random.default_rng(_SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
+    dithered = differences + np.random.default_rng(SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
     bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)
     where, variances = [], []
     for number in range(_BINS):
@@ -102,7 +101,7 @@ def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[fl
         if len(chosen) >= FEWEST_PIXELS:
             where.append(float(np.mean(level[chosen])))
             found = robust_sigmas(dithered[:, chosen]) ** 2
-            variances.append(float(np.quantile(found, _QUIET, method="lower")))
+            variances.append(float(np.quantile(found, FEW, method="lower")))
     return where, variances
 
 

@@ -1,6 +1,12 @@
 """Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
-from scanner.decoding.motion.blame import (
+from scanner.decoding.motion.broken_fringes import broken_between
+from scanner.decoding.motion.coarse_frames import CoarseFrames
+from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
+from scanner.decoding.motion.device_motion import SUSPECTED_PX, MotionFound, moved_device
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
+from scanner.decoding.motion.measure import measure_motion
+from scanner.decoding.motion.refusals import (
     UNSEEN_MOTION,
     blaming_motion,
     blaming_shifts,
@@ -9,12 +15,6 @@ from scanner.decoding.motion.blame import (
     refuse_unexplained_motion,
     remarks_on,
 )
-from scanner.decoding.motion.broken_fringes import broken_between
-from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
-from scanner.decoding.motion.found import SUSPECTED_PX, MotionFound, moved_device
-from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
-from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits

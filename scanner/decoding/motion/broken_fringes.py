@@ -13,20 +13,19 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.motion.tile_sample import MOST_ALONG, TILE_PX, TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
-_JUMPS = 33
+_JUMPS = 33  # to try, within half a period on either side
 # The largest bump that is searched for.
 _LARGEST_PX = 15.0
 # Jumps differ between surfaces, but agree between blocks: least length of the mean of their unit vectors.
 _LEAST_AGREEMENT = 0.8
-_BLOCK_TILES = 4
-_FEWEST_BLOCKS = 4
-# Largest share of a fringe's power that its fit may leave: the harmonics of a gamma of 2.2 leave 0.05.
+_BLOCK_TILES, _FEWEST_BLOCKS = 4, 4  # side of a block; blocks without which their agreement means nothing
+# Largest share that the fit with a jump may leave of a fringe's power, of which the harmonics of a gamma of 2.2 leave
+# 0.05, and of what the fit without a jump leaves.
 _MOST_LEFT = 0.12
-_OF_BEFORE = 0.12
 # A jump of a whole phase step, within this many cycles, means that a frame was taken for the next one.
 _STEP_CYCLES = 0.02
 
@@ -83,7 +82,7 @@ def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> 
         ((*_worst(samples, second), first, second) for first, second in pairwise(times)), key=lambda one: one[0]
     )
     left, is_step, *frames = found
-    if is_step or left > min(_MOST_LEFT, _OF_BEFORE * before):
+    if is_step or left > _MOST_LEFT * min(1, before):
         return None
     first, second = (plan.repeats * frame for frame in frames)
     return first, second
@@ -108,24 +107,16 @@ def _residual_projection(shifts: Floats) -> Floats:
 
 
 def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseModel) -> _FringeSample:
-    shown = [
-        (shift, time)
-        for shift, frame in zip(fringe.shifts, fringe.frames, strict=True)
-        for time, number in enumerate(plan.shown)
-        if number == frame
-    ]
-    times = np.array([time for _, time in shown])
+    times, shifts = plan.times_of(fringe)
     levels = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).astype(np.float64)
     mean = levels.mean(axis=0)
     seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
     down, across = (tiles.camera_px[seen] // _block_size(tiles)).astype(np.int64).T[::-1]
     _, block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)
-    return _FringeSample(
-        levels[:, seen], block.reshape(-1), times, np.array([shift for shift, _ in shown]), fringe.period
-    )
+    return _FringeSample(levels[:, seen], block.reshape(-1), times, shifts, fringe.period)
 
 
 def _block_size(tiles: TileSample) -> Floats:
     """Return the size of a block in camera px, (2,)."""
-    size: Floats = np.maximum(np.array(tiles.shape[::-1]) / 24.0, 10.0) * _BLOCK_TILES
+    size: Floats = np.maximum(np.array(tiles.shape[::-1]) / MOST_ALONG, TILE_PX) * _BLOCK_TILES
     return size

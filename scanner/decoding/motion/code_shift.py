@@ -10,13 +10,9 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.period_slips import Offsets, PeriodSlip, moved_by_periods
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
 
-_FEWEST = 300
-# Exchanged frames leave fringes that follow the code nowhere, or only in places.
-_AGREEING = 0.9
-# The arc of the angles is found to a histogram bin, then refined by the middle of these quantiles.
-_BINS, _ENDS = 256, (0.02, 0.98)
+_BINS = 256  # of the histogram by which the arc of the angles is found, before the middle of its ends refines it
 _LEAST_PX = 0.5
 # A finest bit that was exchanged with its inverse also shifts by half a period.
 _MOST_CYCLES = 0.4
@@ -64,11 +60,12 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
         & interval.possible
         & (amplitude2 > (SIGNIFICANT_SIGMAS * longest.noise_gain) ** 2 * noise.variance(signals.middle))
     )
-    if np.count_nonzero(seen) < _FEWEST:
+    if np.count_nonzero(seen) < FEWEST_PIXELS:
         return None
     centre, px_per_radian = interval.centre.astype(np.float64), longest.period / (2 * np.pi)
     beyond = np.arctan2(sine, cosine).astype(np.float64) - centre / px_per_radian
-    if abs(np.mean(np.exp(1j * beyond[seen]))) < _AGREEING * np.sinc(axis.cell / longest.period):
+    # Exchanged frames leave fringes that follow the code nowhere, or only in places.
+    if abs(np.mean(np.exp(1j * beyond[seen]))) < NEARLY_ALL * np.sinc(axis.cell / longest.period):
         return None
     about = middle_of(beyond[seen], axis.cell / longest.period)
     return Offsets(axis, centre, px_per_radian * _wrapped(beyond - about), px_per_radian * about, seen)
@@ -84,7 +81,7 @@ def middle_of(angles: Floats, width: float) -> float:
     held = np.fft.irfft(np.fft.rfft(count) * np.fft.rfft(within), _BINS)
     fullest = np.exp(2j * np.pi * np.flatnonzero(held > held.max() - 0.5) / _BINS).sum()
     about = float(np.angle(-fullest * np.exp(1j * np.pi / _BINS)))
-    return about + float(np.quantile(_wrapped(angles - about), _ENDS).mean())
+    return about + float(np.quantile(_wrapped(angles - about), ENDS).mean())
 
 
 def _wrapped(angles: Floats) -> Floats:

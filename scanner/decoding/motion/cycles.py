@@ -18,14 +18,13 @@ from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import HALF
 
-# Neighbours that are farther apart than this, in periods, belong to different segments.
-_APART = 0.5
 # Widest gap, in undecoded pixels, across which a surface is extrapolated; pixels over which its slope is measured.
 _WIDEST_GAP, _SLOPE_PX = 8, 4
-# A border ties two segments if their positions continue within this part of a period at this share of its places, and
-# at this many at least.
-_GOES_ON, _MOST, _FEWEST = 0.08, 0.6, 4
+# A border ties two segments if their positions continue within this part of a period at more than half of its places,
+# and at this many at least.
+_GOES_ON, _FEWEST = 0.08, 4
 # A surface smaller than this share of all surfaces is too small to decide its own period.
 _SMALLEST = 0.001
 
@@ -73,9 +72,10 @@ def _wrong_along(position: Floats32) -> Bools:
 
 
 def _without_jumps(position: Floats32) -> Bools:
+    """Return the pixels (H, W) that are less than half a period from all their neighbours."""
     known: Bools = np.isfinite(position)
     for here, there in (np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]):
-        far = np.abs(position[here] - position[there]) > _APART
+        far = np.abs(position[here] - position[there]) > HALF
         known[here] &= ~far
         known[there] &= ~far
     return known
@@ -99,7 +99,7 @@ def _borders(position: Floats32, segment: Ints) -> _Borders:
     on = np.abs(apart - cycles) < _GOES_ON
     ties, at, count = np.unique(np.stack([first, second, cycles])[:, on], axis=1, return_index=True, return_counts=True)
     whole = all_places[border.reshape(-1)[on][at]]
-    agreed = (count >= _FEWEST) & (count > _MOST * whole)
+    agreed = (count >= _FEWEST) & (count > HALF * whole)
     return _Borders(*(each[agreed] for each in (*ties, count)))
 
 

@@ -13,11 +13,10 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.decoding.slopes import LEVEL, SLOPE
+from scanner.decoding.subsampling import evenly_spread
 
-_MOST_PIXELS = 6_000
-_FEWEST_PIXELS = 300
 # Noise reduction by the taps along both axes, as a factor of the variance.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
 # Width of the part of a tile in which the taps of slopes lie inside it.
@@ -62,7 +61,7 @@ def frame_equations(
     images = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).reshape(len(times), -1, TILE_PX, TILE_PX)
     blurred, by_right, by_down = (_filtered(images, *taps) for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL)))
     pixels = _pixels(plan.fringes, blurred, design, noise, _resting(tiles, images, saturation))
-    if len(pixels) < _FEWEST_PIXELS:
+    if len(pixels) < FEWEST_PIXELS:
         return None
     levels, right, down = (part[:, pixels].astype(np.float64) for part in (blurred, by_right, by_down))
     parameters = np.linalg.pinv(design) @ levels
@@ -123,8 +122,7 @@ def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise
     usable = resting.copy()
     for fringe, of_fringe in zip(fringes, components, strict=True):
         usable &= np.sum(of_fringe**2, axis=0) > (SIGNIFICANT_SIGMAS * fringe.noise_gain) ** 2 * variance
-    number = np.flatnonzero(usable)
-    return number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
+    return evenly_spread(np.flatnonzero(usable))
 
 
 def _resting(tiles: TileSample, images: Floats32, saturation: float) -> Bools:

@@ -13,8 +13,8 @@ from math import pi
 import numpy as np
 
 from calib.numerics import Floats, compiled
+from scanner.decoding.arrays import NEGLIGIBLE
 
-_LEAST_POWER = 1e-6
 # Least share of the effect of a motion on the frames, in squares, that no change of position explains.
 _LEAST_SEEN = 1e-4
 
@@ -94,7 +94,7 @@ class FringeFit:
     @cached_property
     def _power(self) -> Floats:
         cosine, sine, _ = self._found
-        return np.maximum(cosine**2 + sine**2, _LEAST_POWER)
+        return np.maximum(cosine**2 + sine**2, NEGLIGIBLE)
 
     @cached_property
     def _unexplained(self) -> Floats:
@@ -108,7 +108,7 @@ class FringeFit:
         amplitude = np.sqrt(self._power)
         waves = [self._explained(amplitude * wave)[1] for wave in (np.cos(doubled), np.sin(doubled))]
         design = np.stack([wave.reshape(-1) for wave in waves], axis=1)
-        normal = design.T @ design + _LEAST_POWER * np.eye(2)
+        normal = design.T @ design + NEGLIGIBLE * np.eye(2)
         shares = np.linalg.solve(normal, design.T @ residual.reshape(-1))
         rest: Floats = residual - shares[0] * waves[0] - shares[1] * waves[1]
         return rest
@@ -157,7 +157,7 @@ def _fit_response(
         cosine, sine, at = components[0, p], components[1, p], p if waves.shape[2] > 1 else 0
         by_cosine = cosine * parameters[0, 1, at] + sine * parameters[1, 1, at]
         by_sine = cosine * parameters[0, 2, at] + sine * parameters[1, 2, at]
-        power = max(cosine * cosine + sine * sine, _LEAST_POWER)
+        power = max(cosine * cosine + sine * sine, NEGLIGIBLE)
         response[p] = px_per_radian * (cosine * by_sine - sine * by_cosine) / power
         all_of_it = left = along = 0.0
         for n in range(waves.shape[1]):

@@ -13,22 +13,18 @@ import numpy as np
 
 from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import BRIGHTEST
+from scanner.decoding.significance import BRIGHTEST, FEW
 
-# Lit pixels have at least this share of the brightest pixels' swing.
-_LIT = 0.1
 # A quick test on a subsample of the grid: with so few contradictions, nothing moved.
 _STRIDE, _A_FEW = 3, 4
-# Window, and least share of inconsistent pixels among the lit ones in it where something moved. The last is the least
-# share of lit pixels in the window; both object and background light its edges.
-_WINDOW, _DENSE, _ENOUGH_LIT = 9, 0.3, 0.3
-_SMALLEST, _MARGIN = 30, 1
-# Frames that contradict the others in at least this share of the moving region.
-_MUCH_OF_IT = 0.1
+# Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
+# moved; both object and background light its edges.
+_WINDOW, _DENSE = 9, 0.3
 # Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
 # again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
 # camera. Last, the largest shift of the whole picture, in pixels of the grid.
@@ -63,7 +59,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     """Return the pixels where something moved; None if nothing did, or nearly all of what is lit."""
     levels = coarse.levels
     swing = np.ptp(levels, axis=0)
-    lit: Bools = swing > max(_LIT * float(np.quantile(swing, BRIGHTEST)), 1e-6)
+    lit: Bools = swing > max(FEW * float(np.quantile(swing, BRIGHTEST)), 1e-6)
     some = np.zeros_like(lit)
     some[::_STRIDE, ::_STRIDE] = lit[::_STRIDE, ::_STRIDE]
     if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
@@ -77,7 +73,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     is_transient = _is_transient(groups, inconsistent[lit])
     if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
         return None
-    frames = {frame for of, each in groups if each[inside].mean() > _MUCH_OF_IT for frame in of}
+    frames = {frame for of, each in groups if each[inside].mean() > FEW for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     if plan.fringes:
@@ -152,12 +148,11 @@ def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[
 
 def patches(inconsistent: Bools, lit: Bools) -> Bools:
     """Return connected patches (h, w), with a margin, in which many of the lit pixels are `inconsistent`."""
-    dense = _dense(inconsistent, lit) & (_count_around(lit) > _ENOUGH_LIT * _WINDOW**2)
+    dense = _dense(inconsistent, lit) & (_count_around(lit) > _DENSE * _WINDOW**2)
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
-    large = statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST
+    large = statistics[:, cv2.CC_STAT_AREA] >= SMALLEST_PATCH
     large[0] = False
-    kernel = np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8)
-    return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), kernel).astype(np.bool_))
+    return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_))
 
 
 def _dense(inconsistent: Bools, lit: Bools) -> Bools:

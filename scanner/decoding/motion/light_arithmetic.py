@@ -7,34 +7,30 @@ brighter than white or darker than black.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from math import sqrt
 from typing import cast
 
 import numpy as np
+from scipy.special import erfinv
 
 from calib.numerics import Bools, median, quantile
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
+from scanner.decoding.significance import HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
 
-# Thresholds for a contradiction: relative to the pixel's swing, in standard deviations of the noise, and relative to
-# the usual deviation (a nonlinear camera, a projector that sharpens or dims fine stripes). An object may cover more
-# than half of the lit pixels, so that a low quantile tells what is usual.
-_LEAST, _SIGMAS, _TIMES_USUAL = 0.1, 6.0, 8.0
+# Least contradiction, relative to the pixel's swing.
+_LEAST = 0.1
+# An object may cover more than half of the lit pixels, so that a low quantile tells the usual deviation (a nonlinear
+# camera, a projector that sharpens or dims fine stripes). It is this part of the standard deviation of normal deviates.
 _RESTING = 0.3
-# About half of the bits without inverse are lit at each pixel: those beyond this quantile are all lit.
-_LIT_BITS = 0.7
+_OF_SIGMA = sqrt(2) * float(erfinv(_RESTING))
 # A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
 # adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
-_FINE_BITS, _OF_FINE = 3, 2.5
-# Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make half of the swing.
-_FAR_BEYOND = 5.0
-_HARMONICS, _TRIMS = (2, 3), 3
-# Largest share of the pixels that contradict a linear law to contradict a tone curve as well: none would, and all where
-# something moved.
-_OF_CURVE = 0.5
-# Outliers exceed this multiple of the resting quantile, which is three standard deviations.
-_OUTLIER_OF_RESTING = 5.25
+_OF_FINE = 2.5
+_HARMONICS = (2, 3)  # of a nonlinear brightness curve; others are fainter
 
 
 @dataclass(frozen=True)
@@ -80,9 +76,9 @@ def _contradicting_pixels(
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
     deviation = np.abs(group.deviation) / swing
     some = deviation if resting is None or not resting.any() else deviation[resting]
-    usual = _TIMES_USUAL * quantile(some, _RESTING)
+    usual = OUTLYING_SIGMAS / _OF_SIGMA * quantile(some, _RESTING)
     least = max(group.times * _LEAST, usual)
-    return cast(Bools, deviation > np.maximum(least, _SIGMAS * group.noise_gain * sigma))
+    return cast(Bools, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
@@ -90,11 +86,7 @@ def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
 
     An error in one of them moves the coordinate by a few cells only.
     """
-    found: set[int] = set()
-    for code in plan.codes:
-        fine = range(code.bits - _FINE_BITS, code.bits)
-        found |= {frames[bit] for frames in (code.normal, code.inverse) for bit in fine if bit in frames}
-    return found
+    return {frame for code in plan.codes for frame in code.frames_of(range(code.bits - FINE_BITS, code.bits))}
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -122,11 +114,14 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
 
 
 def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """Yield the excess of the brightest step of each fringe over white, which counts only if it is large."""
+    """Yield the excess of the brightest step of each fringe over white, which counts only if it is half of the swing.
+
+    Light in a fringe but not in white comes by way of a moving object: flickering lamps do not make as much.
+    """
     if plan.white is not None:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
-            yield _Group(fringe.frames, np.maximum(above, 0), float(np.sqrt(2)), _FAR_BEYOND)
+            yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), HALF / _LEAST)
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -176,7 +171,8 @@ def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usua
         relative = usual / max(float(usual.max()), 1e-6)
         curved = np.stack([usual, *every[1:], usual * relative, usual * relative**2])
         by_curve, left_of_curve = _fit_most(curved.T, parts[0][:, None], np.ones(len(usual), np.bool_))
-        if np.count_nonzero(np.abs(left_of_curve) > far) < _OF_CURVE * contradict:
+        # With a tone curve none contradict any more, and all where something moved.
+        if np.count_nonzero(np.abs(left_of_curve) > far) < HALF * contradict:
             brightness, left = by_curve, left_of_curve
     # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
     bent = np.float32(np.hypot(*brightness[2:4, 0])) * (frames.max(axis=0) - parts[1])
@@ -189,11 +185,11 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
     `first` (P,): pixels of the first fit.
     """
     kept = first
-    for _ in range(_TRIMS):
+    for _ in range(TRIMMED_FITS):
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(_OUTLIER_OF_RESTING * quantile(size, _RESTING), 1e-6)
+        kept = size <= max(HUBER_SIGMAS / _OF_SIGMA * quantile(size, _RESTING), 1e-6)
     return cast(Floats32, factors), left
 
 
@@ -203,15 +199,15 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
     if not alone or plan.white is None or plan.black is None:
         return
     ordered = np.sort(levels[alone], axis=0)
-    # White itself may be the corrupted frame, which then does no harm.
-    most = np.maximum(levels[plan.white], ordered[round(_LIT_BITS * (len(alone) - 1))])
-    least = np.minimum(levels[plan.black], ordered[round((1 - _LIT_BITS) * (len(alone) - 1))])
+    # White itself may be the corrupted frame, which then does no harm. About half of the bits are lit at each pixel.
+    few = round(_RESTING * (len(alone) - 1))
+    most, least = np.maximum(levels[plan.white], ordered[-1 - few]), np.minimum(levels[plan.black], ordered[few])
     for frame in alone:
         bright = levels[frame] > (most + least) / 2
         brighter = median(levels[frame][bright] / np.maximum(most[bright], 1)) if bright.any() else 1.0
         above = levels[frame] / np.float32(max(brighter, 1.0)) - most
         below = least - levels[frame] / np.float32(min(brighter, 1.0))
-        yield _Group((frame,), np.maximum(np.maximum(above, below), 0), float(np.sqrt(2)))
+        yield _Group((frame,), np.maximum(np.maximum(above, below), 0), sqrt(2))
 
 
 def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
@@ -219,10 +215,8 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
 
     The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.
     """
-    angles = 2 * np.pi * np.array(fringe.shifts)
-    design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1).astype(np.float32)
     fit = fringe.weights.astype(np.float32) @ levels
-    left = levels - design @ fit
+    left = levels - fringe.design.astype(np.float32) @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
     size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)

@@ -11,30 +11,22 @@ import numpy as np
 from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.found import Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import FringeObservation, MotionObserver, Trajectory, observations_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
+from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
 
-# Bumps are first searched for at every second boundary between frames: one next to it is found there as well.
-_STRIDE = 2
-# Significance, and size in px below, that interreflection and ripple do not reach at rest.
+# Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-# Only the part of a shift beyond this many standard deviations counts.
-_SURE = 3.0
-_LEAST_PX = 0.02
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
-_ROUNDS = 3
+_ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
-# A trajectory that explains this share of what the best one does may be the true one.
-_NEARLY = 0.8
-# A device that explains this share of what the other one does may be the one that moved.
-_AS_WELL = 0.9
 
 
 @dataclass(frozen=True)
@@ -74,12 +66,13 @@ class MotionMeter:
         """
         slow = Trajectory(self._times[0], self._times[-1], slow=True)
         bumps = [Trajectory(first, last) for first, last in pairwise(self._times)]
-        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::_STRIDE]]]
+        # A bump next to a boundary between frames is found there as well: at rest, half of them are enough.
+        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::2]]]
         best = max(candidates, key=lambda one: one.fit.gained)
         if self._is_significant(best):
-            candidates += [self._try(trajectory) for trajectory in bumps[1::_STRIDE]]
+            candidates += [self._try(trajectory) for trajectory in bumps[1::2]]
             best = max(candidates, key=lambda one: one.fit.gained)
-        likely = [one for one in candidates if one.fit.gained >= _NEARLY * best.fit.gained]
+        likely = [one for one in candidates if one.fit.gained >= AS_GOOD * best.fit.gained]
         is_significant = self._is_significant(best)
         refined = self._refined(best) if is_significant else best
         explained = self._explained(refined) if is_significant else 0.0
@@ -113,7 +106,7 @@ class MotionMeter:
             ).gained
             for device in (0, 1)
         ]
-        return min(gained) > _AS_WELL * max(gained)
+        return min(gained) > NEARLY_ALL * max(gained)
 
     @property
     def _is_overdetermined(self) -> bool:
@@ -131,12 +124,12 @@ class MotionMeter:
 
     def _is_significant(self, candidate: _Candidate) -> bool:
         """Return whether the motion exceeds what is measured at rest."""
-        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > _LEAST_PX
+        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > LEAST_PX
 
     def _size_px(self, fit: Fit) -> float:
         """Return the root mean square shift of the coordinates beyond its uncertainty."""
         variance = np.einsum("rc,rc->r", self._design @ fit.covariance, self._design)
-        sure = np.maximum((self._design @ fit.motion) ** 2 - _SURE**2 * variance, 0.0)
+        sure = np.maximum((self._design @ fit.motion) ** 2 - OUTLYING_SIGMAS**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
     def _disturbance(self, candidate: _Candidate) -> Disturbance:

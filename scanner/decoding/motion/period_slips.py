@@ -11,21 +11,16 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints, quantile
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, HUBER_SIGMAS, REJECTED, SIGNIFICANT_SIGMAS
 
-# Blocks of the projector's picture along x and y, and their least number of pixels.
-_BLOCKS = (8, 6)
-_FEWEST = 150
+_BLOCKS = (8, 6)  # of the projector's picture along x and y
 # Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
 # cells are rejected, whose width differs by more than this share.
 _QUANTILE = 0.04
 _WIDTH_OFF = 0.25
-_FEWEST_BLOCKS = 12
+_FEWEST_BLOCKS = 12  # for eight parameters
 # Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
 _SLOPES, _COLUMNS = 3, 8
-_ROUNDS = 6
-# An alternative is rejected if it is a hundredth as likely, in −2 log likelihood.
-_CLEARLY = 9.0
 # Least and largest focal length of projectors, in widths of the picture.
 _LEAST_FOCAL, _MOST_FOCAL = 0.8, 2.7
 
@@ -93,7 +88,7 @@ def _blocks(place: Floats, height: float) -> list[Ints]:
     number = row * columns + column
     ordered = np.argsort(number, kind="stable")
     blocks = np.split(ordered, np.cumsum(np.bincount(number, minlength=columns * rows))[:-1])
-    return [members for members in blocks if len(members) >= _FEWEST]
+    return [members for members in blocks if len(members) >= FEWEST_PIXELS]
 
 
 def _offset(axis: Offsets, pixels: Ints) -> float | None:
@@ -139,9 +134,9 @@ def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bo
         resting.append(_fitted(bent, offsets))
     worse = [fit.cost(both.scale) - both.cost(both.scale) for fit in resting]
     likelier = int(worse[1] < worse[0])
-    if worse[likelier] > -_CLEARLY:
-        return both, [True, True], [by > _CLEARLY for by in worse]
-    return resting[likelier], [axis != likelier for axis in (0, 1)], [by > _CLEARLY for by in worse]
+    if worse[likelier] > -REJECTED:
+        return both, [True, True], [by > REJECTED for by in worse]
+    return resting[likelier], [axis != likelier for axis in (0, 1)], [by > REJECTED for by in worse]
 
 
 def _fitted(rows: Floats, offsets: Floats) -> _Fit:
@@ -149,7 +144,7 @@ def _fitted(rows: Floats, offsets: Floats) -> _Fit:
     weights, scale = np.ones(len(rows)), 1.0
     found: Floats = np.zeros(_COLUMNS)
     left, inverse = offsets, np.eye(_COLUMNS)
-    for _ in range(_ROUNDS):
+    for _ in range(HUBER_ROUNDS):
         inverse = np.linalg.pinv(rows.T @ (weights[:, None] * rows)).astype(np.float64)
         found = inverse @ rows.T @ (weights * offsets)
         left = offsets - rows @ found

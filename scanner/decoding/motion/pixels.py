@@ -1,6 +1,7 @@
 """Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -8,15 +9,13 @@ from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.motion.rigid import COLUMNS
 from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.subsampling import evenly_spread
 
-_MOST_PIXELS = 4_000
-_FEWEST_PIXELS = 300
-_FEWEST_IN_TILE = 30
-_TRIMS = 2
-_MOST_OFF_SIGMAS = 3.5
+_FEWEST_IN_TILE = 30  # of 100, for a plane
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
 
@@ -57,10 +56,10 @@ def choose_pixels(
         usable &= seen
     projector_px = np.stack(coordinates, axis=1)
     planes, usable = _planes(tiles, projector_px, usable)
-    number = np.flatnonzero(usable)
-    if len(number) < _FEWEST_PIXELS:
+    number = evenly_spread(np.flatnonzero(usable))
+    # Errors are alike within a tile: fewer tiles than unknowns would fit any motion.
+    if len(np.unique(tiles.tile[number])) <= COLUMNS:
         return None
-    number = number[np.linspace(0, len(number) - 1, min(len(number), _MOST_PIXELS)).astype(np.int64)]
     return Pixels(
         number,
         tiles.tile[number],
@@ -98,7 +97,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
     seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
     fit = on.copy()
-    for _ in range(_TRIMS + 1):
+    for _ in range(TRIMMED_FITS):
         matrices, right = _normal_equations(terms, seen, fit)
         planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
         rough, count = _trim(terms, seen, on, planes, fit)
@@ -142,7 +141,7 @@ def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) ->
             count[t] += fit[t, p]
         count[t] = max(count[t], 1)
         rough[t] = np.sqrt(rough[t] / count[t])
-        most = max(_MOST_OFF_SIGMAS * rough[t], 1e-3)
+        most = max(SIGNIFICANT_SIGMAS / sqrt(2) * rough[t], 1e-3)  # `rough` is of both coordinates
         for p in range(len(terms)):
             fit[t, p] = on[t, p] and off2[p] <= most * most
     return rough, count

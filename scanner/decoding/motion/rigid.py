@@ -6,7 +6,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, median
-from scanner.decoding.significance import HUBER_SIGMAS
+from scanner.decoding.significance import HUBER_ROUNDS, HUBER_SIGMAS
 
 # Parameters of each device: shifts to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -14,8 +14,7 @@ COLUMNS = 2 * PER_DEVICE
 # Focal length of an ordinary lens, in widths of the image. It matters in the corners only.
 _FOCAL_OF_WIDTH = 1.2
 # Prior standard deviation, which keeps unobservable parameters small.
-_PRIOR_PX = 1.0
-_ROUNDS = 6
+PRIOR_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,12 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, gr
 
     Correlated errors within a `group` (R,) of rows are included in the covariance.
     """
-    prior = np.eye(COLUMNS) / _PRIOR_PX**2
+    prior = np.eye(COLUMNS) / PRIOR_PX**2
     if not len(seen_px):
-        return Fit(np.zeros(COLUMNS), _PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
+        return Fit(np.zeros(COLUMNS), PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
     design, weight, root = np.ascontiguousarray(design), precision.copy(), np.sqrt(precision)
     residual, off = np.empty((2, len(seen_px)))
-    for _ in range(_ROUNDS):
+    for _ in range(HUBER_ROUNDS):
         information, towards = _normal_equations(design, *_sums_of_rows(row, weight, seen_px, len(design)))
         information += prior
         motion = np.linalg.solve(information, towards).astype(np.float64)

@@ -12,26 +12,21 @@ from scipy.stats import chi2
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.found import Disturbance, MotionFound
+from scanner.decoding.motion.device_motion import Disturbance, MotionFound
 from scanner.decoding.motion.frame_equations import FrameEquations, frame_equations
 from scanner.decoding.motion.pixels import Pixels
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, PRIOR_PX
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import Trajectory
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import BY_CHANCE, HUBER_SIGMAS
+from scanner.decoding.significance import BY_CHANCE, HALF, HUBER_ROUNDS, HUBER_SIGMAS
 
-# Prior standard deviation of shifts, in px, and of gains; it keeps unobservable ones small.
-_PRIOR = 1.0
-_ROUNDS = 3
 # Apparent motion at rest due to ripple: of a single frame, and of the mean of the frames of a fringe.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
-# Least share of the residuals, in squares, beyond those of light. Shifts explain more than 0.75 of it where frames were
-# shifted, and less than 0.35 where flicker was not corrected.
-_LEAST_BY_SHIFTS = 0.5
 # Largest share of two frames, in squares: up to half for eight independent frames, 0.97 for one late frame and its
 # opposite step.
 _MOST_OF_TWO = 0.75
+
 # One event explains nearly all of its effect; nonlinearity leaves a few hundredths.
 _MOST_BY_EVENT = 0.95
 
@@ -64,10 +59,11 @@ class FrameShifts:
     def are_distinct_from_light(self) -> bool:
         """Whether the shifts explain what changes of light do not, and many frames are shifted.
 
-        A frame with ghosting of the last picture looks as if it and the opposite step were shifted.
+        A frame with ghosting of the last picture looks as if it and the opposite step were shifted. Shifts explain more
+        than 0.75 of the residuals of light where frames were shifted, and less than 0.35 where flicker was left.
         """
         squares = np.sort(np.sum(self.shift_px**2, axis=0))
-        return self.by_shifts > _LEAST_BY_SHIFTS and float(squares[-2:].sum()) < _MOST_OF_TWO * float(squares.sum())
+        return self.by_shifts > HALF and float(squares[-2:].sum()) < _MOST_OF_TWO * float(squares.sum())
 
     def between(self, shares: Floats) -> tuple[Floats, Floats]:
         """Return the sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
@@ -86,7 +82,7 @@ def _solved(equations: FrameEquations) -> FrameShifts:
     count = len(equations.times)
     columns = np.concatenate([equations.by_camera, equations.by_light, equations.by_projector])
     design, seen = columns.reshape(len(columns), -1), equations.seen.reshape(-1)
-    expected = np.eye(len(columns)) / _PRIOR**2
+    expected = np.eye(len(columns)) / PRIOR_PX**2  # gains have the same prior: 1
     # A common shift or gain of all frames is unobservable.
     alike = 4 * count
     expected[:alike, :alike] += np.sum(design**2) * np.kron(np.eye(4), np.full((count, count), 1 / count))
@@ -114,7 +110,7 @@ def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Flo
     matrix.
     """
     weight: Floats = np.ones(len(seen))
-    for _ in range(_ROUNDS):
+    for _ in range(HUBER_ROUNDS):
         weighted = design * weight
         inverse: Floats = np.asarray(np.linalg.inv(weighted @ design.T + expected), np.float64)
         found = inverse @ (weighted @ seen)
@@ -187,8 +183,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
 def _shares(fringe: Fringe, plan: SequencePlan, times: Ints) -> Floats:
     """Return the share (N,) of the shift of each frame in the coordinate from a fringe, averaged over its phases."""
     shares = np.zeros(len(times))
-    angles = 2 * np.pi * np.array(fringe.shifts)
-    of_frame = (fringe.weights[1] * np.cos(angles) - fringe.weights[2] * np.sin(angles)) / 2
+    of_frame = np.sum(fringe.weights[1:] * fringe.design[:, 1:].T, axis=0) / 2
     for k, number in enumerate(fringe.frames):
         shares[times == plan.shown.index(number)] = of_frame[k]
     return shares

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from calib.numerics import Bools, Floats, Image, Ints
 from scanner.decoding.arrays import Floats32
 
-TILE_PX = 10
-# Largest number of tiles along each side of the image.
-_MOST_ALONG = 24
+TILE_PX, MOST_ALONG = 10, 24  # size of a tile; largest number of tiles along each side of the image
 
 
 @dataclass
@@ -81,7 +79,7 @@ class TileSample:
 
 def _grid(size: int) -> tuple[int, int, int]:
     """Return the start of the first tile along a side, their spacing, and their number."""
-    count = min(_MOST_ALONG, size // TILE_PX)
+    count = min(MOST_ALONG, size // TILE_PX)
     if not count:
         return 0, 1, 0
     step = size // count

@@ -1,6 +1,5 @@
 """Observations of a motion with a given trajectory in time, from the fringes of a capture."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,7 +10,7 @@ from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # Successive fringes observe a motion between them if their responses to it differ by at least this.
 _LEAST_RESPONSE_DIFFERENCE = 0.05
@@ -69,20 +68,12 @@ class MotionObservations:
 def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeObservations:
     """Fit all fringes of a capture at the pixels."""
 
-    def of(frames: Sequence[int], shifts: Sequence[float], period: float) -> FringeObservation:
-        taken = [
-            (shift, time)
-            for shift, frame in zip(shifts, frames, strict=True)
-            for time, number in enumerate(plan.shown)
-            if number == frame
-        ]
-        times = np.array([time for _, time in taken])
+    def of(fringe: Fringe) -> FringeObservation:
+        times, shifts = plan.times_of(fringe)
         levels = tiles.levels(times.tolist(), pixels.number).astype(np.float64)
-        return FringeObservation(
-            FringeFit(levels, np.array([shift for shift, _ in taken]), period, pixels.noise), times
-        )
+        return FringeObservation(FringeFit(levels, shifts, fringe.period, pixels.noise), times)
 
-    x, y = (tuple(of(each.frames, each.shifts, each.period) for each in axis.fringes) for axis in plan.axes)
+    x, y = (tuple(map(of, axis.fringes)) for axis in plan.axes)
     return x, y
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from calib.numerics.array_types import Floats, Image
 from scanner.decoding.decoder import Decoding
-from scanner.decoding.folded import folded
+from scanner.decoding.frame_statistics import frame_statistics
 from scanner.decoding.light.camera_response import CameraResponse
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import sequence_for
@@ -55,7 +55,7 @@ def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE)
 
 
 def response_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> CameraResponse | None:
-    return folded(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).reading().response
+    return frame_statistics(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).corrections().response
 
 
 def share_kept(decoding: Decoding) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Image
-from scanner.decoding.folded import folded
+from scanner.decoding.frame_statistics import frame_statistics
 from scanner.decoding.light.ghost import Ghost, without_ghost
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns.pattern import Gray, Pattern, sequence_for
@@ -32,7 +32,7 @@ def ghostly(frames: Sequence[Image], share: float, top: int = 255) -> list[Image
 
 
 def ghost_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Ghost | None:
-    return folded(plan_sequence(patterns, SCENE.projector), frames).reading().ghost
+    return frame_statistics(plan_sequence(patterns, SCENE.projector), frames).corrections().ghost
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])

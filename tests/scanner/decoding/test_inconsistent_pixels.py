@@ -9,13 +9,13 @@ import pytest
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding
 from scanner.decoding.checks.contradictions import Anomaly
-from scanner.decoding.learning import _explained
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import CoarseFrames, find_inconsistent_pixels
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
 from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.planning import plan_sequence
+from scanner.decoding.sample_analysis import _explained
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
 from tests.support.synthetic_capture import Scene, decode
@@ -182,7 +182,7 @@ def test_flicker_is_measured_even_if_all_lit_pixels_seem_to_move(
     frames = SCENE.frames(STANDARD)
     lit = np.ptp(np.stack(frames), axis=0) > 25
     seeming = InconsistentPixels(lit, lit, ~lit, 0.9, (30, 31))
-    monkeypatch.setattr("scanner.decoding.learning.find_inconsistent_pixels", lambda *_: seeming)
+    monkeypatch.setattr("scanner.decoding.sample_analysis.find_inconsistent_pixels", lambda *_: seeming)
     flicker = decode(STANDARD, frames, SCENE.projector).flicker
     assert flicker is not None
     assert 0 <= flicker < 0.005

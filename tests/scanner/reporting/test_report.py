@@ -12,7 +12,7 @@ import pytest
 from calib.geometry.calibration import DeviceSigmas, Sigmas
 from calib.pointcloud.organised_cloud import Cloud
 from scanner.capture.capture_metadata import CaptureMetadata
-from scanner.decoding.fringes.unchecked import UNCHECKED
+from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns.pattern import sequence_for
 from scanner.quantities.calibration_numbers import Quantity, device_quantities

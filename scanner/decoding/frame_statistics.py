@@ -8,6 +8,7 @@ import numpy as np
 from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Part
+from scanner.decoding.frame_corrections import FrameCorrections
 from scanner.decoding.light.camera_response import camera_response
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import find_ghost
@@ -15,11 +16,10 @@ from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import CoarseFrames, TileSample
 from scanner.decoding.pixel_sample import Sample
-from scanner.decoding.reading import Reading
 from scanner.decoding.sequence_plan import SequencePlan
 
 
-class Folded:
+class FrameStatistics:
     """Full-size running images, and samples of all frames: single pixels, tiles, and coarse images."""
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
@@ -43,7 +43,7 @@ class Folded:
             self.accumulators.add(number, grey)
         self._count += 1
 
-    def reading(self) -> Reading:
+    def corrections(self) -> FrameCorrections:
         """Estimate what affected all frames: a nonlinear response, and ghosting."""
         levels, peak, top = self.sample.levels, self.accumulators.peak, self.accumulators.brightest.max()
         top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
@@ -52,25 +52,25 @@ class Folded:
             light = response.light_of(self.sample.as_taken)
             levels, peak = light.astype(np.float32), response.light_of(peak)
         rows = self.sample.pixels // peak.shape[1]
-        return Reading(response, find_ghost(self._plan, levels, rows, saturation_level(peak)))
+        return FrameCorrections(response, find_ghost(self._plan, levels, rows, saturation_level(peak)))
 
     def noise(self) -> NoiseModel:
         """Measure the noise of the frames as they were taken."""
         return measure_noise(self._plan, self.sample, saturation_level(self.accumulators.peak))
 
 
-def folded(plan: SequencePlan, frames: Iterable[Image]) -> Folded:
+def frame_statistics(plan: SequencePlan, frames: Iterable[Image]) -> FrameStatistics:
     """Fold all frames (H, W) of a capture, at least one."""
     remaining = iter(frames)
     first = next(remaining)
-    found = Folded(plan, first)
+    found = FrameStatistics(plan, first)
     for frame in chain([first], remaining):
         found.add(frame)
     return found
 
 
 def frames_alike(
-    accumulators: Accumulators, reading: Reading, frames: Image, part: Part
+    accumulators: Accumulators, corrections: FrameCorrections, frames: Image, part: Part
 ) -> Iterator[tuple[int, Image]]:
     """Yield the index of each pattern, and a part of its image as it was folded, from the kept frames (N, H, W)."""
-    return accumulators.alike(reading.undone(frames, accumulators.plan, part), part)
+    return accumulators.alike(corrections.undone(frames, accumulators.plan, part), part)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.between_axes.moment import moment_of
+from scanner.decoding.between_axes.time_of_change import time_of_change
 
 SHAPE = (48, 64)
 EVERYWHERE = np.ones(SHAPE, np.bool_)
@@ -19,7 +19,7 @@ def picture(shift: int) -> Image:
 
 @pytest.mark.parametrize("changed", [2, 5, 8])
 def test_a_change_is_located(changed: int) -> None:
-    moment = moment_of([picture(number >= changed) for number in range(10)], EVERYWHERE, 4, STRIPES)
+    moment = time_of_change([picture(number >= changed) for number in range(10)], EVERYWHERE, 4, STRIPES)
     assert moment is not None
     assert (moment.before, moment.after) == (tuple(range(changed)), tuple(range(changed, 10)))
     assert 1.3 < moment.gained < 20
@@ -28,14 +28,14 @@ def test_a_change_is_located(changed: int) -> None:
 def test_a_picture_taken_during_the_change() -> None:
     pictures = [picture(number >= 5) for number in range(10)]
     pictures[5] = ((picture(0).astype(np.float64) + picture(1)) / 2).astype(np.uint8)
-    moment = moment_of(pictures, EVERYWHERE, 4, STRIPES)
+    moment = time_of_change(pictures, EVERYWHERE, 4, STRIPES)
     assert moment is not None
     assert moment.done[5] == pytest.approx(0.5, abs=0.05)
     assert (moment.before, moment.after) == ((0, 1, 2, 3, 4), (6, 7, 8, 9))
 
 
 def test_a_uniform_picture_gives_no_change() -> None:
-    moment = moment_of([np.full(SHAPE, 100, np.uint8)] * 6, EVERYWHERE, 3, STRIPES[:6])
+    moment = time_of_change([np.full(SHAPE, 100, np.uint8)] * 6, EVERYWHERE, 3, STRIPES[:6])
     assert moment is not None
     assert moment.gained < 1.3
 
@@ -43,9 +43,9 @@ def test_a_uniform_picture_gives_no_change() -> None:
 def test_too_few_pixels_give_no_result() -> None:
     few = np.zeros(SHAPE, np.bool_)
     few[:10, :10] = True
-    assert moment_of([picture(0), picture(1), picture(1)], few, 1, STRIPES[:3]) is None
+    assert time_of_change([picture(0), picture(1), picture(1)], few, 1, STRIPES[:3]) is None
 
 
 @pytest.mark.parametrize("narrow", [1.0, 2.0, 4.0])
 def test_differences_between_stripe_widths_are_not_taken_for_a_change(narrow: float) -> None:
-    assert moment_of([picture(width <= narrow) for width in STRIPES], EVERYWHERE, 5, STRIPES) is None
+    assert time_of_change([picture(width <= narrow) for width in STRIPES], EVERYWHERE, 5, STRIPES) is None

@@ -16,6 +16,7 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
+from scanner.decoding.decoder_calibration import calibrated_decoders, modulation
 from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
 from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
@@ -38,7 +39,6 @@ from scanner.decoding.motion import (
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
-from scanner.decoding.tune import calibrated_decoders, modulation
 from scanner.errors import InputError
 
 

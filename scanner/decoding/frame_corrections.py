@@ -12,7 +12,7 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 @dataclass(frozen=True)
-class Reading:
+class FrameCorrections:
     """The camera's `response`, a `ghost` of the previous picture, and an ambient light change (`switch`); None if
     absent.
 
@@ -26,7 +26,7 @@ class Reading:
     @property
     def is_plain(self) -> bool:
         """Whether the frames need no correction."""
-        return self == Reading()
+        return self == FrameCorrections()
 
     def undone(self, frames: Image, plan: SequencePlan, part: Part = WHOLE) -> Iterator[Image]:
         """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W)."""

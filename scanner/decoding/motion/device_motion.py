@@ -9,7 +9,11 @@ from calib.numerics import Floats
 from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
+from scanner.decoding.significance import HALF
+from scanner.decoding.tiles import STRIP_ROWS
 
+# Least size of a motion, which interreflection, ripple and noise do not reach at rest.
+LEAST_PX = 0.02
 # Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
 # Share of the shortest period. Sizes can be measured up to a sixth of it (measure.py), but a bump within a fringe also
@@ -19,16 +23,11 @@ _LARGEST_CYCLES = 1 / 8
 _LARGEST_PX = 3.0
 # For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
-# Drifts explain 80 to 90 % of the contradiction of rest. An apparent drift that explains a third is a bump of many px.
-_LEAST_EXPLAINED = 0.5
-# A device counts as moved if its motion is at least this share of the other's.
-_BOTH = 0.5
 _SIZE = "{:.2g} px"
 # Relative uncertainty of a correction.
 _REMAINDER = 0.1
 # Standard deviation assumed for an unobservable motion between the axes.
 SUSPECTED_PX = 0.3
-_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,8 @@ class Disturbance:
         """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
         height, width, _ = projector_px.shape
         before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        for top in range(0, height, _ROWS):
-            rows = slice(top, min(top + _ROWS, height))
+        for top in range(0, height, STRIP_ROWS):
+            rows = slice(top, min(top + STRIP_ROWS, height))
             around = before[rows.start : rows.stop + 2]
             by_x, by_y = around[1:-1, 2:] - around[1:-1, :-2], around[2:, 1:-1] - around[:-2, 1:-1]
             gradient = np.nan_to_num(np.stack([by_x, by_y], axis=3) / 2).reshape(-1, 2, 2)
@@ -109,7 +108,8 @@ class MotionFound:
         if self.one_by_one:
             return self.significant and self.size_px > _LARGEST_OF_FRAMES_PX
         largest_px = _LARGEST_PX if self.slow else self.largest_px
-        if self.explained < _LEAST_EXPLAINED:
+        # Drifts explain 80 to 90 % of the contradiction of rest. One that explains a third is a bump of many px.
+        if self.explained < HALF:
             largest_px = min(largest_px, _LARGEST_BUMP_PX)
         return self.significant and self.size_px > largest_px
 
@@ -146,10 +146,11 @@ def largest_bump_px(finest_period: float) -> float:
 def _likelier(motion: Floats, size: str) -> str:
     """Describe a motion (8,) that either device explains, the likelier device first.
 
-    The motion of a camera is often attributed to both devices, that of a projector is not.
+    The motion of a camera is often attributed to both devices, that of a projector is not. A device counts as moved if
+    its motion is at least half of the other's.
     """
     projector, camera = turns_px(motion)
-    devices = ("camera", "projector") if camera >= _BOTH * projector else ("projector", "camera")
+    devices = ("camera", "projector") if camera >= HALF * projector else ("projector", "camera")
     return f"the {devices[0]}, or the {devices[1]}, moved by {size.format(max(projector, camera))}"
 
 
@@ -167,6 +168,6 @@ def moved_device(motion: Floats, size: str = _SIZE) -> str:
     moved = [
         f"the {device} moved by {size.format(px)}"
         for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
-        if px >= _BOTH * other
+        if px >= HALF * other
     ]
     return " and ".join(moved)

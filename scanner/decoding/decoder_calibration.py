@@ -9,18 +9,16 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, median
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.fringes.blur import weakened
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
-from scanner.decoding.fringes.unchecked import FringeSample, Unchecked, is_unchecked, response_of
+from scanner.decoding.fringes.single_fringe import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
-
-_NEARLY_ALL = 0.9
-_DARKEST = 1e-3
+from scanner.decoding.significance import ENDS, NEARLY_ALL
 
 
 def calibrated_decoders(
@@ -95,7 +93,7 @@ def _with_response(
         (fringe,) = decoder.plan.fringes
         cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
         mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
-        amplitude, level = (np.log(np.maximum(each, _DARKEST)) for each in (np.hypot(cosine, sine), mean[lit]))
+        amplitude, level = (np.log(np.maximum(each, NEGLIGIBLE)) for each in (np.hypot(cosine, sine), mean[lit]))
         seen.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
     response = response_of(seen)
 
@@ -110,7 +108,7 @@ def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """Return the index of the shortest fringe that is resolved at nearly all sample pixels."""
     seen = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
-        if variance.size and np.quantile(variance, _NEARLY_ALL) <= largest_variance(fringe):
+        if variance.size and np.quantile(variance, NEARLY_ALL) <= largest_variance(fringe):
             seen = number
     return seen
 
@@ -158,6 +156,6 @@ def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
     for number, (fringe, coordinate) in enumerate(zip(decoder.plan.fringes, coordinates, strict=True)):
         if can_ripple(fringe) and len(coordinate):
             cosine, sine = signals.fringe(number)
-            first, last = np.quantile(coordinate, (0.02, 0.98))
+            first, last = np.quantile(coordinate, ENDS)
             phases = cast(Floats32, cv2.phase(cosine[None], sine[None])[0])
             yield _Phases(fringe, phases[lit], float(last - first) / fringe.period)

@@ -5,8 +5,9 @@ from contextlib import contextmanager
 
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
-from scanner.decoding.motion.found import MotionFound
+from scanner.decoding.motion.device_motion import MotionFound
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import AS_GOOD
 from scanner.errors import InputError
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
@@ -14,8 +15,6 @@ UNSEEN_MOTION = (
     "All patterns along one axis came before those along the other, so the frames cannot show whether a device "
     "turned in between"
 )
-# Exchanged frames contradict each other in ways that motion hardly explains.
-_EXPLAINED = 0.75
 
 
 @contextmanager
@@ -31,7 +30,8 @@ def blaming_motion(
         yield
     except InputError as error:
         motion = found()
-        if motion is not None and motion.significant and motion.explained > _EXPLAINED:
+        # Exchanged frames contradict each other in ways that motion hardly explains.
+        if motion is not None and motion.significant and motion.explained > AS_GOOD:
             raise moved(motion) from error
         if frames := broken():
             raise RefusalError(

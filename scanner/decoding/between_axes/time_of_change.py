@@ -15,7 +15,7 @@ _PARTLY = 0.25
 
 
 @dataclass(frozen=True)
-class Moment:
+class TimeOfChange:
     """The completed share `done` (K,) of a change in each of K pictures.
 
     `gained`: ratio of the explained difference to that of a change at the given place.
@@ -35,7 +35,9 @@ class Moment:
         return tuple(np.flatnonzero(self.done == 1).tolist())
 
 
-def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Sequence[float]) -> Moment | None:
+def time_of_change(
+    pictures: Sequence[Image], chosen: Bools, first: int, stripes: Sequence[float]
+) -> TimeOfChange | None:
     """Locate a single change of pictures (H, W) at `chosen` pixels (H, W), compared with a change after the `first`
     few.
 
@@ -63,7 +65,7 @@ def moment_of(pictures: Sequence[Image], chosen: Bools, first: int, stripes: Seq
     at_change = np.array([number for number in (best - 1, best) if 0 < number < count - 1], np.int64)
     partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
     shares[partly] = done[partly]
-    return Moment(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
+    return TimeOfChange(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
 
 
 def _between_groups(levels: Floats) -> Floats:
