@@ -5,20 +5,12 @@ camera.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial
-from numpy.polynomial.polynomial import polyval
 
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Image
-
-_WORTH_A_POLYNOMIAL = 1000
-_DEGREES = (6, 10, 14, 18)
-_CHECKED = 64
-_POLYNOMIAL_TOLERANCE = 1e-10
 
 
 class Size(NamedTuple):
@@ -82,9 +74,12 @@ class Intrinsics:
 
     def unproject(self, pixels: Floats) -> Floats:
         """Pixels (..., 2) → points (..., 3) on their rays at z = 1; NaN where the lens model has no inverse."""
-        distorted = (pixels - np.array(self.principal_point_px)) / np.array(self.focal_px)
-        normalised = self.undistort(distorted)
+        normalised = self.ideal(pixels)
         return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+
+    def ideal(self, pixels: Floats) -> Floats:
+        """Pixels (..., 2) → where their rays meet z = 1, (..., 2); NaN where the lens model has no inverse."""
+        return lens.undistort(pixels, self.distortion, (*self.focal_px, *self.principal_point_px))
 
     def distort(self, normalised: Floats) -> Floats:
         """Brown (1971), as in OpenCV: ideal (..., 2) → distorted (..., 2), both in normalised coordinates."""
@@ -92,35 +87,4 @@ class Intrinsics:
 
     def undistort(self, distorted: Floats) -> Floats:
         """Inverse of `distort`; NaN where it has none within the lens's monotonic range."""
-        if not any(self.distortion):
-            return distorted.copy("K")
-        if distorted.size >= 2 * _WORTH_A_POLYNOMIAL and self._radial_inverse is not None:
-            ideal = lens.undistort_by(*self._radial_inverse, distorted)
-            if ideal is not None:
-                return ideal
-        return lens.undistort(distorted, self.distortion)
-
-    @cached_property
-    def _radial_inverse(self) -> tuple[Floats, float] | None:
-        """Ideal over distorted radius as a polynomial in the squared distorted radius, and the largest squared radius,
-        which covers the image. None if no polynomial is as accurate as Newton's method.
-        """
-        if any(self.distortion[2:4]):
-            return None
-        corners = np.array([(x, y) for x in (-1, self.width) for y in (-1, self.height)], np.float64)
-        corners = (corners - np.array(self.principal_point_px)) / np.array(self.focal_px)
-        largest = float(np.max(np.sum(corners * corners, axis=1)))
-
-        def ratio(r2: Floats) -> Floats:
-            along = np.stack([np.sqrt(r2), np.zeros_like(r2)], axis=-1)
-            ideal: Floats = lens.undistort(along, self.distortion)[..., 0] / along[..., 0]
-            return ideal
-
-        between = np.linspace(1e-6, 1, _CHECKED) * largest
-        exact = ratio(between)
-        for degree in _DEGREES:
-            fitted = Chebyshev.interpolate(ratio, degree, (0.0, largest)).convert(kind=Polynomial, domain=(-1, 1))
-            # The comparison is also false for NaN, where the lens has no inverse.
-            if np.max(np.abs(polyval(between, fitted.coef) - exact)) < _POLYNOMIAL_TOLERANCE:
-                return np.asarray(fitted.coef, np.float64), largest
-        return None
+        return lens.undistort(distorted, self.distortion) if any(self.distortion) else distorted.copy("K")

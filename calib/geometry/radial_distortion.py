@@ -9,14 +9,16 @@ pixels too, have their own: `derivatives`.
 
 import numpy as np
 
-from calib.numerics import Floats, by_columns, compiled
+from calib.numerics import Floats, by_columns, compiled, inlined
 
 PER_DEVICE = 8
 
 _NEWTON_STEPS = 30
-_CONVERGED, _INVERTED = 1e-13, 1e-9  # largest last step, and largest error of an accepted inverse
+# Largest last step (the error after it is about its square), and largest error of an accepted inverse.
+_CONVERGED, _INVERTED = 1e-9, 1e-9
 
 Distortion = tuple[float, float, float, float, float]
+Pinhole = tuple[float, float, float, float]
 
 
 def distort(ideal: Floats, distortion: Distortion) -> Floats:
@@ -27,22 +29,15 @@ def distort(ideal: Floats, distortion: Distortion) -> Floats:
     return distorted.T.reshape(ideal.shape)
 
 
-def undistort(distorted: Floats, distortion: Distortion) -> Floats:
-    """Inverse of `distort` by Newton's method; NaN where it has none within the lens's monotonic range."""
-    columns = by_columns(distorted.reshape(-1, 2)).T
-    ideal = np.empty_like(columns)
-    _undistort(columns, distortion, ideal)
-    return ideal.T.reshape(distorted.shape)
+def undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole = (1.0, 1.0, 0.0, 0.0)) -> Floats:
+    """Inverse of `distort` by Newton's method, (..., 2); NaN where it has none within the lens's monotonic range.
 
-
-def undistort_by(polynomial: Floats, largest: float, distorted: Floats) -> Floats | None:
-    """Inverse of `distort` by a polynomial, (..., 2): ideal over distorted radius by the distorted radius squared.
-
-    Coefficients from the constant upwards; None if a squared radius is beyond the `largest` for which it holds.
+    With a `pinhole`, focal lengths and principal point, it takes pixels.
     """
     columns = by_columns(distorted.reshape(-1, 2)).T
     ideal = np.empty_like(columns)
-    return ideal.T.reshape(distorted.shape) if _scale(columns, polynomial, largest, ideal) else None
+    _undistort(columns, distortion, pinhole, ideal)
+    return ideal.T.reshape(distorted.shape)
 
 
 def distort_steps(ideal: Floats, steps: Floats, distortion: Distortion) -> tuple[Floats, Floats]:
@@ -91,14 +86,14 @@ def rescaled_by_lens(pixels: Floats, origin_px: tuple[float, float], per_px: flo
     return jacobian
 
 
-@compiled
+@inlined
 def _radial(r2: float, k1: float, k2: float, k3: float) -> tuple[float, float]:
     """Distorted over ideal radius, and twice its derivative by r²."""
     return 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
 
 
-@compiled
-def _distorted(x: float, y: float, distortion: Distortion) -> tuple[float, float, float, float, float]:
+@inlined
+def distorted_point(x: float, y: float, distortion: Distortion) -> tuple[float, float, float, float, float]:
     """The distorted point, and its Jacobian [[a, b], [b, d]] by the ideal one."""
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
@@ -110,16 +105,22 @@ def _distorted(x: float, y: float, distortion: Distortion) -> tuple[float, float
     return u, v, a, slope * x * y + 2.0 * (p1 * x + p2 * y), d
 
 
-@compiled
+@inlined
+def _newton_step(x: float, y: float, u: float, v: float, distortion: Distortion) -> tuple[float, float, float]:
+    """A step of Newton's method towards the ideal point of the distorted one (u, v), and how far it moved."""
+    bent_x, bent_y, a, b, d = distorted_point(x, y, distortion)
+    off_x, off_y, inverse = bent_x - u, bent_y - v, 1.0 / (a * d - b * b)
+    step_x, step_y = (d * off_x - b * off_y) * inverse, (a * off_y - b * off_x) * inverse
+    return x - step_x, y - step_y, abs(step_x) + abs(step_y)
+
+
+@inlined
 def _ideal(u: float, v: float, distortion: Distortion) -> tuple[float, float]:
     """Newton's method from the distorted point; the result is arbitrary where it does not converge."""
     x, y = u, v
     for _ in range(_NEWTON_STEPS):
-        bent_x, bent_y, a, b, d = _distorted(x, y, distortion)
-        off_x, off_y, determinant = bent_x - u, bent_y - v, a * d - b * b
-        step_x, step_y = (d * off_x - b * off_y) / determinant, (a * off_y - b * off_x) / determinant
-        x, y = x - step_x, y - step_y
-        if not abs(step_x) + abs(step_y) > _CONVERGED:
+        x, y, step = _newton_step(x, y, u, v, distortion)
+        if not step > _CONVERGED:
             break
     return x, y
 
@@ -127,14 +128,14 @@ def _ideal(u: float, v: float, distortion: Distortion) -> tuple[float, float]:
 @compiled
 def _distort(ideal: Floats, distortion: Distortion, distorted: Floats) -> None:
     for i in range(ideal.shape[1]):
-        distorted[0, i], distorted[1, i], _, _, _ = _distorted(ideal[0, i], ideal[1, i], distortion)
+        distorted[0, i], distorted[1, i], _, _, _ = distorted_point(ideal[0, i], ideal[1, i], distortion)
 
 
 @compiled
 def _derive(ideal: Floats, distortion: Distortion, distorted: Floats, by_ideal: Floats, by_terms: Floats) -> None:
     for i in range(len(ideal)):
         x, y = ideal[i]
-        u, v, a, b, d = _distorted(x, y, distortion)
+        u, v, a, b, d = distorted_point(x, y, distortion)
         distorted[i, 0], distorted[i, 1] = u, v
         by_ideal[i, 0, 0], by_ideal[i, 0, 1], by_ideal[i, 1, 0], by_ideal[i, 1, 1] = a, b, b, d
         r2 = x * x + y * y
@@ -146,32 +147,25 @@ def _derive(ideal: Floats, distortion: Distortion, distorted: Floats, by_ideal: 
 
 
 @compiled
-def _undistort(distorted: Floats, distortion: Distortion, ideal: Floats) -> None:
-    for i in range(ideal.shape[1]):
-        x, y = _ideal(distorted[0, i], distorted[1, i], distortion)
-        u, v, a, b, d = _distorted(x, y, distortion)
-        off = max(abs(u - distorted[0, i]), abs(v - distorted[1, i]))
-        found = off < _INVERTED and a * d - b * b > 0.0 and a + d > 0.0
-        ideal[0, i], ideal[1, i] = (x, y) if found else (np.nan, np.nan)
-
-
-@compiled
-def _scale(distorted: Floats, polynomial: Floats, largest: float, ideal: Floats) -> bool:
-    ratio, r2 = ideal[0], ideal[1]  # until the last loop overwrites them with the result
+def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, ideal: Floats) -> None:
     # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
-    x, y, beyond = distorted[0], distorted[1], 0
-    for i in range(len(ratio)):
-        r2[i] = x[i] * x[i] + y[i] * y[i]
-        beyond += not r2[i] <= largest
-        ratio[i] = polynomial[-1]
-    # Coefficient by coefficient: only a loop with none inside is vectorised.
-    for k in range(len(polynomial) - 2, -1, -1):
-        for i in range(len(ratio)):
-            ratio[i] = ratio[i] * r2[i] + polynomial[k]
-    for i in range(len(ratio)):
-        r2[i] = ratio[i] * y[i]
-        ratio[i] = ratio[i] * x[i]
-    return beyond == 0
+    # All points take a step before any takes the next, for the same reason.
+    u, v, x, y = distorted[0], distorted[1], ideal[0], ideal[1]
+    x_scale, y_scale, x_0, y_0 = 1.0 / pinhole[0], 1.0 / pinhole[1], pinhole[2], pinhole[3]
+    for i in range(len(x)):
+        x[i], y[i] = (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale
+    for _ in range(_NEWTON_STEPS):
+        moving = 0
+        for i in range(len(x)):
+            x[i], y[i], step = _newton_step(x[i], y[i], (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale, distortion)
+            moving += step > _CONVERGED
+        if moving == 0:
+            break
+    for i in range(len(x)):
+        bent_x, bent_y, a, b, d = distorted_point(x[i], y[i], distortion)
+        off = max(abs(bent_x - (u[i] - x_0) * x_scale), abs(bent_y - (v[i] - y_0) * y_scale))
+        found = (off < _INVERTED) & (a * d - b * b > 0.0) & (a + d > 0.0)
+        x[i], y[i] = x[i] if found else np.nan, y[i] if found else np.nan
 
 
 @compiled
@@ -179,7 +173,7 @@ def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distort
     x, y, step_x, step_y = ideal[0], ideal[1], steps[0], steps[1]
     distorted_x, distorted_y, moved_x, moved_y = distorted[0], distorted[1], moved[0], moved[1]
     for i in range(len(x)):
-        u, v, a, b, d = _distorted(x[i], y[i], distortion)
+        u, v, a, b, d = distorted_point(x[i], y[i], distortion)
         distorted_x[i], distorted_y[i] = u, v
         moved_x[i], moved_y[i] = a * step_x[i] + b * step_y[i], b * step_x[i] + d * step_y[i]
 
@@ -195,7 +189,7 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
 
         # J dx = du − (∂ distorted / ∂k) dk
         r2 = x * x + y * y
-        _, _, a, b, d = _distorted(x, y, (k1, k2, p1, p2, k3))
+        _, _, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
         determinant = a * d - b * b
         for column, du, dv in (
             (0, -u, -v),
@@ -218,7 +212,7 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
         z = points[i, 2]
         x, y = points[i, 0] / z, points[i, 1] / z
         r2 = x * x + y * y
-        u, v, a, b, d = _distorted(x, y, (k1, k2, p1, p2, k3))
+        u, v, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
         pixels[i, 0], pixels[i, 1] = focal * u + x_0, focal * v + y_0
         # dx = (dX − x dZ) / Z
         scale = focal / z

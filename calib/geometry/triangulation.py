@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
-from calib.geometry.radial_distortion import distort_steps
-from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces
+from calib.geometry.radial_distortion import Distortion, Pinhole, distort_steps, distorted_point
+from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces, inlined
 
 # Squared sine of an angle below which it is rounding error.
 _PARALLEL = (8 * 2.0**-52) ** 2
@@ -48,9 +47,10 @@ def intersect(matches: Matches, calibration: Calibration) -> Intersections:
 
 def midpoints(matches: Matches, calibration: Calibration) -> Floats:
     """The points (3, N) of `intersect` alone, all at once: meant for a piece that fits into the cache."""
-    points, depth = np.empty((3, len(matches))), np.empty(len(matches))
-    ideal = _ideal(calibration.camera, matches.camera_px), _ideal(calibration.projector, matches.projector_px)
-    _meet(*ideal, _pose(calibration), points, depth)
+    points = np.empty((3, len(matches)))
+    camera, projector = calibration.camera, calibration.projector
+    ideal = by_columns(camera.ideal(matches.camera_px)).T, by_columns(projector.ideal(matches.projector_px)).T
+    _meet(*ideal, _pose(calibration), points)
     return points
 
 
@@ -59,17 +59,13 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
 
     The midpoint of the rays' common perpendicular (Beardsley et al. 1997; Hartley & Sturm 1997, section 5.1).
     """
-    camera, projector, count = calibration.camera, calibration.projector, len(camera_px)
+    projector, count = calibration.projector, len(camera_px)
     # Coordinate by coordinate, (2, N) and (3, N), which is what can be vectorised.
-    camera_ideal, projector_ideal = _ideal(camera, camera_px), _ideal(projector, projector_px)
-    points, depth, foot, step = np.empty((3, count)), np.empty(count), np.empty((2, count)), np.empty((2, count))
-    _meet(camera_ideal, projector_ideal, _pose(calibration), points, depth)
-    _seen(camera_ideal, depth, _pose(calibration), foot, step)
-    foot_px, tangent = distort_steps(foot, step, projector.distortion)
-    residual_px = np.empty(count)
-    _miss(
-        foot_px, tangent, (*projector.focal_px, *projector.principal_point_px), by_columns(projector_px).T, residual_px
-    )
+    seen = by_columns(projector_px).T
+    ideal = by_columns(calibration.camera.ideal(camera_px)).T, by_columns(projector.ideal(projector_px)).T
+    points, foot_px, residual_px = np.empty((3, count)), np.empty((2, count)), np.empty(count)
+    pinhole = (*projector.focal_px, *projector.principal_point_px)
+    _intersect(*ideal, seen, _pose(calibration), pinhole, projector.distortion, points, foot_px, residual_px)
     return Intersections(points.T, foot_px.T, residual_px, np.isfinite(residual_px))
 
 
@@ -97,49 +93,91 @@ def depths_on_stripes(
     return depth, per_px
 
 
-def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
-    """Where the rays of pixels (N, 2) meet z = 1, (2, N)."""
-    distorted = np.subtract(pixels, device.principal_point_px, out=np.empty(pixels.shape, order="F"))
-    distorted /= np.array(device.focal_px)
-    return by_columns(device.undistort(distorted)).T
-
-
 def _pose(calibration: Calibration) -> tuple[float, ...]:
     """Rows of the rotation, and the translation."""
     return (*calibration.rotation.ravel().tolist(), *calibration.translation.tolist())
 
 
-@compiled
-def _meet(
-    camera_ideal: Floats, projector_ideal: Floats, pose: tuple[float, ...], points: Floats, depth: Floats
-) -> None:
-    """Fill in the midpoints, and z (N,) of the camera's ray where it is nearest to the projector's.
-
-    `depth` is NaN where the rays do not meet in front of both devices.
+@inlined
+def _nearest(x: float, y: float, vx: float, vy: float, pose: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """The midpoint of the common perpendicular of the camera's ray (x, y, 1) and the projector's, (vx, vy, 1), and z of
+    the camera's ray where it is nearest to the projector's; NaN if they do not meet in front of both devices.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
+    # The rays' directions in the projector's frame: u the camera's; v, its own, is (vx, vy, 1).
+    ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
+    # a u + t = b v as well as can be: both sides crossed with v, and with u, along u × v.
+    cx, cy, cz = uy - uz * vy, uz * vx - ux, ux * vy - uy * vx
+    cc, uu, vv = cx * cx + cy * cy + cz * cz, ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0
+    along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) / cc
+    along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) / cc
+    # Halfway between the nearest points of both rays.
+    hx = 0.5 * (along_v * vx - along_u * ux - tx)
+    hy = 0.5 * (along_v * vy - along_u * uy - ty)
+    hz = 0.5 * (along_v - along_u * uz - tz)
+    meet = (along_u > 0.0) & (along_v > 0.0) & (cc > _PARALLEL * uu * vv)
+    return (
+        along_u * x + r00 * hx + r10 * hy + r20 * hz,
+        along_u * y + r01 * hx + r11 * hy + r21 * hz,
+        along_u + r02 * hx + r12 * hy + r22 * hz,
+        along_u if meet else np.nan,
+    )
+
+
+@inlined
+def _projected(x: float, y: float, depth: float, pose: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """The projector image, at z = 1, of the point at `depth` on the camera's ray (x, y, 1), and its derivative along
+    the ray; NaN for a point behind the projector.
+    """
+    r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
+    ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
+    z = depth * uz + tz
+    inverse = 1.0 / z if z > 0.0 else np.nan
+    x, y = (depth * ux + tx) * inverse, (depth * uy + ty) * inverse
+    return x, y, ux - x * uz, uy - y * uz
+
+
+@compiled
+def _meet(camera_ideal: Floats, projector_ideal: Floats, pose: tuple[float, ...], points: Floats) -> None:
+    """Fill in the midpoints (3, N) of rays."""
     # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
     camera_x, camera_y = camera_ideal[0], camera_ideal[1]
     projector_x, projector_y = projector_ideal[0], projector_ideal[1]
-    point_x, point_y, point_z = points[0], points[1], points[2]
-    for i in range(len(depth)):
-        # The rays' directions in the projector's frame: u the camera's; v, its own, is (vx, vy, 1).
-        x, y, vx, vy = camera_x[i], camera_y[i], projector_x[i], projector_y[i]
-        ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
-        # a u + t = b v as well as can be: both sides crossed with v, and with u, along u × v.
-        cx, cy, cz = uy - uz * vy, uz * vx - ux, ux * vy - uy * vx
-        cc, uu, vv = cx * cx + cy * cy + cz * cz, ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0
-        along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) / cc
-        along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) / cc
-        # Halfway between the nearest points of both rays.
-        hx = 0.5 * (along_v * vx - along_u * ux - tx)
-        hy = 0.5 * (along_v * vy - along_u * uy - ty)
-        hz = 0.5 * (along_v - along_u * uz - tz)
-        point_x[i] = along_u * x + r00 * hx + r10 * hy + r20 * hz
-        point_y[i] = along_u * y + r01 * hx + r11 * hy + r21 * hz
-        point_z[i] = along_u + r02 * hx + r12 * hy + r22 * hz
-        meet = (along_u > 0.0) & (along_v > 0.0) & (cc > _PARALLEL * uu * vv)
-        depth[i] = along_u if meet else np.nan
+    x, y, z = points[0], points[1], points[2]
+    for i in range(len(x)):
+        x[i], y[i], z[i], _ = _nearest(camera_x[i], camera_y[i], projector_x[i], projector_y[i], pose)
+
+
+@compiled
+def _intersect(
+    camera_ideal: Floats,
+    projector_ideal: Floats,
+    projector_px: Floats,
+    pose: tuple[float, ...],
+    pinhole: Pinhole,
+    distortion: Distortion,
+    points: Floats,
+    foot_px: Floats,
+    residual_px: Floats,
+) -> None:
+    """Fill in the midpoints (3, N), and the distances (N,) of the projector's pixels (2, N) from the epipolar lines,
+    whose nearest points are `foot_px` (2, N). `pinhole`: the projector's focal lengths and principal point.
+    """
+    fx, fy, x0, y0 = pinhole
+    camera_x, camera_y = camera_ideal[0], camera_ideal[1]
+    projector_x, projector_y = projector_ideal[0], projector_ideal[1]
+    x, y, z, foot_x, foot_y = points[0], points[1], points[2], foot_px[0], foot_px[1]
+    seen_x, seen_y = projector_px[0], projector_px[1]
+    for i in range(len(residual_px)):
+        x[i], y[i], z[i], depth = _nearest(camera_x[i], camera_y[i], projector_x[i], projector_y[i], pose)
+        ideal_x, ideal_y, step_x, step_y = _projected(camera_x[i], camera_y[i], depth, pose)
+        u, v, a, b, d = distorted_point(ideal_x, ideal_y, distortion)
+        column, row = fx * u + x0, fy * v + y0
+        # The direction of the epipolar line at its foot, as the lens bends it.
+        along_x, along_y = fx * (a * step_x + b * step_y), fy * (b * step_x + d * step_y)
+        length = np.sqrt(along_x * along_x + along_y * along_y)
+        foot_x[i], foot_y[i] = column, row
+        residual_px[i] = (along_x * (seen_y[i] - row) - along_y * (seen_x[i] - column)) / length
 
 
 @compiled
@@ -157,38 +195,12 @@ def _meet_planes(camera_ideal: Floats, plane: Floats, pose: tuple[float, ...], a
 @compiled
 def _seen(camera_ideal: Floats, depth: Floats, pose: tuple[float, ...], ideal: Floats, step: Floats) -> None:
     """Fill in the projector images (2, N), at z = 1, of points at `depth` (N,) on the camera's rays, and derivatives
-    of these images along the rays; NaN for points behind the projector.
+    of these images along the rays.
     """
-    r00, r01, r02, r10, r11, r12, r20, r21, r22, tx, ty, tz = pose
     camera_x, camera_y = camera_ideal[0], camera_ideal[1]
-    ideal_x, ideal_y, step_x, step_y = ideal[0], ideal[1], step[0], step[1]
+    x, y, step_x, step_y = ideal[0], ideal[1], step[0], step[1]
     for i in range(len(depth)):
-        x, y = camera_x[i], camera_y[i]
-        ux, uy, uz = r00 * x + r01 * y + r02, r10 * x + r11 * y + r12, r20 * x + r21 * y + r22
-        z = depth[i] * uz + tz
-        inverse = 1.0 / z if z > 0.0 else np.nan
-        x, y = (depth[i] * ux + tx) * inverse, (depth[i] * uy + ty) * inverse
-        ideal_x[i], ideal_y[i] = x, y
-        step_x[i], step_y[i] = ux - x * uz, uy - y * uz
-
-
-@compiled
-def _miss(
-    foot: Floats, tangent: Floats, device: tuple[float, float, float, float], seen: Floats, residual_px: Floats
-) -> None:
-    """Fill in the distance of the matched pixels `seen` (2, N) from the epipolar line; convert `foot` (2, N) to pixels.
-
-    `device`: focal lengths, principal point. `tangent` (2, N): direction of the line at its foot, as the lens bends it:
-    the displacement of the foot for a step along the camera's ray.
-    """
-    fx, fy, x0, y0 = device
-    foot_x, foot_y, tangent_x, tangent_y, seen_x, seen_y = foot[0], foot[1], tangent[0], tangent[1], seen[0], seen[1]
-    for i in range(len(residual_px)):
-        column, row = fx * foot_x[i] + x0, fy * foot_y[i] + y0
-        along_x, along_y = fx * tangent_x[i], fy * tangent_y[i]
-        length = np.sqrt(along_x * along_x + along_y * along_y)
-        foot_x[i], foot_y[i] = column, row
-        residual_px[i] = (along_x * (seen_y[i] - row) - along_y * (seen_x[i] - column)) / length
+        x[i], y[i], step_x[i], step_y[i] = _projected(camera_x[i], camera_y[i], depth[i], pose)
 
 
 def nearest_depths(turned: Floats, directions: Floats, translation: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -28,10 +28,22 @@ def compiled(function: Function) -> Function:
 
     Threads run it side by side (`calib.numerics.chunks.in_pieces`); a division by zero gives infinity, as in NumPy.
     """
-    fast = njit(nogil=True, fastmath=set(_ARITHMETIC), error_model="numpy")(function)
+    return _compiled(function, inline=False)
+
+
+def inlined(function: Function) -> Function:
+    """Like `compiled`, for a function of numbers that others call in their loops: these are vectorised only if it
+    becomes part of them.
+    """
+    return _compiled(function, inline=True)
+
+
+def _compiled(function: Function, *, inline: bool) -> Function:
+    options = f"{_ARITHMETIC} numpy {'inlined' if inline else ''}"
+    fast = njit(nogil=True, fastmath=set(_ARITHMETIC), error_model="numpy", forceinline=inline)(function)
     if not config.DISABLE_JIT:
         with suppress(OSError):  # no source, or no folder to keep machine code in
-            setattr(fast, "_cache", MachineCode(function, f"{_ARITHMETIC} numpy"))  # noqa: B010, the type has none
+            setattr(fast, "_cache", MachineCode(function, options))  # noqa: B010, the type has none
     return cast(Function, fast)
 
 

@@ -60,7 +60,7 @@ def borrowed(source: str) -> list[str]:
     found = []
     for function in ast.walk(tree):
         decorators = getattr(function, "decorator_list", [])
-        if any(isinstance(decorator, ast.Name) and decorator.id == "compiled" for decorator in decorators):
+        if any(isinstance(decorator, ast.Name) and decorator.id in ("compiled", "inlined") for decorator in decorators):
             body = [node for statement in function.body for node in ast.walk(statement)]  # type: ignore[attr-defined]
             types = {id(node.annotation) for node in body if isinstance(node, ast.AnnAssign)}
             body = [node for node in body if id(node) not in types]

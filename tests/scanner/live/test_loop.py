@@ -187,13 +187,13 @@ def test_memory_does_not_grow_over_ten_thousand_clouds() -> None:
             yield Round(number, each.frames, each.grey.copy(), time.monotonic())
             assert done.wait(10), f"round {number} was not done within 10 s"
             done.clear()
-            if number in (1000, 9_999):
+            if number % 1000 == 999:
                 pages.append(int(Path("/proc/self/statm").read_text().split()[1]))
 
     decoder = Decoder(sequence, seen, bench.calibration)
     watch(taken(), decoder, lambda _, __: done.set(), lambda: False, account)
     assert account.clouds > 9_900
-    assert (pages[1] - pages[0]) * 4096 < 2_000_000
+    assert np.median(np.diff(pages)) * 4096 < 200_000  # a frame of each cloud would be 400,000 per 1000 of them
 
 
 @pytest.mark.parametrize("number", [2, None])

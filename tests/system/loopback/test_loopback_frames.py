@@ -57,6 +57,6 @@ def test_a_frame_before_a_late_trigger_confirmation_is_kept(after_s: list[float]
     camera._stream = stream = Stream([time.monotonic() + seconds for seconds in after_s])
     begin_s = time.monotonic()
     camera.expose()
-    assert EXPOSURE_S + TOLD_S <= time.monotonic() - begin_s < EXPOSURE_S + TOLD_S + 0.1
+    assert EXPOSURE_S + TOLD_S <= time.monotonic() - begin_s < EXPOSURE_S + TOLD_S + 0.4
     assert len(stream.given_back) == theirs
     assert camera._arrived is not None or camera._pop(1.0) is not None
