@@ -13,11 +13,10 @@ from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import Sight
-from calib.networks.warps import Warps, find_warps
+from calib.networks.warps import Warps, covariance_of_warps, find_warps
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
-from calib.rooms.flatness import covariance_of_waves
 from calib.rooms.likelihood import CONVERGED, Fit, minimise
 from calib.rooms.smooth_errors import covariance_of_shifts
 from calib.rooms.ties import WRONG_TIE, tie_scores, untied
@@ -26,7 +25,7 @@ from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self
 _LEAST_ON_FACE = 100  # matches; fewer may be strays
 _MOST = 200_000  # matches of a pair, to twice as many: their mean noise is far below that of any lens's model
 _METHODS: tuple[Method, ...] = ("refined", "paper")
-_ROUNDS = 3
+_ROUNDS = 4
 _IN_FRONT = 0.98  # of a sight's cells
 
 
@@ -212,9 +211,12 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         levels, weights = weights.measured_anew(grown, sights, fit, free)
         fit = weights.fitted(grown, sights, fit.layout, free, CONVERGED if last == _ROUNDS - 1 else ROUGH)
     variances = weights.variances
-    of_waves, waves = covariance_of_waves(sights, fit, variances, free, levels)
+    waves = np.zeros(len(fit.layout.planes))
+    for plane, surface in enumerate(weights.surfaces):
+        heights = surface.solved(fit.layout).amplitudes
+        waves[plane] = np.sqrt(np.mean(np.square(np.concatenate(surface.modes) @ heights)))
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    covariance = covariance_of(fit.information, free) + of_waves
+    covariance = covariance_of(fit.information, free) + covariance_of_warps(fit, free)
     covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {

@@ -14,7 +14,7 @@ from calib.self_calibration import PrincipalPoint
 
 _CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
 _EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
-_WARP_SIGMA = np.array([0.01, 0.01, 0.05, 0.05])  # of pictures that may have one: of a few per cent of keystone
+WARP_SIGMA = np.array([0.01, 0.01, 0.05, 0.05])  # of pictures that may have one: of a few per cent of keystone
 _SCALE_SIGMA = 1e-6  # of the first two devices' distance, which is the unit
 
 
@@ -41,9 +41,9 @@ class NetworkPrior:
             gradient[columns] += deviation * root
             information[columns, columns] += root**2
             columns = every[network.device_columns(i)][WARP]
-            cost += float(np.sum((device.warp / _WARP_SIGMA) ** 2))
-            gradient[columns] += device.warp / _WARP_SIGMA**2
-            information[columns, columns] += _WARP_SIGMA**-2
+            cost += float(np.sum((device.warp / WARP_SIGMA) ** 2))
+            gradient[columns] += device.warp / WARP_SIGMA**2
+            information[columns, columns] += WARP_SIGMA**-2
         for off, slope in (*squareness(network, self.square, self.square_sigma), _unit_of_length(network)):
             cost += off**2
             gradient += slope * off

@@ -13,15 +13,18 @@ from scipy.stats import chi2
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
 from calib.networks.network import PER_WARP, WARP, Network
+from calib.networks.prior import WARP_SIGMA
 from calib.networks.sights import Sight
 from calib.networks.weights import Weights
 from calib.numerics import Bools, Floats
+from calib.refinement import alternative
 from calib.rooms.likelihood import Fit
 
 _CHANCE = 1e-4
 _BY_CHANCE = float(chi2.isf(_CHANCE, PER_WARP))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
+_PROBABILITY = 0.01  # of each picture, as of one that is scaled in `calib.refinement.picture_scale`
 _ROUNDS = 2
 _FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 
@@ -77,6 +80,21 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         return Warps(several=several), none, weights
     likely = tuple(each for each in found if each.gain > found[0].gain - _AS_LIKELY)
     return Warps(likely), none, weights
+
+
+def covariance_of_warps(fit: Fit[Network], free: Bools) -> Floats:
+    """What warps that the captures do not exclude add to the covariance (size, size), one parameter of one picture at
+    most.
+    """
+    covariance, total, others = np.zeros_like(fit.information), 1.0, []
+    for number in range(len(fit.layout.devices)):
+        columns = np.arange(fit.layout.size)[fit.layout.device_columns(number)][WARP]
+        for column, spread in zip(columns.tolist(), WARP_SIGMA.tolist(), strict=True):
+            others.append(alternative(fit.information, fit.gradient, free, column, _PROBABILITY, spread))
+            total += others[-1].odds
+    for other in others:
+        covariance += other.added(other.odds / total)
+    return covariance
 
 
 def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:

@@ -1,7 +1,7 @@
 """What a network is fitted with once its noise is measured."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,38 +9,78 @@ from calib.networks.growth import Grown
 from calib.networks.network import Network
 from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import Sight
+from calib.networks.surfaces import Surface, likeliest_steepness, surfaces_of
 from calib.numerics import Bools, Floats
-from calib.rooms.likelihood import Fit, minimise
-from calib.rooms.noise import Levels, measured
+from calib.rooms.likelihood import Fit, Joint, minimise
+from calib.rooms.noise import UNKNOWN, Levels, measured, of_station
 
-_BENT = 4.0  # times the variance of noise: pixels that devices share then tell more than the plane that they are on
+_BENT = 4.0  # times the variance of noise
+_START = 3.0  # sigmas of the scatter of matches
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """`variances` (M,) of each sight's cells, and `joints` that tie devices where planes do not, or are not flat."""
+    """`variances` (M,) of each sight's cells; `joints` that tie devices where planes do not; `surfaces` of all planes,
+    if any is not flat. `rough`: no noise is measured yet, so that nothing tells whether they are.
+    """
 
     variances: Sequence[Floats]
     joints: Sequence[SharedPoints] = ()
+    surfaces: Sequence[Surface] = ()
+    rough: bool = False
 
     @classmethod
     def of_noise(cls, sights: Sequence[Sight]) -> "Weights":
         """By the scatter of matches alone."""
-        return cls([sight.cells.sigma_px**2 for sight in sights])
+        return cls([sight.cells.sigma_px**2 for sight in sights], rough=True)
 
     def measured_anew(
         self, grown: Grown, sights: Sequence[Sight], fit: Fit[Network], free: Bools
     ) -> tuple[Levels, "Weights"]:
         """By the residuals of a fit that these weights led to."""
-        levels = measured(sights, fit, self.variances, free, [1] * len(grown.labelled), one_rig=False)
-        variances = levels.variances(sights)
-        each = zip(sights, variances, strict=True)
-        bent = [(s.capture, int(s.cells.plane[0])) for s, v in each if np.median(v / s.cells.sigma_px**2) > _BENT]
-        return levels, Weights(variances, grown.joints(fit.layout, bent))
+        joints = grown.joints(fit.layout)
+        if not self.surfaces:
+            levels = measured(sights, fit, self.variances, free, [1] * len(grown.labelled), one_rig=False)
+            variances = levels.variances(sights)
+            each = zip(sights, variances, strict=True)
+            if self.rough or all(np.median(variance / s.cells.sigma_px**2) <= _BENT for s, variance in each):
+                return levels, Weights(variances, joints)
+            variances = [(_START * sight.cells.sigma_px) ** 2 for sight in sights]
+            return levels, Weights(variances, joints, surfaces_of(sights, fit, variances))
+        return self._of_surfaces(grown, sights, fit, free, joints)
+
+    def _of_surfaces(
+        self, grown: Grown, sights: Sequence[Sight], fit: Fit[Network], free: Bools, joints: Sequence[SharedPoints]
+    ) -> tuple[Levels, "Weights"]:
+        """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
+        solved = [surface.solved(fit.layout) for surface in self.surfaces]
+        steepness, told = likeliest_steepness(self.surfaces, solved, fit, free)
+        left = {
+            id(sight): each
+            for surface, heights in zip(self.surfaces, solved, strict=True)
+            for sight, each in zip(surface.sights, heights.left, strict=True)
+        }
+        absorbed = (np.count_nonzero(free) + told) / len(sights)
+        stations = []
+        for capture in range(len(grown.labelled)):
+            own = [sight for sight in sights if sight.capture == capture]
+            residuals = [left[id(sight)] for sight in own]
+            stations.append(of_station([each.cells for each in own], residuals, absorbed)[0] if own else UNKNOWN)
+        levels = Levels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
+        surfaces = [
+            replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))
+            for surface, steep in zip(self.surfaces, steepness, strict=True)
+        ]
+        return levels, Weights(levels.variances(sights), joints, surfaces)
 
     def fitted(
         self, grown: Grown, sights: Sequence[Sight], network: Network, free: Bools, tolerance: float
     ) -> Fit[Network]:
         """The most likely network near one."""
         prior = grown.knowledge.prior(grown.names)
-        return minimise(sights, network, prior, self.variances, free, joints=self.joints, tolerance=tolerance)
+        if not self.surfaces:
+            return minimise(sights, network, prior, self.variances, free, joints=self.joints, tolerance=tolerance)
+        joints: list[Joint[Network]] = [*self.surfaces, *self.joints]
+        fit = minimise((), network, prior, (), free, joints=joints, tolerance=tolerance)
+        residuals = (sight.predict(fit.layout)[0] - sight.cells.projector_px for sight in sights)
+        return replace(fit, residuals=tuple(residuals))

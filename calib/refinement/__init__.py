@@ -1,5 +1,6 @@
 """Maximum-likelihood estimation: cells of matches, the model and its Jacobian, focal sweep, profile, lens terms."""
 
+from calib.refinement.alternatives import alternative
 from calib.refinement.column_prior import ColumnPrior
 from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins

@@ -2,8 +2,7 @@
 
 The model has square pixels. A picture that is 1 % wider than high is explained by walls that are off square, with focal
 lengths that are wrong by a tenth and sigmas of a hundredth. So a second model, with an aspect, is weighed against the
-first by its evidence, and the covariance is that of their mixture: Bayesian model averaging (Hoeting et al. 1999,
-Statistical Science 14, 382). The second model is followed to first order, without another fit.
+first by its evidence.
 """
 
 from collections.abc import Sequence
@@ -12,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Floats
+from calib.refinement.alternatives import alternative
 from calib.refinement.likelihood import Fit, Prior, huber_weights
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import predict
-from calib.refinement.profile_likelihood import covariance_of
 
 # Pictures that are scaled in one direction, and remain so unnoticed: one in a hundred, by about 2 %.
 _PROBABILITY, _SPREAD = 0.01, 0.02
@@ -56,8 +55,5 @@ def picture_scale(captures: Sequence[Cells], fit: Fit, prior: Prior, variances: 
         columns = fit.state.columns(i)
         np.add.at(information[size], columns, weighted @ jacobian[:, 0])
         information[columns, size] = information[size, columns]
-    covariance = covariance_of(information, np.append(prior.free, True))
-    variance_of_aspect = float(covariance[size, size])
-    aspect, sigma = float(-covariance[size] @ gradient), float(np.sqrt(variance_of_aspect))
-    odds = _PROBABILITY * sigma / _SPREAD * np.exp(min(aspect**2 / variance_of_aspect / 2, 100.0))
-    return PictureScale(aspect, sigma, float(odds / (1 + odds)), covariance[:size, size] / variance_of_aspect)
+    other = alternative(information, gradient, np.append(prior.free, False), size, _PROBABILITY, _SPREAD)
+    return PictureScale(other.value, other.sigma, other.odds / (1 + other.odds), other.response[:size])

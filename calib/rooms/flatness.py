@@ -35,7 +35,7 @@ def covariance_of_waves(
             for patch, residual, variance in zip(patches, fit.residuals, variances, strict=True)
             if patch.plane == plane
         ]
-        modes = _modes([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
+        modes = modes_over([waves.patch.points(fit.layout) for waves in on_plane], fit.layout.planes[plane].normal)
         pull = np.sum([waves.pull(of_patch) for waves, of_patch in zip(on_plane, modes, strict=True)], axis=0)
         moved = np.zeros_like(pull)
         moved[columns] = np.linalg.solve(fit.information[np.ix_(columns, columns)], pull[columns])
@@ -87,13 +87,14 @@ class _Waves(Generic[AnyLayout]):
         return float(np.sum((self.low.T @ (heights * self.root[:, None])) ** 2))
 
 
-def _modes(points: Sequence[Floats], normal: Floats) -> list[Floats]:
+def modes_over(points: Sequence[Floats], normal: Floats, margin: float = 0.0) -> list[Floats]:
     """Cosines over the bounding rectangle of the points (M, 3) of each patch on a plane, with heights proportional to
-    their lengths.
+    their lengths. `margin`: around it, of its longer side.
     """
     places = [each @ tangent_basis(normal) for each in points]
     every = np.concatenate(places)
-    low, sides = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-12)
+    sides = np.maximum(np.ptp(every, axis=0), 1e-12)
+    low, sides = every.min(axis=0) - margin * sides.max(), sides + 2 * margin * sides.max()
     orders = np.stack(np.meshgrid(*[np.arange(_ORDERS + 1)] * 2), axis=-1).reshape(-1, 2)[1:]
     height = sides.max() / np.hypot(*(orders * (sides.max() / sides)).T)  # relative to the wave's number: its length
     return [np.cos(np.pi * ((place - low) / sides)[:, None, :] * orders).prod(axis=2) * height for place in places]

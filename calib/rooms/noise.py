@@ -16,7 +16,7 @@ from calib.rooms.ties import plane_scores
 _LEAST_PX = 1e-3
 _OUT_OF_LINE = 4.0  # long waves of a patch over the median of its station: beyond this, the plane is uneven
 _BENT = 0.999
-_UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
+UNKNOWN = Noise(np.nan, np.nan, np.nan, 1.0)  # for a station without cells
 _LOUD = 10.0  # sigmas; a cell with a larger residual does not affect the smooth part further
 
 
@@ -71,7 +71,7 @@ def measured(
     for station, times in enumerate(repeats):
         own = [i for i, patch in enumerate(patches) if patch.capture == station]
         seen, residuals = [patches[i].cells for i in own], [fit.residuals[i] for i in own]
-        noise, waves[own] = _of_station(seen, residuals, absorbed) if own else (_UNKNOWN, np.nan)
+        noise, waves[own] = of_station(seen, residuals, absorbed) if own else (UNKNOWN, np.nan)
         stations.append(replace(noise, repeats=times))
     others = len({patch.capture for patch in patches}) - 1 if one_rig else 0
     alike = 1 + (_coherence(patches, fit, stations) * others if others else 0.0)
@@ -83,7 +83,7 @@ def measured(
     return replace(flat, planes=np.maximum(by_waves, by_ties))
 
 
-def _of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
+def of_station(seen: Sequence[Cells], residuals: Sequence[Floats], absorbed: float) -> tuple[Noise, Floats]:
     """A station's noise, from the cells and residuals of its patches; and the part of χ² in each patch's long waves.
 
     That part is NaN for patches that are too small.
