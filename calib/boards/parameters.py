@@ -120,6 +120,12 @@ class State:
         return self.boards[view].rotation[:, 2]
 
 
+def device_of(intrinsics: Intrinsics) -> Floats:
+    """(9,) of a device."""
+    (fx, fy), centre = intrinsics.focal_px, intrinsics.principal_point_px
+    return np.array([fx, fy / fx, *centre, *intrinsics.distortion])
+
+
 def intrinsics_of(device: Floats, size: tuple[int, int]) -> Intrinsics:
     """A device (9,) of a size (width, height)."""
     f, aspect, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)

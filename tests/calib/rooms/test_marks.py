@@ -8,7 +8,7 @@ import pytest
 from calib.rooms import StationView, marks_of, register
 from calib.rooms.alignment import composed, inverse
 from calib.rooms.marked_poses import marked_poses
-from calib.rooms.marks import Marks, alike, apart
+from calib.rooms.marks import Marks, alike
 from calib.rooms.surfaces import surfaces_of
 from calib.synthetic.stations import Paint, Station, random_room, ring, seen_from
 from tests.calib.rooms.test_registration import CAMERA, off, view_of
@@ -35,7 +35,10 @@ def views(painted: list[Station]) -> list[StationView]:
 
 def test_matching_marks_are_paired(painted: list[Station], views: list[StationView]) -> None:
     pose = composed(inverse(painted[0].place), painted[1].place)
-    far, depth = apart(views[0].marks, views[1].marks, pose)
+    first, second = views[0].marks, views[1].marks
+    own, other = alike(first, second)
+    moved = second.points[other] @ pose.rotation.T + pose.translation
+    far, depth = np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]
     assert len(far) >= 12
     right = far < 0.02 * depth
     assert 0.6 < right.mean() <= 1.0

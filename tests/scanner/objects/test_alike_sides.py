@@ -44,9 +44,9 @@ def solved(parts: list[Any], step_deg: float, folder: Path) -> Solved:
 def off_deg(stations: list[ThingStation], found: SolvedObject) -> list[float]:
     """Errors of the rotations relative to the first station."""
     offs = []
-    for number, station in zip(found.numbers[1:], found.stations[1:], strict=True):
+    for station in found.stations[1:]:
         turn = between(found.stations[0].place, station.place).rotation
-        true = between(stations[found.numbers[0]].place, stations[number].place).rotation
+        true = between(stations[found.stations[0].number].place, stations[station.number].place).rotation
         offs.append(float(np.degrees(Rotation.from_matrix(turn @ true.T).magnitude())))
     return offs
 
