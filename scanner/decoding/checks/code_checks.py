@@ -135,7 +135,7 @@ def _changes(
         if moved is not None:
             certain &= ~lines_of(moved.T if is_transposed else moved)
         one, next_one = np.empty((2, words.size), np.uint32)
-        single, changes = _note_changes(words.astype(np.uint32), certain, one, next_one)
+        single, changes = _note_changes(words.astype(np.uint32), certain, FARTHEST_PX, one, next_one)
         if single >= _MOSTLY_SINGLE * changes:
             before.append(one[:single])
             after.append(next_one[:single])
@@ -145,8 +145,8 @@ def _changes(
 
 
 @compiled
-def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> tuple[int, int]:
-    """Record the words of successive reliable pixels along lines (lines, P) that differ in a single bit.
+def _note_changes(words: Words, certain: Bools, farthest: int, before: Words, after: Words) -> tuple[int, int]:
+    """Record words of successive reliable pixels of lines (lines, P), `farthest` apart at most, that differ in one bit.
 
     Returns the number of these, and the number of successive pixels that differ at all.
     """
@@ -156,7 +156,7 @@ def _note_changes(words: Words, certain: Bools, before: Words, after: Words) -> 
         for place in range(words.shape[1]):
             if not certain[line, place]:
                 continue
-            if last >= 0 and place - last <= FARTHEST_PX:
+            if last >= 0 and place - last <= farthest:
                 change = words[line, place] ^ words[line, last]
                 changes += change != 0
                 if change != 0 and change & (change - 1) == 0:

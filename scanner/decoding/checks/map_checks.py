@@ -126,7 +126,7 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
     """
     code = min(axis.codes, key=lambda code: code.cell)
     counts = [
-        _count_jumps(lines_of(image), lines_of(there), code.cell, code.offset + 0.5)
+        _count_jumps(lines_of(image), lines_of(there), code.cell, code.offset + 0.5, FARTHEST_PX)
         for image, there in ((value, kept), (value.T, kept.T))
     ]
     jumps, total = np.sum(counts, axis=0)
@@ -138,10 +138,10 @@ def _check_direction(plan: SequencePlan, axis: AxisPlan, value: Floats32, kept: 
 
 
 @compiled
-def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> tuple[int, int]:
+def _count_jumps(values: Floats32, there: Bools, cell: float, before: float, farthest: int) -> tuple[int, int]:
     """Count neighbours along lines (lines, P) that jump by more than a cell, and all those in different cells.
 
-    `before`: how far before zero the cells begin.
+    `before`: how far before zero the cells begin. `farthest`: largest distance of neighbours.
     """
     jumps = total = 0
     for line in range(values.shape[0]):
@@ -149,7 +149,7 @@ def _count_jumps(values: Floats32, there: Bools, cell: float, before: float) -> 
         for place in range(values.shape[1]):
             if not there[line, place]:
                 continue
-            if last >= 0 and place - last <= FARTHEST_PX:
+            if last >= 0 and place - last <= farthest:
                 value, value_before = values[line, place], values[line, last]
                 if np.floor((value + before) / cell) != np.floor((value_before + before) / cell):
                     total += 1

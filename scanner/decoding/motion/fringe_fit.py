@@ -130,6 +130,7 @@ class FringeFit:
             np.stack([parameters for parameters, _ in fits]),
             np.stack([beside for _, beside in fits]),
             self.period / (2 * pi),
+            NEGLIGIBLE,
             response,
             motion_px,
             precision,
@@ -145,6 +146,7 @@ def _fit_response(
     parameters: Floats,
     beside: Floats,
     px_per_radian: float,
+    least_power: float,
     response: Floats,
     motion_px: Floats,
     seen: Floats,
@@ -157,7 +159,7 @@ def _fit_response(
         cosine, sine, at = components[0, p], components[1, p], p if waves.shape[2] > 1 else 0
         by_cosine = cosine * parameters[0, 1, at] + sine * parameters[1, 1, at]
         by_sine = cosine * parameters[0, 2, at] + sine * parameters[1, 2, at]
-        power = max(cosine * cosine + sine * sine, NEGLIGIBLE)
+        power = max(cosine * cosine + sine * sine, least_power)
         response[p] = px_per_radian * (cosine * by_sine - sine * by_cosine) / power
         all_of_it = left = along = 0.0
         for n in range(waves.shape[1]):

@@ -100,7 +100,7 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     for _ in range(TRIMMED_FITS):
         matrices, right = _normal_equations(terms, seen, fit)
         planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
-        rough, count = _trim(terms, seen, on, planes, fit)
+        rough, count = _trim(terms, seen, on, planes, fit, SIGNIFICANT_SIGMAS / sqrt(2))
     smooth = (rough < MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
     return planes, (fit & smooth[:, None]).reshape(-1)
 
@@ -123,9 +123,9 @@ def _normal_equations(terms: Floats, seen: Floats, fit: Bools) -> tuple[Floats, 
 
 
 @compiled
-def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) -> tuple[Floats, Ints]:
-    """Return the rms residual (T,) and the count (T,) of pixels in `fit` (T, P), then reset `fit` to the inliers among
-    those `on`.
+def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools, outlier: float) -> tuple[Floats, Ints]:
+    """Return the rms residual (T,) and the count (T,) of pixels in `fit` (T, P), then reset `fit` to those `on` whose
+    residual is at most `outlier` times it.
     """
     rough, count = np.zeros(len(seen)), np.zeros(len(seen), np.int64)
     off2 = np.empty(len(terms))
@@ -141,7 +141,7 @@ def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools) ->
             count[t] += fit[t, p]
         count[t] = max(count[t], 1)
         rough[t] = np.sqrt(rough[t] / count[t])
-        most = max(SIGNIFICANT_SIGMAS / sqrt(2) * rough[t], 1e-3)  # `rough` is of both coordinates
+        most = max(outlier * rough[t], 1e-3)
         for p in range(len(terms)):
             fit[t, p] = on[t, p] and off2[p] <= most * most
     return rough, count
