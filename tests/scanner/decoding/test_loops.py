@@ -63,7 +63,7 @@ CHOSEN = arrays.arrays(np.bool_, (2, 30))
 @given(WORDS, CHOSEN)
 def test_changes_between_certain_pixels(words: np.ndarray, certain: np.ndarray) -> None:
     before, after = np.empty((2, words.size), np.uint32)
-    single, changes = _note_changes(words, certain, before, after)
+    single, changes = _note_changes(words, certain, 16, before, after)
     pairs = [
         (int(line[i]), int(line[j]))
         for line, there in zip(words, certain, strict=True)
@@ -114,7 +114,7 @@ def test_jumps_over_the_edges_of_cells(values: np.ndarray, there: np.ndarray, of
             if j - i <= 16 and (line[i] + before) // cell != (line[j] + before) // cell:
                 total += 1
                 jumps += abs(float(line[j]) - float(line[i])) > cell
-    assert _count_jumps(values, there, cell, before) == (jumps, total)
+    assert _count_jumps(values, there, cell, before, 16) == (jumps, total)
 
 
 @pytest.mark.parametrize(
