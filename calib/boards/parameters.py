@@ -230,8 +230,8 @@ def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
 
 
 def _ideal(device: Floats, pixels: Floats) -> Floats:
-    distorted = (pixels - device[CENTRE]) / _focals(device)
-    return lens.undistort(distorted, _terms(device)) if device[LENS].any() else distorted
+    (fx, fy), (x0, y0) = _focals(device), device[CENTRE]
+    return lens.undistort(pixels, _terms(device), (fx, fy, x0, y0))
 
 
 def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:

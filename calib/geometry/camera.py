@@ -62,6 +62,11 @@ class Intrinsics:
         (fx, fy), (x0, y0) = self.focal_px, self.principal_point_px
         return np.array([[fx, 0.0, x0], [0.0, fy, y0], [0.0, 0.0, 1.0]])
 
+    @property
+    def pinhole(self) -> lens.Pinhole:
+        """Focal lengths and principal point."""
+        return *self.focal_px, *self.principal_point_px
+
     def project(self, points: Floats) -> Floats:
         """Points (..., 3) in the device's frame → pixels (..., 2); NaN for points not in front of the device."""
         z = points[..., 2:3]
@@ -79,7 +84,7 @@ class Intrinsics:
 
     def ideal(self, pixels: Floats) -> Floats:
         """Pixels (..., 2) → where their rays meet z = 1, (..., 2); NaN where the lens model has no inverse."""
-        return lens.undistort(pixels, self.distortion, (*self.focal_px, *self.principal_point_px))
+        return lens.undistort(pixels, self.distortion, self.pinhole)
 
     def distort(self, normalised: Floats) -> Floats:
         """Brown (1971), as in OpenCV: ideal (..., 2) → distorted (..., 2), both in normalised coordinates."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry.calibration import Calibration
+from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
 from calib.geometry.radial_distortion import Distortion, Pinhole, distort_steps, distorted_point
 from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces, inlined
@@ -48,8 +49,7 @@ def intersect(matches: Matches, calibration: Calibration) -> Intersections:
 def midpoints(matches: Matches, calibration: Calibration) -> Floats:
     """The points (3, N) of `intersect` alone, all at once: meant for a piece that fits into the cache."""
     points = np.empty((3, len(matches)))
-    camera, projector = calibration.camera, calibration.projector
-    ideal = by_columns(camera.ideal(matches.camera_px)).T, by_columns(projector.ideal(matches.projector_px)).T
+    ideal = _ideal(calibration.camera, matches.camera_px), _ideal(calibration.projector, matches.projector_px)
     _meet(*ideal, _pose(calibration), points)
     return points
 
@@ -62,10 +62,10 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
     projector, count = calibration.projector, len(camera_px)
     # Coordinate by coordinate, (2, N) and (3, N), which is what can be vectorised.
     seen = by_columns(projector_px).T
-    ideal = by_columns(calibration.camera.ideal(camera_px)).T, by_columns(projector.ideal(projector_px)).T
+    ideal = _ideal(calibration.camera, camera_px), _ideal(projector, projector_px)
     points, foot_px, residual_px = np.empty((3, count)), np.empty((2, count)), np.empty(count)
-    pinhole = (*projector.focal_px, *projector.principal_point_px)
-    _intersect(*ideal, seen, _pose(calibration), pinhole, projector.distortion, points, foot_px, residual_px)
+    device = projector.pinhole, projector.distortion
+    _intersect(*ideal, seen, _pose(calibration), *device, points, foot_px, residual_px)
     return Intersections(points.T, foot_px.T, residual_px, np.isfinite(residual_px))
 
 
@@ -91,6 +91,11 @@ def depths_on_stripes(
             depth += (known_px - focal * seen[axis] - centre) / per_depth
     per_px: Floats = 1 / per_depth
     return depth, per_px
+
+
+def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
+    """Where the rays of pixels (N, 2) meet z = 1, (2, N)."""
+    return by_columns(device.ideal(pixels)).T
 
 
 def _pose(calibration: Calibration) -> tuple[float, ...]:

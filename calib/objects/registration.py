@@ -154,7 +154,7 @@ def _alternatives(
 ) -> Iterator[Alternative]:
     """Other poses of a placed view, alone or with all that were placed after it, that little more speaks against."""
     order = list(places)
-    for part in ([k], order[order.index(k) :]):
+    for part in dict.fromkeys([(k,), tuple(order[order.index(k) :])]):  # of the last view they are one
         rest = {member: place for member, place in places.items() if member not in part}
         own = _judged(views, rest, {member: places[member] for member in part})
         for each in _tried(views, edges, rest, k):
