@@ -11,6 +11,8 @@ from calib.numerics import Ints
 ENOUGH_PIXELS = 4096
 # The same where hundreds of trials are made: a sixteenth of it.
 TRIAL_PIXELS = 400
+# Pixels for an effect smaller than their scatter that the whole picture shows: a two hundredth of it.
+MANY_PIXELS = 65536
 # Lines of an image, along which neighbours are compared: they cross thousands of edges between a code's cells.
 _LINES = 128
 # Neighbours on a line may have this many px between them that are unlit or uncertain.

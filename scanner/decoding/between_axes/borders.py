@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats, compiled
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles, moments_of_tiles
 from scanner.decoding.motion.pixels import MOST_ROUGH_PX
 from scanner.decoding.significance import FEWEST_PIXELS
@@ -14,11 +14,9 @@ from scanner.decoding.tiles import around
 
 # Decoded pixels at most this far from the border, in projector px, locate it to this many camera px.
 _NEAR_PX = 6.0
-_REACH_PX = 10
-# Planes are extrapolated this many tiles beyond decoded ones: there the border of a picture that moved is masked.
-_BEYOND_TILES = 3
-_FLAT = 1e-3  # projector px per camera px
-# A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size.
+REACH_PX = 10
+# A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size, and extrapolated as
+# many tiles beyond decoded ones: there the border of a picture that moved is masked.
 _AROUND_TILES = 3
 # Tolerance on the rounding noise of coordinates in steps.
 _OF_STEPS = 1.5
@@ -65,7 +63,7 @@ def near_border(
     the tiles where coordinates are unknown.
     """
     found = np.zeros(projector_px.shape[:2], np.bool_)
-    steep = np.maximum(np.linalg.norm(places.gradient, axis=2), _FLAT)
+    steep = np.maximum(np.linalg.norm(places.gradient, axis=2), NEGLIGIBLE)
     last_px = np.array(size) - 1.0
     _note_near(projector_px, places.projector_px, places.gradient, moved_px, steep, last_px, reach_px, TILE_PX, found)
     return found
@@ -113,7 +111,7 @@ def part_around(projector_px: Floats32) -> tuple[slice, slice]:
     All of the image if none is known.
     """
     known = _known(projector_px)
-    part = around(known if known.any() else ~known, (_BEYOND_TILES + _AROUND_TILES) * TILE_PX)
+    part = around(known if known.any() else ~known, 2 * _AROUND_TILES * TILE_PX)
     rows, columns = (
         slice(each.start // TILE_PX * TILE_PX, min(size // TILE_PX, -(-each.stop // TILE_PX)) * TILE_PX)
         for each, size in zip(part, known.shape, strict=True)
@@ -131,7 +129,7 @@ def _known(projector_px: Floats32) -> Bools:
 
 
 def _around(pixels: Bools) -> Bools:
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _REACH_PX + 1,) * 2)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * REACH_PX + 1,) * 2)
     return cv2.dilate(pixels.astype(np.uint8), disc).astype(np.bool_)
 
 
@@ -173,6 +171,6 @@ def extrapolated(places: Places, shape: tuple[int, ...]) -> Places:
     gradient = places.gradient[nearest]
     centre = centres_of_tiles(shape).reshape(-1, 2)
     projector_px = places.projector_px[nearest] + np.einsum("tac,tc->ta", gradient, centre - centre[nearest])
-    beyond = far.reshape(-1) > _BEYOND_TILES
+    beyond = far.reshape(-1) > _AROUND_TILES
     projector_px[beyond], gradient[beyond] = np.nan, np.nan
     return Places(projector_px, gradient)

@@ -3,38 +3,35 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from math import log, sqrt
 
 import cv2
 import numpy as np
 
 from calib.numerics import Floats
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.between_axes.borders import REACH_PX
 from scanner.decoding.between_axes.edges import Edges, Shown
-from scanner.decoding.between_axes.registration import differences, shifts_of_tiles
+from scanner.decoding.between_axes.registration import differences, shifts_of_tiles, solved
 from scanner.decoding.motion.device_motion import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
-from scanner.decoding.significance import HUBER_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, SIGNIFICANT_SIGMAS
 
 # Systematic error from fringe ripple and fixed patterns, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
 # Prior standard deviations: a bump turns a device; it hardly rolls it, and does not change its zoom.
 _EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
-_NONE_PX = 1e-6
 # Blurs of the coarse-to-fine fit of a motion that is large compared with the sharpness of edges.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
 _SMALL_PX = 0.2
-# It is accepted if its last step is this small, and it explains this share of the differences at edges: without texture
-# it finds spurious motion.
-_CONVERGED_PX, _EXPLAINED = 0.1, 0.5
+# It is accepted if its last step is this small, and it explains half of the differences at edges: without texture it
+# finds spurious motion.
+_CONVERGED_PX = 0.1
 # The border is searched for within this many camera px of its predicted place; more where the prediction is uncertain,
 # plus this multiple of the blur. Everything outside is scene.
-_REACH_PX, COARSE_REACH_PX, _REACH_OF_BLUR = 4.0, 10.0, 2.0
-_ROUNDS = 8
-# The median of χ for two degrees of freedom.
-_MEDIAN_CHI = 1.18
+_REACH_PX, _REACH_OF_BLUR = 4.0, 2.0
 # Neighbouring tiles may have correlated errors.
 _GROUP_PX = 64
-_SINGULAR = 1e-9
 _AT_REST = np.zeros(COLUMNS)
 
 _Pictures = tuple[Floats32, Floats32]
@@ -79,7 +76,7 @@ def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     if not sure[less].significance < SIGNIFICANT_SIGMAS < sure[more].significance:
         return fit
     expected_px = _EXPECTED_PX.copy()
-    expected_px[devices[less]] = _NONE_PX
+    expected_px[devices[less]] = NEGLIGIBLE
     return replace(fit, motion=_measured(scales, edges, expected_px).motion)
 
 
@@ -94,7 +91,7 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
     for blur_px in _COARSE_TO_FINE_PX[1:]:
         step = _least_squares(_observe_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
-    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > _EXPLAINED:
+    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > HALF:
         return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit
@@ -125,7 +122,7 @@ def _observe_beside(
 
     While the border is uncertain, no tile is down-weighted: most of the border may run along the motion.
     """
-    reach_px = COARSE_REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
+    reach_px = REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
     return _observe(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
 
 
@@ -168,13 +165,14 @@ def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
     expected = np.diag(1 / expected_px**2)
     by_motion = seen.normal @ design
     weight = np.ones(len(design))
-    for _ in range(_ROUNDS):
+    for _ in range(HUBER_ROUNDS):
         weighted = (weight[:, None, None] * design).reshape(-1, COLUMNS).T
         information = weighted @ by_motion.reshape(-1, COLUMNS)
         motion = np.linalg.solve(information + expected, weighted @ seen.pull.reshape(-1)).astype(np.float64)
         left = seen.pull - by_motion @ motion
         chi = np.sqrt(np.maximum(_squares(seen.normal, left), 0.0))
-        scale = max(float(np.median(chi)) / _MEDIAN_CHI, 1.0) if len(chi) else 1.0
+        # Half of all χ² of two degrees of freedom are less than 2 ln 2.
+        scale = max(float(np.median(chi)) / sqrt(2 * log(2)), 1.0) if len(chi) else 1.0
         weight = np.minimum(1.0, seen.huber * scale / np.maximum(chi, 1e-9))
     across, down = (seen.centre_px // _GROUP_PX).astype(np.int64).T
     group = down * (1 + np.max(across, initial=0)) + across
@@ -189,9 +187,5 @@ def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
 
 def _squares(normal: Floats, pull: Floats) -> Floats:
     """Return bᵀ N⁻¹ b of T tiles."""
-    across, both, down = normal[:, 0, 0], normal[:, 0, 1], normal[:, 1, 1]
-    little = _SINGULAR * (across + down)
-    across, down = across + little, down + little
-    x, y = pull.T
-    squares: Floats = (down * x * x - 2 * both * x * y + across * y * y) / (across * down - both * both)
+    squares: Floats = np.einsum("ta,ta->t", pull, solved(normal, pull[..., None])[..., 0])
     return squares

@@ -9,13 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.between_axes.borders import Places, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
-
-# Where a camera pixel covers fewer projector pixels than this, the gradient is degenerate.
-_LEAST_AREA = 1e-3
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class Edges:
     @cached_property
     def _of_border(self) -> Floats:
         gradient = np.nan_to_num(self._around.gradient)
-        known = np.abs(np.linalg.det(gradient)) > _LEAST_AREA
+        known = np.abs(np.linalg.det(gradient)) > NEGLIGIBLE
         gradient[~known] = np.eye(2)
         moved = self._of_devices.copy()
         moved[:, :, :PER_DEVICE] = -np.linalg.solve(gradient, moved[:, :, :PER_DEVICE])

@@ -12,15 +12,15 @@ import numpy as np
 from calib.numerics import Floats
 from scanner.decoding.accumulators import Frames
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.between_axes.borders import part_around, places_of_tiles
-from scanner.decoding.between_axes.coarse_to_fine import COARSE_REACH_PX, motion_of
+from scanner.decoding.between_axes.borders import REACH_PX, part_around, places_of_tiles
+from scanner.decoding.between_axes.coarse_to_fine import motion_of
 from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.time_of_change import TimeOfChange, time_of_change
 from scanner.decoding.motion.device_motion import LEAST_PX, SUSPECTED_PX, Disturbance, MotionFound, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, SIGNIFICANT_SIGMAS
 
 # Largest motion to be corrected: scene and border each show one common motion.
 _LARGEST_PX = 0.5
@@ -33,8 +33,6 @@ _FEWEST_PAIRS = 2
 # Coordinates scatter where code edges are from both before and after the motion; this share of the scatter remains in
 # their means.
 _MIXED = 0.2
-# A motion within a half must explain this many times as much as one between them.
-_LIKELIER = 1.3
 
 
 @dataclass(frozen=True)
@@ -125,13 +123,13 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
     first = len(pairs_of(lit.halves[0].axis))
     width = _stripe_px(lit)
     stripes = [width[pair] for pair in lit.of_pairs]
-    shown = edges.beside(np.zeros(COLUMNS), COARSE_REACH_PX)
+    shown = edges.beside(np.zeros(COLUMNS), REACH_PX)
     for chosen in (shown.scene, shown.border):
         moment = time_of_change([*lit.of_pairs.values()], chosen, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
-        if moment.gained > _LIKELIER and groups not in seen:
+        if AS_GOOD * moment.gained > 1 and groups not in seen:
             seen.add(groups)
             yield moment
 

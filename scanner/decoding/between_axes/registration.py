@@ -9,18 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, compiled
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.slopes import LEVEL, SLOPE
 
 TILE_PX = 16
 _FEWEST_PX = 24
 _OF_LIGHT, _OF_SHIFT = 2, 2
-_OF_PLANE = 5
-_SINGULAR = 1e-6
 _REACH = 2  # taps to either side
 _WINDOW = TILE_PX + 2 * _REACH
-_TAPS = np.stack([LEVEL, SLOPE]).astype(np.float32)
-_HALF = np.float32(0.5)
 _EVERY = 2
 
 
@@ -61,7 +57,8 @@ def shifts_of_tiles(
     level = np.float32(before[TILE_PX // 2 :: TILE_PX, TILE_PX // 2 :: TILE_PX].mean())
     place = (warp.place + 0.5) / step - 0.5
     seen = np.ascontiguousarray(chosen[::step, ::step])
-    _sum_moments(before, after, seen, TILE_PX // step, place, warp.turned, _TAPS, level, moments)
+    taps = np.stack([LEVEL, SLOPE]).astype(np.float32)
+    _sum_moments(before, after, seen, TILE_PX // step, place, warp.turned, taps, level, moments)
     in_pixels = step * np.array([1.0, 1.0, 1 / step, 1 / step, 1.0])
     moments *= np.outer(in_pixels, in_pixels)
     tiles = np.flatnonzero(moments[:, 0, 0] >= _FEWEST_PX)
@@ -83,7 +80,7 @@ def moments_of_tiles(projector_px: Floats32, chosen: Bools) -> Floats:
     pixel's column and row from the middle of the image, and its coordinates (H, W, 2).
     """
     rows, columns = (size // TILE_PX for size in chosen.shape)
-    moments = np.zeros((rows, columns, _OF_PLANE, _OF_PLANE))
+    moments = np.zeros((rows, columns, 5, 5))
     _sum_moments_of(projector_px, chosen, moments)
     return moments
 
@@ -199,7 +196,7 @@ def _sample(
             lower_level = around[y + 1, x] + across * (around[y + 1, x + 1] - around[y + 1, x])
             later = upper_level + (down + roll * further + zoom * lower) * (lower_level - upper_level)
             difference[y, x] = later - mean[y, x]
-            mean[y, x] = _HALF * (mean[y, x] + later)
+            mean[y, x] = np.float32(0.5) * (mean[y, x] + later)
 
 
 @compiled
@@ -270,20 +267,20 @@ def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
     parameters = _OF_SHIFT
     if own_light:
         parameters += _OF_LIGHT
-        rest = rest - moments[:, 2:, :2] @ _solved(moments[:, :2, :2], moments[:, :2, 2:])
+        rest = rest - moments[:, 2:, :2] @ solved(moments[:, :2, :2], moments[:, :2, 2:])
     normal, pull = rest[:, :2, :2], rest[:, :2, 2]
-    left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, _solved(normal, pull[..., None])[..., 0])
+    left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, solved(normal, pull[..., None])[..., 0])
     variance = np.maximum(left, 0.0) / (count - parameters)
     # The residual variance of a tile is at least the median of all, since a low one is due to chance.
     variance = np.maximum(variance, max(float(np.median(variance)) if len(variance) else 0.0, 1e-9))
     return normal / variance[:, None, None], pull / variance[:, None]
 
 
-def _solved(matrices: Floats, right: Floats) -> Floats:
+def solved(matrices: Floats, right: Floats) -> Floats:
     """Solve symmetric systems (T, 2, 2) that may be singular, with a small regularisation."""
     across, both, down = matrices[:, 0, 0, None], matrices[:, 0, 1, None], matrices[:, 1, 1, None]
-    little = _SINGULAR * (across + down) + 1e-12
+    little = NEGLIGIBLE * (across + down) + 1e-12
     across, down = across + little, down + little
     first, second = right[:, 0], right[:, 1]
-    solved: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
-    return solved / (across * down - both**2)[:, None]
+    found: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
+    return found / (across * down - both**2)[:, None]

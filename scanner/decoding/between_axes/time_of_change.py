@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats, Image
+from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.subsampling import MANY_PIXELS, evenly_spread
 
-# Limits on the number of pixels used.
-_MOST_PIXELS = 60_000
-_FEWEST_PIXELS = 1_000
 # A picture with at least this share of the change, and of the rest, was taken during it.
 _PARTLY = 0.25
 
@@ -46,9 +45,9 @@ def time_of_change(
     not add up to even light. A change of overall brightness is ignored.
     """
     pixels = np.flatnonzero(chosen)
-    if len(pixels) < _FEWEST_PIXELS:
+    if len(pixels) < FEWEST_PIXELS:
         return None
-    pixels = pixels[:: -(-len(pixels) // _MOST_PIXELS)]
+    pixels = evenly_spread(pixels, MANY_PIXELS)
     levels = np.stack([picture.reshape(-1)[pixels] for picture in pictures]).astype(np.float64)
     mean = levels.mean(axis=0)
     light = np.stack([np.ones_like(mean), mean])

@@ -18,10 +18,10 @@ from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF, NEARLY_ALL
+from scanner.decoding.subsampling import evenly_spread
 
 _LARGEST_BLUR_CELLS = 2.0
 _STEPS = 200
-_THIN = 4
 # The blur of lenses in focus is not corrected: underestimating the direct light would mask more doubtful bits.
 _IN_FOCUS = 1.5
 
@@ -47,7 +47,7 @@ def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDA
     """Drop all fringes if blur leaves hardly any on an axis with a code, judged at sample pixels
     (P,); yield a warning.
     """
-    pixels = pixels[::_THIN]
+    pixels = evenly_spread(pixels)
 
     def sample(image: NDArray[Any]) -> NDArray[Any]:
         return image.reshape(1, -1)[:, pixels]

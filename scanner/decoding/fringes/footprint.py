@@ -14,22 +14,17 @@ from scipy.stats import f
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
-from scanner.decoding.significance import BY_CHANCE, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
 
 _FINE_PX, _COARSE_PX = 3, 9
-_MARGIN_PX = 6
 # A surface bends less than this over the coarse window, in projector pixels; a wrong fringe order jumps more.
 _JUMP_PX = 0.5
-_FEWEST_TILES = 4
-# Standard deviation of a median of n normal deviates, times √n, over their median deviation from it.
-_MEDIAN_SIGMA = 1.2533 * SIGMA_PER_MEDIAN
 _LARGEST_PX2 = 9.0
 # Default where the capture does not determine it: a pixel's own area (1/12) behind a lens that blurs by a third of a
 # pixel. For a plain wall, zero would be a worse guess with any lens.
 TYPICAL_PX2, _TYPICAL_SIGMA_PX2 = 0.2, 0.15
 # Parallel edges do not determine the variance along them.
 _LARGEST_CONDITION = 100.0
-_ITERATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,7 @@ def footprint_of(
     # An isotropic footprint has equal variances.
     found, weight = tiles.vector[:, :2].sum(axis=1), tiles.matrix[:, :2, :2].sum(axis=(1, 2))
     telling = weight > 0
-    if np.count_nonzero(telling) < _FEWEST_TILES:
+    if np.count_nonzero(telling) <= len(UNITS):
         return Footprint.round(assumed_px2)
     long = _not_round(_Tiles(tiles.matrix[telling], tiles.vector[telling]))
     if long is not None:
@@ -100,7 +95,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
         return None
     size = np.sqrt(np.maximum(information, np.finfo(float).tiny))
     weight = np.ones(len(size))
-    for _ in range(_ITERATIONS):
+    for _ in range(MEDIAN_ROUNDS):
         total = np.einsum("t,tij->ij", weight, tiles.matrix)
         covariance = np.linalg.solve(total, weight @ tiles.vector)
         left = tiles.vector - tiles.matrix @ covariance
@@ -128,7 +123,9 @@ def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:
 
     middle = median(values)
     effective_count = weights.sum() ** 2 / np.sum(weights**2)
-    return middle, _MEDIAN_SIGMA * median(np.abs(values - middle)) / float(np.sqrt(effective_count))
+    # The standard deviation of a median of n normal deviates is √(π / 2n) of theirs.
+    sigma = SIGMA_PER_MEDIAN * median(np.abs(values - middle))
+    return middle, sigma * float(np.sqrt(np.pi / 2 / effective_count))
 
 
 def _band(image: Floats32) -> Floats32:
@@ -139,11 +136,12 @@ def _band(image: Floats32) -> Floats32:
 
 def _inner(usable: Bools, tile_px: int) -> Bools:
     """Return the pixels of each tile whose windows lie in the tile and hold only usable pixels."""
-    size = 2 * _MARGIN_PX + 1
+    margin = _COARSE_PX // 2 + 2  # one for the derivatives, and one that sees two surfaces
+    size = 2 * margin + 1
     whole = cv2.erode(usable.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
     tiles = whole.reshape(-1, tile_px, tile_px)
     inside: Bools = np.zeros_like(tiles)
-    middle = slice(_MARGIN_PX, tile_px - _MARGIN_PX)
+    middle = slice(margin, tile_px - margin)
     inside[:, middle, middle] = tiles[:, middle, middle]
     return inside.reshape(usable.shape)
 

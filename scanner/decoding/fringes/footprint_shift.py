@@ -20,15 +20,10 @@ from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, sha
 # Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.
 _REACH = 2
 REACH_PX = 2 * _REACH
-_WINDOW = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
-# Over the larger footprint of a shaken camera, a parabola in this window no longer fits the surface.
-_LARGEST_PX2 = 1.5
-# Largest second difference of a surface's coordinates; more is a step between surfaces.
-_MOST_BEND_PX = 1.0
+# Largest second difference of a surface's coordinates; more is a step between surfaces, which fringe orders are not.
+MOST_BEND_PX = 1.0
 # Share of a shift that stays uncertain: finite differences at sharp edges, and neglected higher orders.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
-# At the rim of a surface, where neighbours are missing, the shift is larger than at the neighbours.
-_OF_NEIGHBOURS_SHARE2 = np.float32(1)
 _ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
 
 
@@ -59,12 +54,13 @@ def correct_curvature_shift(
     correct afterwards: along the border the neighbours are unknown.
     """
     _take_out_as_around(of_shading, surface, value, variance, *_limits(wanted, value.shape, REACH_PX))
-    if not 0 < footprint.largest_px2 <= _LARGEST_PX2:
+    # The variance of a position in the window: a parabola does not fit the surface over a footprint as wide as that.
+    if not 0 < footprint.largest_px2 < _REACH * (_REACH + 1) / 3:
         return
     kernel = curvature_kernel(footprint)
     shift = cast(Floats32, cv2.filter2D(value, cv2.CV_32F, kernel))
-    most = np.float32(0.5 * footprint.largest_px2 * _MOST_BEND_PX)
-    _forget(shift.ravel(), surrounded(surface, _WINDOW).ravel(), most)
+    most = np.float32(0.5 * footprint.largest_px2 * MOST_BEND_PX)
+    _forget(shift.ravel(), surrounded(surface, np.ones_like(kernel, np.uint8)).ravel(), most)
     _take_out(shift.ravel(), value.ravel(), variance.ravel(), noise_gain2(kernel))
     _take_out_as_around(shift, surface, value, variance, *_limits(wanted, value.shape, 0))
 
@@ -129,7 +125,8 @@ def _take_out_as_around(
             if surface[row, i] and shift[row, i] != shift[row, i]:
                 mean = _mean_around(shift, surface, row, i)
                 value[row, i] -= mean
-                variance[row, i] += _OF_NEIGHBOURS_SHARE2 * mean * mean
+                # At the rim of a surface the shift is larger than at the neighbours.
+                variance[row, i] += mean * mean
 
 
 @compiled

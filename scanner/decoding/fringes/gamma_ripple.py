@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from calib.numerics import Floats
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
+# Phases of correction tables, which are not interpolated: steps of a quarter of a thousandth of a cycle.
 TABLE_LENGTH = 4096
+CYCLE = np.linspace(0, 2 * np.pi, TABLE_LENGTH, endpoint=False)
 # Over fewer cycles the phases of a scene need not be uniformly distributed.
 ENOUGH_CYCLES = 8.0
-_FINE = 1 << 14
 # From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.
 _MANY_SHIFTS = 5
 _HARMONICS = 8
-_FEWEST_PIXELS = 2000
 
 
 def can_ripple(fringe: Fringe) -> bool:
@@ -38,7 +38,7 @@ def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None
     """
     steps, first = len(fringe.shifts), 2 * np.pi * fringe.shifts[0]
     angle = np.concatenate(phases).astype(np.float64) + first
-    if len(angle) < _FEWEST_PIXELS:
+    if len(angle) < FEWEST_PIXELS:
         return None
     harmonics = np.arange(1, _HARMONICS + 1)
     spectrum = _spectrum(angle)
@@ -46,16 +46,17 @@ def straightening(fringe: Fringe, phases: Sequence[Floats32]) -> Floats32 | None
     if abs(moments[0].real) < SIGNIFICANT_SIGMAS * max(_unevenness(spectrum, steps), abs(moments[0].imag)):
         return None
     # Density of ψ = N θ: (1 + Σ 2 c_j cos jψ) / 2π, even because the shifted cosine is; its integral is the true phase.
-    psi = steps * (2 * np.pi * np.arange(TABLE_LENGTH) / TABLE_LENGTH + first)
+    psi = steps * (CYCLE + first)
     ripple = np.sum(2 * moments.real[:, None] / harmonics[:, None] * np.sin(np.outer(harmonics, psi)), axis=0)
     table: Floats32 = (ripple / steps).astype(np.float32)
     return table
 
 
 def _spectrum(angle: Floats) -> NDArray[np.complex128]:
-    """Return the means of exp(i k angle) for k = 0, 1, 2 …, from a sufficiently fine histogram."""
-    counts = np.bincount((angle * (_FINE / (2 * np.pi))).astype(np.int64) % _FINE, minlength=_FINE)
-    to_middles = np.exp(1j * np.pi * np.arange(_FINE // 2 + 1) / _FINE)
+    """Return the means of exp(i k angle) for k = 0, 1, 2 …, from a histogram."""
+    bins = (angle * (TABLE_LENGTH / (2 * np.pi))).astype(np.int64) % TABLE_LENGTH
+    counts = np.bincount(bins, minlength=TABLE_LENGTH)
+    to_middles = np.exp(1j * CYCLE[: TABLE_LENGTH // 2 + 1] / 2)
     spectrum: NDArray[np.complex128] = np.conj(np.fft.rfft(counts)) / len(angle) * to_middles
     return spectrum
 

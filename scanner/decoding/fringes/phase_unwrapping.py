@@ -19,14 +19,9 @@ from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_code import Interval
 from scanner.decoding.sequence_plan import AxisPlan
+from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
-# Larger disagreements, in standard deviations, are contradictions.
-_LIMIT = 5.0
-_LIMIT2 = np.float32(_LIMIT**2)
-# An order is unique if the next best cost is larger by this; 9 is a likelihood ratio of about 100.
-_CLEAR_MARGIN = np.float32(9)
 _INFINITE, _ZERO, _HALF = np.float32(np.inf), np.float32(0), np.float32(0.5)
-_FEWEST = 50
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,8 @@ def widest_tolerances(plan: AxisPlan) -> Tolerances:
     longest = plan.fringes[0].period
     slack = (longest - plan.cell) / 2 if longest > plan.cell else 0.0
     interval = max(0.9 * slack, 0.1 * plan.cell) if plan.codes else 0.02 * plan.length
-    return Tolerances(interval / _LIMIT, tuple(fringe.period / 2 / _LIMIT for fringe in plan.fringes[1:]))
+    between = tuple(fringe.period / 2 / SIGNIFICANT_SIGMAS for fringe in plan.fringes[1:])
+    return Tolerances(interval / SIGNIFICANT_SIGMAS, between)
 
 
 def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats32) -> Tolerances:
@@ -98,14 +94,14 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     widest = widest_tolerances(plan)
     interval = widest.interval_px
     outside = found.outside_px[found.outside_px > 0]
-    if plan.codes and len(outside) >= _FEWEST:
+    if plan.codes and len(outside) >= FEWEST_PIXELS:
         floor = max(0.1, 0.005 * plan.cell)
         interval = min(interval, max(floor, SIGMA_PER_MEDIAN * median(outside)))
     between = []
     noises = [median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
     for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
         sigma = most
-        if len(distance) >= _FEWEST:
+        if len(distance) >= FEWEST_PIXELS:
             total = SIGMA_PER_MEDIAN * median(distance)
             sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
         between.append(max(sigma, 1e-3))
@@ -118,7 +114,7 @@ def unwrap(
     """Unwrap the fringes of an axis. `in_place`: the positions may be overwritten to save memory."""
     periods = [np.float32(fringe.period) for fringe in plan.fringes]
     positions = wrapped.positions
-    reach = plan.cell / 2 + _LIMIT * tolerances.interval_px
+    reach = plan.cell / 2 + SIGNIFICANT_SIGMAS * tolerances.interval_px
     others = int(2 * reach / plan.fringes[0].period)
     # With a single order within reach, it is the nearest.
     search = np.float32(reach if others else plan.fringes[0].period / 2)
@@ -136,7 +132,7 @@ def unwrap(
         coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
     ):
         _nearest_order(position, period, longer, shorter)
-    return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + _CLEAR_MARGIN)
+    return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + np.float32(REJECTED))
 
 
 def _followed(
@@ -148,11 +144,11 @@ def _followed(
     """
     positions, variances = wrapped.positions, wrapped.variances
     cost: Floats32 = np.empty_like(coordinates[0])
-    tolerance_px2 = np.float32(tolerances.interval_px**2)
-    _cost_outside(coordinates[0], interval.low, interval.high, variances[0], tolerance_px2, cost)
+    tolerance_px2, most = np.float32(tolerances.interval_px**2), np.float32(SIGNIFICANT_SIGMAS**2)
+    _cost_outside(coordinates[0], interval.low, interval.high, variances[0], tolerance_px2, most, cost)
     for k, tolerance in enumerate(tolerances.fringe_px, start=1):
         of_pair = variances[k - 1], variances[k], periods[k], np.float32(tolerance**2)
-        _follow(positions[k], *of_pair, coordinates[k - 1], coordinates[k], cost)
+        _follow(positions[k], *of_pair, most, coordinates[k - 1], coordinates[k], cost)
     return cost
 
 
@@ -175,13 +171,19 @@ def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coo
 
 @compiled
 def _cost_outside(
-    coordinate: Floats32, low: Floats32, high: Floats32, variance: Floats32, tolerance_px2: np.float32, cost: Floats32
+    coordinate: Floats32,
+    low: Floats32,
+    high: Floats32,
+    variance: Floats32,
+    tolerance_px2: np.float32,
+    most: np.float32,
+    cost: Floats32,
 ) -> None:
-    """Compute the cost of the distance from the interval."""
+    """Compute the cost of the distance from the interval; more than `most` contradicts it."""
     for i in range(len(coordinate)):
         distance = max(max(low[i] - coordinate[i], coordinate[i] - high[i]), _ZERO)
         square = distance * distance / (variance[i] + tolerance_px2)
-        cost[i] = square if square <= _LIMIT2 else _INFINITE
+        cost[i] = square if square <= most else _INFINITE
 
 
 @compiled
@@ -191,16 +193,17 @@ def _follow(
     variance: Floats32,
     period: np.float32,
     tolerance_px2: np.float32,
+    most: np.float32,
     longer: Floats32,
     shorter: Floats32,
     cost: Floats32,
 ) -> None:
-    """Unwrap one fringe by the next longer one, and add the cost of their distance."""
+    """Unwrap one fringe by the next longer one, and add the cost of their distance; more than `most` contradicts it."""
     for i in range(len(position)):
         nearest = position[i] + np.rint((longer[i] - position[i]) / period) * period
         distance = nearest - longer[i]
         square = distance * distance / (longer_variance[i] + variance[i] + tolerance_px2)
-        cost[i] += square if square <= _LIMIT2 else _INFINITE
+        cost[i] += square if square <= most else _INFINITE
         shorter[i] = nearest
 
 

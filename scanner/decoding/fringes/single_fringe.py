@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from calib.numerics import Floats, biweight, reweighted
 from calib.refinement import Shift
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, TABLE_LENGTH
+from scanner.decoding.fringes.gamma_ripple import CYCLE, ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
+from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS
 
 # Beginning of the remark, by which other modules recognise it.
 UNCHECKED = "Nothing as fine checks"
 # Exponents of projector and camera together, with a uniform prior.
 _EXPONENTS = np.linspace(0.4, 3.2, 57)
-_FEWEST_PIXELS = 500
-_ROUNDS = 10
 # Least uncertainty of the amplitude ripple: harmonics that no power curve has, clipping.
 _LEAST_RIPPLE = 0.01
 # Interreflection shifts a fringe that spans an axis by this share of its period, and shorter ones by a share that falls
@@ -87,12 +86,12 @@ def response_of(seen: Sequence[FringeSample]) -> Response:
     first = seen[0].fringe
     steps = len(first.shifts)
     likelihood = np.ones(len(_EXPONENTS))
-    if all(each.fringe.equal_steps for each in seen) and len(seen[0].phases) >= _FEWEST_PIXELS:
+    if all(each.fringe.equal_steps for each in seen) and len(seen[0].phases) >= FEWEST_PIXELS:
         pair = seen if len({len(each.fringe.shifts) for each in seen}) < len(seen) else seen[:1]
         found, sigma = _ripple([each.phases + 2 * pi * each.fringe.shifts[0] for each in pair], _relative(pair), steps)
         bent = _bent(first)
         curves = bent.log_amplitudes - (bent.log_means if len(pair) == 1 else 0)
-        expected = 2 * np.mean(curves * np.cos(steps * (_CYCLE + 2 * pi * first.shifts[0])), axis=1)
+        expected = 2 * np.mean(curves * np.cos(steps * (CYCLE + 2 * pi * first.shifts[0])), axis=1)
         likelihood = np.exp(-(((expected - found) / sigma) ** 2) / 2) + np.finfo(float).tiny
     return Response(likelihood / likelihood.sum())
 
@@ -112,7 +111,7 @@ class Unchecked:
     @cached_property
     def stretch(self) -> Floats32:
         """The derivative of the true phase by the measured phase, as a table over one cycle."""
-        slope: Floats = np.gradient(self.response.straightening(self.fringe).astype(np.float64), _CYCLE[1])
+        slope: Floats = np.gradient(self.response.straightening(self.fringe).astype(np.float64), CYCLE[1])
         return self._by_true_phase(1 + slope)
 
     @cached_property
@@ -131,8 +130,8 @@ class Unchecked:
         variance += self.left_px[place] ** 2
 
     def _by_true_phase(self, of_measured: Floats) -> Floats32:
-        true = _CYCLE + self.response.straightening(self.fringe)
-        table: Floats32 = np.interp(_CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
+        true = CYCLE + self.response.straightening(self.fringe)
+        table: Floats32 = np.interp(CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
         return table
 
 
@@ -173,9 +172,6 @@ def remark_on(unchecked: Sequence[Unchecked]) -> str:
     )
 
 
-_CYCLE = 2 * pi * np.arange(TABLE_LENGTH) / TABLE_LENGTH
-
-
 @dataclass(frozen=True)
 class _Bent:
     """The effect of each exponent on a fringe, by measured phase, (exponents, TABLE_LENGTH).
@@ -190,16 +186,16 @@ class _Bent:
 
 @lru_cache(maxsize=4)
 def _bent(fringe: Fringe) -> _Bent:
-    shown = (1 + np.cos(_CYCLE + 2 * pi * np.array(fringe.shifts)[:, None])) / 2
+    shown = (1 + np.cos(CYCLE + 2 * pi * np.array(fringe.shifts)[:, None])) / 2
     parts = []
     for exponent in _EXPONENTS:
         levels = shown**exponent
         cosine, sine = fringe.weights[1:] @ levels
-        off = np.angle((cosine + 1j * sine) * np.exp(-1j * _CYCLE))
+        off = np.angle((cosine + 1j * sine) * np.exp(-1j * CYCLE))
         # Resample from evenly spaced true phases to evenly spaced measured phases.
-        measured = _CYCLE + off
+        measured = CYCLE + off
         curves = (-off, np.log(np.hypot(cosine, sine)), np.log(levels.mean(axis=0)))
-        parts.append([np.interp(_CYCLE, measured, curve, period=2 * pi) for curve in curves])
+        parts.append([np.interp(CYCLE, measured, curve, period=2 * pi) for curve in curves])
     return _Bent(*np.moveaxis(np.array(parts), 1, 0))
 
 
@@ -223,5 +219,5 @@ def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[flo
     others = [of_both(np.cos, 2 * steps), np.ones_like(relative)]
     others += [wave(k * angle) for angle in angles for k in range(1, steps - 1) for wave in (np.cos, np.sin)]
     terms = np.stack([*telling, *others])
-    found, *chance = reweighted(terms, relative, biweight, np.ones_like(relative), _ROUNDS)[: len(telling)]
+    found, *chance = reweighted(terms, relative, biweight, np.ones_like(relative), MEDIAN_ROUNDS)[: len(telling)]
     return float(found), hypot(_LEAST_RIPPLE, float(np.sqrt(np.mean(np.square(chance)))))

@@ -16,14 +16,12 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.sequence_plan import Fringe
 from scanner.patterns import Axis, Phase
 
 # Windows are 3 × 3 blocks.
 BLOCK_PX = 2
-# Least share of usable pixels, to avoid division by zero; a window without any is not used.
-_FEWEST = np.float32(0.01)
 # Some errors are proportional to the period, like gamma ripple; interreflection falls off faster, like λ² close to a
 # crease and λ³ far from it. As a compromise the variance grows with the cube.
 _POWER = 3
@@ -92,7 +90,7 @@ def _apart(
     blocks = np.empty((3, *(-(-size // BLOCK_PX) for size in usable.shape)), np.float32)
     _compare(longer, shorter, longer_variance, shorter_variance, usable, *blocks)
     excess, distance, share = (_over_windows(part) for part in blocks)
-    np.maximum(share, _FEWEST, out=share)
+    np.maximum(share, np.float32(NEGLIGIBLE), out=share)  # a window without usable pixels is not used
     return excess / share, distance / share
 
 

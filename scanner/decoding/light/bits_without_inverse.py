@@ -16,20 +16,19 @@ from numpy.typing import NDArray
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.lit_pixels import lit_by
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, SIGNIFICANT_SIGMAS
 
-_ROUNDS = 5
-TAILS = (0.05, 0.95)  # quantiles of a bit's levels, in its dark and in its bright stripes
-# Levels closer than this, in standard deviations of the pixels from them, are not two levels.
-_APART_SIGMAS = 4.0
 # A threshold nearer than this to half-way between white and black, as a share of white minus black, is taken as
 # half-way.
 _LEAST = 0.05
-# White differs in the patterns if at least this many bits agree on it, with this spread.
-_FEWEST_BITS, _ALIKE = 3, 0.05
-_OTHER_WHITE = 0.1
+# Bits agree on a different white in the patterns up to this spread.
+_ALIKE = 0.05
 # Most that a different white adds to the dark level, as a share of what it adds to both; ambient light adds a half.
 _OF_DARK = 0.25
+
+
+# Quantiles of a bit's levels in its dark and in its bright stripes: blurred edges and interreflection are in between.
+TAILS = (0.05, 0.95)
 
 
 @dataclass(frozen=True)
@@ -64,14 +63,14 @@ def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.
     half = np.maximum((brightest - half_way)[lit], np.float32(0.5))
     relative, black = level[lit] / (2 * half), (half_way[lit] - half) / (2 * half)
     is_bright = relative - black > np.mean(np.quantile(relative - black, TAILS))
-    for _ in range(_ROUNDS):
+    for _ in range(HUBER_ROUNDS):
         if min(np.count_nonzero(is_bright), np.count_nonzero(~is_bright)) < FEWEST_PIXELS:
             return None
         of_black, dark, bright = _parts(relative, black, is_bright)
         threshold = of_black * black + (dark + bright) / 2
         is_bright = relative > threshold
     off = relative - of_black * black - np.where(is_bright, bright, dark)
-    if bright - dark < _APART_SIGMAS * SIGMA_PER_MEDIAN * median(np.abs(off)):
+    if bright - dark < SIGNIFICANT_SIGMAS * SIGMA_PER_MEDIAN * median(np.abs(off)):  # not two levels
         return None
     return BitLevels(of_black, dark, bright, median(np.abs(threshold - black - 0.5)))
 
@@ -82,14 +81,14 @@ def white_of(bits: Sequence[BitLevels]) -> float:
     1 unless all bits without an inverse agree on a different value, as with a longer exposure of the white frame or a
     projector that dims bright pictures.
     """
-    if len(bits) < _FEWEST_BITS:
+    if len(bits) < MAJORITY:
         return 1.0
     whites = np.array([bit.dark + bit.bright for bit in bits])
     white, dark, bright = (float(np.median(n)) for n in (whites, [b.dark for b in bits], [b.bright for b in bits]))
-    if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < _OTHER_WHITE:
+    if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < FEW:
         return 1.0
     # Ambient light raises both levels, but does not separate them by more than white and black.
-    is_white = dark * np.sign(white - 1) < _OF_DARK * abs(white - 1) or bright - dark > 1 + _OTHER_WHITE / 2
+    is_white = dark * np.sign(white - 1) < _OF_DARK * abs(white - 1) or bright - dark > 1 + FEW / 2
     return white if is_white else 1.0
 
 

@@ -18,7 +18,7 @@ from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
 # Smaller differences invert hardly any bit, and change a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
@@ -30,21 +30,18 @@ _MOST_MISTAKEN_OF, _MOST_MISTAKEN = 0.25, (0.03, 0.1)
 # Iterations of the initial guess, each on the equalised frames; two suffice for a much darker frame.
 _GUESSES = 2
 # Iterations that estimate the residual gains of the equalised frames.
-_PASSES = 4
+PASSES = 4
 BANDS = 32
 _FEWEST_PER_BAND = 64
 # Largest share of the squared residuals of a single weight for which bands are accepted: chance leaves 0.99, uneven
-# phases 0.95.
+# phases 0.95. With 0.80 the bands of a real capture (phase-shifting-object2) would not be corrected.
 _BANDED = 0.85
+# Share of the largest level, above which the camera may saturate.
+_SATURATED = 0.98
 # Prior standard deviation of a band's weights from those of the whole frame.
 _BAND_SIGMA = 0.2
 # Variety of a bit that changes at one pixel in twelve.
 _LEAST_VARIETY = 0.3
-_OUTLYING = 4.0
-# Share of the largest level, above which the camera may saturate.
-_SATURATED = 0.98
-# Gains must explain a part of the deviation of the sum; a nonlinear camera makes it deviate as well.
-_UNEXPLAINED = 0.8
 
 
 @dataclass(frozen=True)
@@ -111,7 +108,7 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
         found = _gains(guesses, before=found)
         alike = (levels / found.of_rows[back]).astype(np.float32)
     # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
-    for _ in range(_PASSES):
+    for _ in range(PASSES):
         cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
         phase = np.arctan2(sine, cosine)
         staying = 2 if len(ties) else size
@@ -204,12 +201,13 @@ def _weights(
             np.concatenate([design[chosen], *tied[:, chosen]]), np.concatenate([target[chosen], *nothing[:, chosen]])
         )
         away = np.abs(target - design @ terms)
-        chosen &= away <= _OUTLYING * SIGMA_PER_MEDIAN * median(away[chosen]) + 1e-6
+        chosen &= away <= OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away[chosen]) + 1e-6
     design, target, rows = design[chosen], target[chosen], places.rows[chosen]
     left = _without(harmonic.T[chosen], target - design @ terms)
     noise = float(np.mean(left**2)) + 1e-12
     of_common = design[:, 0] * (design[:, 0] @ target / (design[:, 0] @ design[:, 0]))
-    if is_pair and noise > _UNEXPLAINED * np.mean((target - of_common) ** 2):
+    # A nonlinear camera makes the sum deviate as well.
+    if is_pair and noise > AS_GOOD * np.mean((target - of_common) ** 2):
         return np.ones((count, 1)), inf
     # Noise in the regressors biases the weights towards each other, by its share of their variance.
     regressors = np.concatenate([design, *tied[:, chosen]])

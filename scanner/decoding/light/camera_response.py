@@ -15,20 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image, median
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
 # the constraints relative to all pixels.
 _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
-_ROUNDS = 4
-# Sums this many times farther off than the median are down-weighted as motion or flicker.
+# Sums this many times farther off than the median, three standard deviations, are down-weighted: motion or flicker.
 _OUTLYING = 4.5
-_FEWEST_PAIRS, _FEWEST_PIXELS, _MOST_PIXELS = 3, 200, 1000
-_EVERY = 8  # of these pixels, one of so many finds the time of an ambient light change
+_ROUNDS = 4
+# Pixels of the fit, of which one of so many finds the time of an ambient light change.
+_MOST_PIXELS, _EVERY = 1000, 8
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
@@ -36,8 +37,6 @@ _FINE_BITS, _GROUPS = 4, 16
 # right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
 # mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
-_MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
-_SWITCHED = 0.5  # most that is left if an ambient light change explains the sums
 # Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
 _FAINT = 0.025
 _RARE = 0.001  # share of pixels below which a level does not determine its slope
@@ -78,10 +77,10 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     None if the sums are equal without it, or not equal with it.
     """
     lit = unclipped(levels, saturation)
-    if lit.shape[1] < _FEWEST_PIXELS:
+    if lit.shape[1] < FEWEST_PIXELS:
         return None
     seen = lit / np.float32(top)
-    has_pairs = len(plan.complements) >= _FEWEST_PAIRS
+    has_pairs = len(plan.complements) >= MAJORITY
     found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
         return None
@@ -95,7 +94,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
         after = [_fit([few[:place], few[place:]], of_few).after for place in range(1, len(sums))]
         place = 1 + int(np.argmin(after))
         switched = _fit([sums[:place], sums[place:]], of_swing)
-        if switched.after < _SWITCHED * fit.after and switched.before > notable:
+        if switched.after < HALF * fit.after and switched.before > notable:
             fit = switched
         if fit.after > _FAINT**2 * len(sums):
             return None
@@ -187,6 +186,5 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
     """Return the squared deviation of the sums (sums, P) from the median sum, in swings (P,): median pixel, summed."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # pixels without swing
-        off = (sums - np.median(sums, axis=0)) / swing
-    return float(np.sum(np.median(np.nan_to_num(off**2, posinf=_MOST_UNEVEN), axis=1)))
+    off = (sums - np.median(sums, axis=0)) / np.maximum(np.abs(swing), NEGLIGIBLE)
+    return float(np.sum(np.median(off**2, axis=1)))

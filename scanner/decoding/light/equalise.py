@@ -18,6 +18,7 @@ from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,
+    PASSES,
     Gains,
     Places,
     gains_of_fringe,
@@ -27,13 +28,9 @@ from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.significance import MAJORITY
 
 Levels = Image | Floats32
-# This many pairs determine which pixels are lit, even if one of them is wrong.
-_TELLING_PAIRS = 3
-_PASSES = 3
-# A gain between the frames of a pair correlates their sum with their difference by as much.
-_STEADY = LEAST_DIFFERENCE / 2
 
 
 class PairEqualiser:
@@ -100,7 +97,7 @@ class PairEqualiser:
         self._total += first
         self._total += second
         self._pairs += 1
-        if self._pairs <= _TELLING_PAIRS:
+        if self._pairs <= MAJORITY:
             self._swing = np.maximum(self._swing, np.abs(first.astype(np.float32) - second))
             self._lit = lit_by(self._swing)
 
@@ -113,7 +110,9 @@ def _is_steady(first: Levels, second: Levels, total: Floats32, lit: NDArray[np.i
     products, squares = np.zeros(BANDS), np.full(BANDS, 1e-12)
     _compare(first, second, total, lit, products, squares)
     slopes = np.sort(np.abs(products) / squares)
-    return bool(abs(products.sum()) < _STEADY * squares.sum() and slopes[BANDS // 2] < 2 * _STEADY)
+    # A gain between the frames of a pair correlates their sum with their difference by as much as its half.
+    is_even = abs(products.sum()) < LEAST_DIFFERENCE / 2 * squares.sum()
+    return bool(is_even and slopes[BANDS // 2] < LEAST_DIFFERENCE)
 
 
 @compiled
@@ -193,7 +192,7 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
     found: dict[Fringe, tuple[Gains, Floats32]] = {}
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The offset of a fringe comes from the others, so that an error in one affects the rest; hence the passes.
-    for _ in range(_PASSES):
+    for _ in range(PASSES):
         for number, fringe in enumerate(even):
             of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
             common = medians(np.stack(others), axis=0)

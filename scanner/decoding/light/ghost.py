@@ -30,7 +30,6 @@ _LEFT = 0.4
 # The same where only two sums are compared, as with codes without inverses and one fringe per axis: single frames of
 # random exposure reach a quarter by chance.
 _LEFT_OF_TWO = 0.2
-_TRIED = 0.03
 # Least difference between the shares of even and odd rows, if they differ.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 
@@ -121,7 +120,7 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: floa
         return _uneven(plan, _without(seen, before, share)) / len(seen[0])
 
     at_first = left(0.0)
-    if left(_TRIED) >= at_first:
+    if left(_LEAST) >= at_first:
         return None, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)

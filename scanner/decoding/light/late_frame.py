@@ -15,7 +15,7 @@ from scanner.decoding.light.bits_without_inverse import TAILS
 from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY
 from scanner.decoding.subsampling import TRIAL_PIXELS
 
 # Range of shares: above it the frame is the previous picture, below it is harmless.
@@ -29,7 +29,6 @@ _NOTABLE, _UNUSUAL = 0.002, {"pairs": 10.0, "bits": 2.5}
 # change.
 _OF_BRIGHTNESS = 0.3
 _LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only darkens the frame
-_FEWEST_GROUPS = 3
 
 Off = Callable[[Floats32], float]
 
@@ -76,7 +75,7 @@ def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple
 def _groups(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[str, tuple[int, ...], Off]]:
     """Yield pairs and single bits of unusual contradiction, with its measure, given levels (frames, P)."""
     pairs = plan.complements
-    if len(pairs) >= _FEWEST_GROUPS:
+    if len(pairs) >= MAJORITY:
         common = medians(np.stack([np.mean(seen[list(pair)], axis=0) for pair in pairs]), axis=0)
         yield from _unusual("pairs", [(pair, _off_common(pair, common)) for pair in pairs], seen)
     if plan.white is not None and plan.black is not None:
@@ -90,7 +89,7 @@ def _groups(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[str, tuple[int
 def _unusual(
     kind: str, groups: list[tuple[tuple[int, ...], Off]], seen: Floats32
 ) -> Iterator[tuple[str, tuple[int, ...], Off]]:
-    if len(groups) >= _FEWEST_GROUPS:
+    if len(groups) >= MAJORITY:
         usual = float(np.median([off(seen) for _, off in groups]))
         yield from ((kind, frames, off) for frames, off in groups if off(seen) > _UNUSUAL[kind] * usual)
 

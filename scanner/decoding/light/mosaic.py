@@ -11,16 +11,16 @@ from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
 from scanner.decoding.subsampling import ENOUGH_PIXELS
 
-_PERIOD = 2
+BAYER_PX = 2  # to the next pixel of the same colour
 # Least difference of the filters, in logarithms, and largest scatter between blocks relative to it.
 _LEAST, _ALIKE = 0.1, 0.5
 
 
 def log_mosaic(lit: Image) -> Floats32 | None:
     """Return the log brightness (H, W) of each pixel's filter, from the fully lit scene; None without a mosaic."""
-    down, across = (size // _PERIOD for size in lit.shape)
-    parts = lit[: down * _PERIOD, : across * _PERIOD].reshape(down, _PERIOD, across, _PERIOD)
-    blocks = parts[:: max(1, down * across // ENOUGH_PIXELS)].swapaxes(1, 2).reshape(-1, _PERIOD**2)
+    down, across = (size // BAYER_PX for size in lit.shape)
+    parts = lit[: down * BAYER_PX, : across * BAYER_PX].reshape(down, BAYER_PX, across, BAYER_PX)
+    blocks = parts[:: max(1, down * across // ENOUGH_PIXELS)].swapaxes(1, 2).reshape(-1, BAYER_PX**2)
     mean = blocks.mean(axis=1)
     blocks = blocks[mean > LIT * np.quantile(mean, BRIGHTEST)]
     if len(blocks) < FEWEST_PIXELS:
@@ -32,6 +32,6 @@ def log_mosaic(lit: Image) -> Floats32 | None:
     differ = float(np.ptp(of_filters))
     if differ < _LEAST or float(spread.max()) > _ALIKE * differ:
         return None
-    repeats = (-(-size // _PERIOD) for size in lit.shape)
-    whole = np.tile(of_filters.reshape(_PERIOD, _PERIOD), tuple(repeats))
+    repeats = (-(-size // BAYER_PX) for size in lit.shape)
+    whole = np.tile(of_filters.reshape(BAYER_PX, BAYER_PX), tuple(repeats))
     return whole[: lit.shape[0], : lit.shape[1]].astype(np.float32)

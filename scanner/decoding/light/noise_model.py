@@ -15,12 +15,11 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEW, FEWEST_PIXELS
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, MAJORITY
 from scanner.decoding.subsampling import SEED
 
 _QUANTISATION = 1 / 12  # variance of a number that is rounded to integers
 _BINS = 10  # of grey levels, for a straight line
-_ENOUGH_REPEATS = 3  # of the same light, so that the quieter ones tell the noise
 # Stray light: largest difference that it may cause, as a share of what the brightest pixels show.
 STRAY_PART, _BRIGHTEST = 0.03, 0.995
 # Bounds of that difference in grey levels: rounding, and the most that stray light is assumed to cause.
@@ -55,7 +54,7 @@ def needs_neighbours(plan: SequencePlan) -> bool:
 
     With a single repeat an exchanged frame would pass for noise.
     """
-    return max(0, len(plan.complements) - 1) + max(0, len(plan.fringes) - 1) < _ENOUGH_REPEATS
+    return max(0, len(plan.complements) - 1) + max(0, len(plan.fringes) - 1) < MAJORITY
 
 
 def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> NoiseModel:
