@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import Floats32, Reasons, Words
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -33,16 +33,12 @@ from scanner.decoding.mask_reasons import (
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Standard deviations that suffice for a fringe weakened by blur where its stripes are seen: they show the pixel is lit.
-_FAINTLY_SEEN = 3.0
 # One-sided 93 %. A bit this weak lies at the edge of its stripe, where a wrong one costs a single cell.
 _CERTAIN_BIT = 1.5
 # Noise may carry a coordinate this far beyond the projector's pixels.
 EDGE_PX = 0.5
-_FAINTEST_POWER = np.float32(1e-6)
-_CYCLE = np.float32(2 * pi)
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ class AxisDecoder:
         for k, unit in enumerate(self._units_px2):
             cosine, sine = signals.fringe(k)
             at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
-            _variance(cosine, sine, signals.middle, at_black, per_level, variances[k])
+            _variance(cosine, sine, signals.middle, at_black, per_level, np.float32(NEGLIGIBLE), variances[k])
             self._position(k, cosine, sine, positions[k])
             del cosine, sine
         wrapped = Wrapped(positions, variances)
@@ -180,7 +176,8 @@ class AxisDecoder:
         """(P,): stripes are resolved, and the longest fringe is a little above the noise."""
         _, least_seen = least_contrasts(self.noise, signals.middle)
         lit = 2 * (signals.brightest - signals.middle) > least_seen
-        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / _FAINTLY_SEEN) ** 2) * self._darkest_px2)
+        # The stripes show that the pixel is lit, so that fewer standard deviations suffice.
+        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
         return seen
 
     def _saturated(self, signals: Signals) -> Bools:
@@ -270,18 +267,19 @@ def _variance(
     level: Floats32,
     at_black: np.float32,
     per_level: np.float32,
+    faintest: np.float32,
     variance: Floats32,
 ) -> None:
     """Compute the variance (P,) of a fringe's coordinate from noise that grows with the grey level."""
     for i in range(len(cosine)):
-        power = max(cosine[i] * cosine[i] + sine[i] * sine[i], _FAINTEST_POWER)
+        power = max(cosine[i] * cosine[i] + sine[i] * sine[i], faintest)
         variance[i] = (at_black + per_level * level[i]) / power
 
 
 @compiled
 def _straighten(phase: Floats32, ripple: Floats32) -> None:
     """Add a correction table over one cycle, whose length is a power of two, to the phase (P,)."""
-    last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple)) / _CYCLE
+    last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple) / (2 * pi))
     for i in range(len(phase)):
         phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
 

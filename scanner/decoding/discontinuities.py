@@ -15,16 +15,15 @@ from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import Coordinate
 from scanner.decoding.codes.edge_interpolation import BEND_OF_SLOPE
-from scanner.decoding.fringes.edge_shift_correction import CROSS
+from scanner.decoding.fringes.edge_shift_correction import CROSS, surrounded
+from scanner.decoding.fringes.footprint_shift import MOST_BEND_PX
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Largest second difference of a surface: a share of the first difference, plus this many projector pixels.
-_BEND_OF_SLOPE, _BEND_PX = np.float32(BEND_OF_SLOPE), 1.0
+# Largest second difference of a surface: this share of the first difference, plus `MOST_BEND_PX`.
+_BEND_OF_SLOPE = np.float32(BEND_OF_SLOPE)
 # Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
 _FAINTER = np.float32(log(2))
-# Opposite neighbours of a pixel, along columns and along rows.
-_LINES = ((np.s_[:-2, :], np.s_[1:-1, :], np.s_[2:, :]), (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]))
 
 
 def breaks(
@@ -34,14 +33,12 @@ def breaks(
 
     Coordinates of other pixels are NaN. `between_edges`: coordinates from codes were interpolated and have no steps.
     """
-    broken = np.ones(kept.shape, np.bool_)
-    for before, middle, after in _LINES:
-        broken[middle] &= ~(kept[before] & kept[after])
+    broken: Bools = ~np.any([surrounded(kept, np.ones(line, np.uint8)) for line in ((3, 1), (1, 3))], axis=0)
     for coordinate, axis in zip(coordinates, axes, strict=True):
         value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
         # Neighbouring pixels may be two Gray code cells apart, whatever the variance.
         smooth = between_edges or axis.fringes
-        least, sigmas = (_BEND_PX, SIGNIFICANT_SIGMAS * sqrt(6)) if smooth else (_BEND_PX + 2 * axis.cell, 0.0)
+        least, sigmas = (MOST_BEND_PX, SIGNIFICANT_SIGMAS * sqrt(6)) if smooth else (MOST_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):
             _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
         if amplitude is not None:

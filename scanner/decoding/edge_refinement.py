@@ -15,11 +15,9 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
 from scanner.decoding.significance import HALF
-from scanner.decoding.tiles import around, in_strips, widened
+from scanner.decoding.subsampling import lines_of
+from scanner.decoding.tiles import STRIP_ROWS, around, in_strips, widened
 
-_UNKNOWN = np.float32(np.nan)
-_STRIP = 32
-_MOST_LINES = 100
 # In cells longer than this many camera pixels, a pixel that is not between edges lies in a cut-off cell.
 _LONG_PX = 2.0
 # Largest distance, in cells, of a cell's centre from the coordinates of diagonal neighbours.
@@ -86,14 +84,12 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
         wide, own = widened(rows, 1, len(kept))
         there = kept[wide]
         coordinates = [
-            Coordinate(
-                np.where(there, maps.projector_px[wide][..., n], _UNKNOWN), maps.variance[wide], maps.reason[wide]
-            )
+            Coordinate(np.where(there, maps.projector_px[wide][..., n], np.nan), maps.variance[wide], maps.reason[wide])
             for n, _ in axes
         ]
         broken[rows] = breaks(there, coordinates, [axis for _, axis in axes], between_edges=True)[own]
 
-    in_strips(len(kept), _STRIP, find)
+    in_strips(len(kept), STRIP_ROWS, find)
     np.copyto(maps.reason, _ISOLATED, where=kept & broken)
 
 
@@ -114,7 +110,7 @@ def _interpolate(
                 least, _ = least_contrasts(noise, middle)
                 interpolate(code, noise, Lines(words, lit, least, middle, brightest, _lines(of_bits, turned)), *into)
 
-        in_strips(images[0].shape[turned], _STRIP, along)
+        in_strips(images[0].shape[turned], STRIP_ROWS, along)
     *_, value, variance = images
     value *= np.float32(code.cell)
     value -= np.float32(code.offset + 0.5)
@@ -130,9 +126,7 @@ def _apart(value: Floats32, cell: int) -> float:
     """Return how far a cell's centre may be from the values (H, W) around it, in projector pixels;
     negative: not used.
     """
-    slopes = [
-        np.nanmedian(np.abs(np.diff(lines[:: max(1, len(lines) // _MOST_LINES)], axis=1))) for lines in (value, value.T)
-    ]
+    slopes = [np.nanmedian(np.abs(np.diff(lines_of(image), axis=1))) for image in (value, value.T)]
     return _APART * cell if cell < _LONG_PX * float(np.hypot(*slopes)) else -1.0
 
 

@@ -21,9 +21,8 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HALF
-from scanner.decoding.subsampling import at_random
+from scanner.decoding.subsampling import MANY_PIXELS, at_random
 
-_MOST_PIXELS = 65536  # for a pattern of moiré over the whole picture
 # Least contrast relative to the largest; below it, noise dominates.
 _LEAST_CONTRAST = 0.02
 _STEPS = 256  # between two pixels, for the integrals of a Fourier series
@@ -58,7 +57,7 @@ def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> Fi
     """
     x, y = accumulators.plan.axes
     if x.fringes and y.fringes:
-        pixels = at_random(maps.reason.size, _MOST_PIXELS)
+        pixels = at_random(maps.reason.size, MANY_PIXELS)
         of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels]))
         return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
     pixels, levels = sample.pixels, sample.levels

@@ -74,8 +74,7 @@ UNCERTAIN = Against.DISAGREES | Against.AMBIGUOUS
 NOT_LIT = Against.DARK | Against.SATURATED
 
 _DARK, _SATURATED, _UNDECIDED, _INDIRECT, _OUTSIDE, _DISAGREES, _AMBIGUOUS, _CONTRADICTORY = map(np.uint8, Against)
-_DOUBTFUL = np.uint8(UNCERTAIN | Against.CONTRADICTORY)
-_NOTHING = np.uint8(0)
+_NOTHING, _DOUBTFUL = map(np.uint8, (Against(0), UNCERTAIN | Against.CONTRADICTORY))
 _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 
 

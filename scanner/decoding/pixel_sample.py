@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.mosaic import BAYER_PX
 from scanner.decoding.subsampling import at_random
 
 _MOST_PIXELS = 16384  # so that a hundred are left in 1 % of the picture
-_STEP = 2  # to a neighbour of the same colour on a Bayer mosaic, px
 
 
 class Sample:
@@ -22,7 +22,7 @@ class Sample:
 
     def __init__(self, shape: tuple[int, int], *, neighbours: bool) -> None:
         height, width = shape
-        margin = _STEP if neighbours and width > 2 * _STEP else 0
+        margin = BAYER_PX if neighbours and width > 2 * BAYER_PX else 0
         inner = width - 2 * margin
         row, column = np.divmod(at_random(height * inner, _MOST_PIXELS), inner)
         self.pixels: NDArray[np.int64] = row * width + column + margin
@@ -36,7 +36,7 @@ class Sample:
         flat = grey.reshape(-1)
         places = [(self._frames, self.pixels)]
         if self._margin:
-            places += [(self._left, self.pixels - _STEP), (self._right, self.pixels + _STEP)]
+            places += [(self._left, self.pixels - BAYER_PX), (self._right, self.pixels + BAYER_PX)]
         for levels, pixels in places:
             levels.append(flat.take(pixels, mode="clip"))  # all are inside; clip mode skips the bounds check
 

@@ -41,8 +41,7 @@ _SATURATED = 0.97
 _PAIR, _HALF = 2.0, 6.0
 # Per edge: position along the line, its variance, number of the code's edge, cells between the pixels on either side,
 # whether the surface continues from the edge before.
-_ROWS = 5
-_PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(_ROWS)
+_PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(5)
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def _interpolate(
     `numbers`: of the cells. `threshold` (bits,): which of a bit's two `levels` (2, bits, L, N) is a threshold; −1 for
     none.
     """
-    edges = np.empty((_ROWS, numbers.shape[1]))
+    edges = np.empty((_FOLLOWS + 1, numbers.shape[1]))
     for line in range(len(numbers)):
         of_line = numbers[line], usable[line], least[line], levels[:, :, line], threshold
         of_noise = middle[line], brightest[line], at_black, per_level

@@ -13,7 +13,6 @@ from scanner.decoding.arrays import Words
 from scanner.decoding.sequence_plan import GrayCode
 
 Planes = NDArray[np.uint8]
-_NO_BIT = np.uint8(0)
 # This many of the finest bits may be blurred by projector, camera and scattering, or not resolved at all.
 FINE_BITS = 3
 
@@ -93,7 +92,7 @@ def _note_bit(
     """
     for i in range(len(bright)):
         one, other = bright[i], dark[i]
-        plane[i] = plane[i] | (bit if one > other else _NO_BIT)
+        plane[i] = plane[i] | (bit if one > other else np.uint8(0))
         difference = one - other if one > other else other - one
         if half:
             difference = difference + difference if difference <= largest // 2 else largest
