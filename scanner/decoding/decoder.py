@@ -50,8 +50,6 @@ from scanner.patterns import Axis, Pattern
 
 __all__ = ["Decoder", "Decoding", "MaskReason"]
 
-_DEPTHS = (np.uint8, np.uint16)
-
 
 @dataclass(frozen=True)
 class Decoding:
@@ -261,7 +259,11 @@ class Decoder:
         if self._count == len(self._plan.shown):
             raise InputError(f"the sequence has {self._plan.frame_count} frames, found one more")
         name = self._plan.name(self._plan.shown[self._count])
-        if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.dtype not in _DEPTHS:
+        if (
+            image.ndim not in (2, 3)
+            or (image.ndim == 3 and image.shape[2] != 3)
+            or image.dtype not in (np.uint8, np.uint16)
+        ):
             raise InputError(
                 f"{name}: expected a grey or BGR image of 8 or 16 bits, found shape {image.shape} of {image.dtype}"
             )

@@ -20,11 +20,6 @@ from scanner.decoding.fringes.footprint_shift import MOST_BEND_PX
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
-# Largest second difference of a surface: this share of the first difference, plus `MOST_BEND_PX`.
-_BEND_OF_SLOPE = np.float32(BEND_OF_SLOPE)
-# Where the amplitude halves from one pixel to the next, the lens shifts the coordinate by up to half a pixel.
-_FAINTER = np.float32(log(2))
-
 
 def breaks(
     kept: Bools, coordinates: Sequence[Coordinate], axes: Sequence[AxisPlan], *, between_edges: bool = False
@@ -38,9 +33,11 @@ def breaks(
         value, variance, amplitude = coordinate.value, coordinate.variance, coordinate.log_amplitude
         # Neighbouring pixels may be two Gray code cells apart, whatever the variance.
         smooth = between_edges or axis.fringes
+        # Largest second difference of a surface: a share of the first difference, plus this much.
         least, sigmas = (MOST_BEND_PX, SIGNIFICANT_SIGMAS * sqrt(6)) if smooth else (MOST_BEND_PX + 2 * axis.cell, 0.0)
         for down, across in ((1, 0), (0, 1)):
-            _note_bends(value, variance, np.float32(least), np.float32(sigmas), down, across, broken)
+            limits = np.array([BEND_OF_SLOPE, least, sigmas], np.float32)
+            _note_bends(value, variance, limits, down, across, broken)
         if amplitude is not None:
             # The noise of a phase in radians is the relative noise of its amplitude.
             relative = np.float32(OUTLYING_SIGMAS * 2 * pi / axis.fringes[-1].period)
@@ -52,20 +49,21 @@ def breaks(
 
 
 @compiled
-def _note_bends(
-    value: Floats32, variance: Floats32, least: np.float32, sigmas: np.float32, down: int, across: int, broken: Bools
-) -> None:
+def _note_bends(value: Floats32, variance: Floats32, limits: Floats32, down: int, across: int, broken: Bools) -> None:
     """Flag second differences along rows or columns that exceed curvature and noise.
+
+    `limits`: share of the first difference, projector pixels, and standard deviations that are allowed.
 
     NaN neighbours flag nothing.
     """
     height, width = value.shape
+    of_slope, least, sigmas = limits[0], limits[1], limits[2]
     for row in range(down, height - down):
         before, after = value[row - down, : width - 2 * across], value[row + down, 2 * across :]
         middle = slice(across, width - across)
         of_row, noise, note = value[row, middle], variance[row, middle], broken[row, middle]
         for i in range(len(of_row)):
-            bend = abs(before[i] + after[i] - of_row[i] - of_row[i]) - _BEND_OF_SLOPE * abs(after[i] - before[i])
+            bend = abs(before[i] + after[i] - of_row[i] - of_row[i]) - of_slope * abs(after[i] - before[i])
             note[i] |= bend > least + sigmas * np.sqrt(noise[i])
 
 
@@ -75,7 +73,8 @@ def _note_faint(
 ) -> None:
     """Flag pixels whose fringes are much weaker than a neighbour's.
 
-    At the edge of the light, or of a dark patch, lens blur mixes in light from beside the pixel.
+    At the edge of the light, or of a dark patch, lens blur mixes in light from beside the pixel. Where the amplitude
+    halves from one pixel to the next, this shifts the coordinate by up to half a pixel.
     """
     for i in range(len(faint)):
-        faint[i] = log_amplitude[i] < largest[i] - (_FAINTER + sigmas * np.sqrt(variance[i]))
+        faint[i] = log_amplitude[i] < largest[i] - (np.float32(log(2)) + sigmas * np.sqrt(variance[i]))

@@ -1,5 +1,7 @@
 """With Gray codes only, replace cell centres by coordinates interpolated between sub-pixel stripe edges."""
 
+from math import sqrt
+
 import cv2
 import numpy as np
 
@@ -20,8 +22,6 @@ from scanner.decoding.tiles import STRIP_ROWS, around, in_strips, widened
 
 # In cells longer than this many camera pixels, a pixel that is not between edges lies in a cut-off cell.
 _LONG_PX = 2.0
-# Largest distance, in cells, of a cell's centre from the coordinates of diagonal neighbours.
-_APART = 0.5 + 1.5 * CELLS_PER_PIXEL
 # Number of certain pixels, of 8 neighbours, around an undecided pixel at an edge.
 _FEWEST_AROUND = 4
 _KEPT, _UNDECIDED, _ISOLATED = (
@@ -127,7 +127,9 @@ def _apart(value: Floats32, cell: int) -> float:
     negative: not used.
     """
     slopes = [np.nanmedian(np.abs(np.diff(lines_of(image), axis=1))) for image in (value, value.T)]
-    return _APART * cell if cell < _LONG_PX * float(np.hypot(*slopes)) else -1.0
+    # Half a cell from its edge, and the distance of a diagonal neighbour.
+    apart = 1 / 2 + sqrt(2) * CELLS_PER_PIXEL
+    return apart * cell if cell < _LONG_PX * float(np.hypot(*slopes)) else -1.0
 
 
 @compiled

@@ -17,14 +17,13 @@ from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.light.noise_model import STRAY_PART
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HALF
 from scanner.decoding.subsampling import MANY_PIXELS, at_random
 
-# Least contrast relative to the largest; below it, noise dominates.
-_LEAST_CONTRAST = 0.02
 _STEPS = 256  # between two pixels, for the integrals of a Fourier series
 
 
@@ -77,7 +76,7 @@ def _where_kept(
     for contrast in (of_x, of_y):
         known &= contrast > 0
         if known.any():
-            known &= contrast > _LEAST_CONTRAST * np.max(contrast[known])
+            known &= contrast > STRAY_PART * np.max(contrast[known])
     if not known.any():
         return None
     row, column = np.divmod(pixels[known], maps.reason.shape[1])

@@ -18,8 +18,6 @@ REACH_PX = 10
 # A tile's plane is fitted to its own decoded pixels and its neighbours', in a window of this size, and extrapolated as
 # many tiles beyond decoded ones: there the border of a picture that moved is masked.
 _AROUND_TILES = 3
-# Tolerance on the rounding noise of coordinates in steps.
-_OF_STEPS = 1.5
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
     planes = np.linalg.solve(around[:, :3, :3] + 1e-6 * np.eye(3), around[:, :3, 3:])
     left = np.trace(around[:, 3:, 3:] - around[:, 3:, :3] @ planes, axis1=1, axis2=2)
     count = around[:, 0, 0]
-    smooth = (count >= FEWEST_PIXELS) & (left < (MOST_ROUGH_PX**2 + 2 * _OF_STEPS * step_px**2 / 12) * count)
+    smooth = (count >= FEWEST_PIXELS) & (left < (MOST_ROUGH_PX**2 + 2 * step_px**2 / 12) * count)
     smooth_planes: Floats = np.where(smooth[:, None, None], planes, np.nan)
     offset = centres_of_tiles(known.shape).reshape(-1, 2) - np.array([width, height]) / 2
     at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])

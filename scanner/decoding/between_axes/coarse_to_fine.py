@@ -24,9 +24,6 @@ _EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
 # Blurs of the coarse-to-fine fit of a motion that is large compared with the sharpness of edges.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
 _SMALL_PX = 0.2
-# It is accepted if its last step is this small, and it explains half of the differences at edges: without texture it
-# finds spurious motion.
-_CONVERGED_PX = 0.1
 # The border is searched for within this many camera px of its predicted place; more where the prediction is uncertain,
 # plus this multiple of the blur. Everything outside is scene.
 _REACH_PX, _REACH_OF_BLUR = 4.0, 2.0
@@ -91,7 +88,8 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
     for blur_px in _COARSE_TO_FINE_PX[1:]:
         step = _least_squares(_observe_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
-    if np.abs(step.motion).max() < _CONVERGED_PX and _explained(scales.blurred(0.0), edges, motion) > HALF:
+    # Without texture it finds spurious motion, which explains little of the differences at edges.
+    if np.abs(step.motion).max() < _SMALL_PX and _explained(scales.blurred(0.0), edges, motion) > HALF:
         return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit

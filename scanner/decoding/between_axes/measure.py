@@ -26,8 +26,6 @@ from scanner.decoding.significance import AS_GOOD, SIGNIFICANT_SIGMAS
 _LARGEST_PX = 0.5
 # A camera that moved farther sees occlusions change, and has shifted on its tripod.
 _LARGEST_OF_CAMERA_PX = 0.75
-# Pan and tilt of either device among the parameters of a motion.
-_TURNS = [0, 1, PER_DEVICE, PER_DEVICE + 1]
 # A single pair may differ because of its stripes.
 _FEWEST_PAIRS = 2
 # Coordinates scatter where code edges are from both before and after the motion; this share of the scatter remains in
@@ -94,6 +92,7 @@ def motion_between(
     size_px = _typical_px(shift, edges)
     significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
     spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
+    turns = np.diag(fit.covariance).reshape(-1, PER_DEVICE)[:, :2]  # pan and tilt of either device
     between = MotionFound(
         motion=fit.motion,
         significant=significant,
@@ -105,7 +104,7 @@ def motion_between(
         shift=shift,
         others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in timing.others),
         unseen=tuple(spread if significant else [*spread, shift]),
-        blind=bool(np.sqrt(np.diag(fit.covariance))[_TURNS].max() > SUSPECTED_PX / 2),
+        blind=bool(np.sqrt(turns).max() > SUSPECTED_PX / 2),
         largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
     )
     if within is None or not within.significant or (significant and size_px > within.size_px):

@@ -13,7 +13,6 @@ from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.slopes import LEVEL, SLOPE
 
 TILE_PX = 16
-_FEWEST_PX = 24
 _OF_LIGHT, _OF_SHIFT = 2, 2
 _REACH = 2  # taps to either side
 _WINDOW = TILE_PX + 2 * _REACH
@@ -61,7 +60,7 @@ def shifts_of_tiles(
     _sum_moments(before, after, seen, TILE_PX // step, place, warp.turned, taps, level, moments)
     in_pixels = step * np.array([1.0, 1.0, 1 / step, 1 / step, 1.0])
     moments *= np.outer(in_pixels, in_pixels)
-    tiles = np.flatnonzero(moments[:, 0, 0] >= _FEWEST_PX)
+    tiles = np.flatnonzero(moments[:, 0, 0] > _OF_LIGHT + _OF_SHIFT)
     normal, pull = _of_moments(moments[tiles], own_light=own_light)
     tells = normal.trace(axis1=1, axis2=2) > 0
     return TileShifts(tiles[tells], normal[tells], pull[tells])

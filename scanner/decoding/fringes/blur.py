@@ -20,8 +20,8 @@ from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF, NEARLY_ALL
 from scanner.decoding.subsampling import evenly_spread
 
-_LARGEST_BLUR_CELLS = 2.0
-_STEPS = 200
+# Blurs that are distinguished: the largest leaves hardly any of the stripes.
+_BLURS_CELLS = np.linspace(0.01, 2.0, 200)
 # The blur of lenses in focus is not corrected: underestimating the direct light would mask more doubtful bits.
 _IN_FOCUS = 1.5
 
@@ -36,7 +36,7 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
         return 1.0
     # Nearly all pixels are nearer to an edge between two cells than this share of half a cell.
     found = float(np.quantile(least / (2 * amplitude), NEARLY_ALL))
-    blur_px = np.linspace(_LARGEST_BLUR_CELLS * axis.cell / _STEPS, _LARGEST_BLUR_CELLS * axis.cell, _STEPS)
+    blur_px = _BLURS_CELLS * axis.cell
     times = np.exp(2 * (np.pi * blur_px / axis.fringes[0].period) ** 2)
     of_stripes = erf(NEARLY_ALL * axis.cell / 2 / (np.sqrt(2) * blur_px))
     weaker = float(np.interp(found, of_stripes * times, times, left=1.0))

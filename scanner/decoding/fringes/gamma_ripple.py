@@ -17,8 +17,8 @@ from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
 # Phases of correction tables, which are not interpolated: steps of a quarter of a thousandth of a cycle.
-TABLE_LENGTH = 4096
-CYCLE = np.linspace(0, 2 * np.pi, TABLE_LENGTH, endpoint=False)
+CYCLE = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
+TABLE_LENGTH = len(CYCLE)
 # Over fewer cycles the phases of a scene need not be uniformly distributed.
 ENOUGH_CYCLES = 8.0
 # From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.

@@ -18,13 +18,8 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, SIGNIFICANT_SIGMAS
 
-# A threshold nearer than this to half-way between white and black, as a share of white minus black, is taken as
-# half-way.
-_LEAST = 0.05
-# Bits agree on a different white in the patterns up to this spread.
+# Levels are alike up to this share of white minus black: a threshold and the one half-way, or white in several bits.
 _ALIKE = 0.05
-# Most that a different white adds to the dark level, as a share of what it adds to both; ambient light adds a half.
-_OF_DARK = 0.25
 
 
 # Quantiles of a bit's levels in its dark and in its bright stripes: blurred edges and interreflection are in between.
@@ -47,7 +42,7 @@ class BitLevels:
         """Return the threshold from half-way level and white, (H, W); the half-way level itself if
         it is close enough.
         """
-        if self.away < _LEAST:
+        if self.away < _ALIKE:
             return middle
         of_white = self.dark + self.bright - self.of_black
         return cast(Image, cv2.addWeighted(middle, self.of_black - of_white, white, of_white, 0))
@@ -87,8 +82,8 @@ def white_of(bits: Sequence[BitLevels]) -> float:
     white, dark, bright = (float(np.median(n)) for n in (whites, [b.dark for b in bits], [b.bright for b in bits]))
     if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < FEW:
         return 1.0
-    # Ambient light raises both levels, but does not separate them by more than white and black.
-    is_white = dark * np.sign(white - 1) < _OF_DARK * abs(white - 1) or bright - dark > 1 + FEW / 2
+    # Ambient light raises both levels by as much, but does not separate them by more than white and black.
+    is_white = dark * np.sign(white - 1) < FEW * abs(white - 1) or bright - dark > 1 + FEW / 2
     return white if is_white else 1.0
 
 

@@ -39,7 +39,6 @@ _FINE_BITS, _GROUPS = 4, 16
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
 # Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
 _FAINT = 0.025
-_RARE = 0.001  # share of pixels below which a level does not determine its slope
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
 _FULL_SCALE = 1023
@@ -100,7 +99,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
             return None
     slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
     count, _ = np.histogram(seen, _LINEAR)
-    if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
+    if fit.after > _LEFT * fit.before or np.any(slopes[count > 0] < _LEAST_SLOPE):
         return None
     light = np.concatenate([[0.0], np.cumsum(np.maximum(slopes, _LEAST_SLOPE))])
     return CameraResponse(light / light[-1], top, saturation)

@@ -19,7 +19,7 @@ from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS
+from scanner.decoding.significance import FEWEST_PIXELS, HALF
 from scanner.decoding.subsampling import TRIAL_PIXELS
 
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
@@ -27,9 +27,6 @@ _LEAST, _MOST = 0.02, 0.45
 # Largest remaining share of the unevenness after correction: a ghost leaves a sixth, other causes a half, or a share at
 # the limit.
 _LEFT = 0.4
-# The same where only two sums are compared, as with codes without inverses and one fringe per axis: single frames of
-# random exposure reach a quarter by chance.
-_LEFT_OF_TWO = 0.2
 # Least difference between the shares of even and odd rows, if they differ.
 _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 
@@ -124,7 +121,8 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: floa
         return None, at_first
     found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
     share = float(found.x)
-    most = _LEFT if sum(map(len, _sums(plan))) > 2 else _LEFT_OF_TWO
+    # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
+    most = _LEFT if sum(map(len, _sums(plan))) > 2 else HALF * _LEFT
     is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < most * at_first
     return (share if is_ghost else 0.0), at_first
 
