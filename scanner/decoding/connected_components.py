@@ -5,7 +5,7 @@ import numpy as np
 from calib.numerics import Bools, Ints, compiled
 from scanner.decoding.tiles import in_strips, widened
 
-SMALLEST_PATCH = 24  # pixels
+SMALLEST_PATCH = 24  # pixels; fewer are taken for outliers that happen to touch
 _ROWS = 512  # at once, of which twice the smallest patch is searched twice
 
 

@@ -14,7 +14,6 @@ from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode, SequenceP
 from scanner.errors import InputError
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor
 
-_MAX_BITS = 32  # of a code word
 # Two fringe orders are distinct if, for some period, they differ by at least this fraction of it.
 _DISTINCT_CYCLES = 0.05
 
@@ -89,8 +88,8 @@ def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set
     Raises InputError if such a bit is not constant along the axis, or the code does not fit it.
     """
     bits, cell, offset = key
-    if bits > _MAX_BITS:
-        raise InputError(f"a Gray code of {bits} bits along {axis}; at most {_MAX_BITS} are read")
+    if bits > (most := np.iinfo(np.uint32).bits):
+        raise InputError(f"a Gray code of {bits} bits along {axis}; at most {most} are read")
     if not all(0 <= bit < bits for bit in shown):
         raise InputError(f"bits of a Gray code along {axis} must be 0 … {bits - 1}, found {sorted(shown)}")
     n = (np.arange(length) + offset) // cell

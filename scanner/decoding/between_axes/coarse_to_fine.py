@@ -23,11 +23,12 @@ _SYSTEMATIC_PX = 0.01
 _EXPECTED_PX = SUSPECTED_PX * np.tile([1.0, 1.0, 0.3, 0.3], 2)
 # Blurs of the coarse-to-fine fit of a motion that is large compared with the sharpness of edges.
 _COARSE_TO_FINE_PX = (6.0, 3.0, 1.5, 0.0, 0.0)
+# A motion that is small compared with it, and the last step of a fit that has converged.
 _SMALL_PX = 0.2
 # The border is searched for within this many camera px of its predicted place; more where the prediction is uncertain,
 # plus this multiple of the blur. Everything outside is scene.
 _REACH_PX, _REACH_OF_BLUR = 4.0, 2.0
-# Neighbouring tiles may have correlated errors.
+# Tiles within squares of this side, four by four, may have correlated errors.
 _GROUP_PX = 64
 _AT_REST = np.zeros(COLUMNS)
 

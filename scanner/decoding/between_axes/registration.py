@@ -12,11 +12,11 @@ from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.slopes import LEVEL, SLOPE
 
-TILE_PX = 16
-_OF_LIGHT, _OF_SHIFT = 2, 2
-_REACH = 2  # taps to either side
+TILE_PX = 16  # side of a tile, over which the shift is taken as constant
+_OF_LIGHT, _OF_SHIFT = 2, 2  # unknowns of a tile: g and o, and d
+_REACH = 2  # taps of the filters to either side
 _WINDOW = TILE_PX + 2 * _REACH
-_EVERY = 2
+_EVERY = 2  # of rows, and of columns, one of so many shows how much pictures differ
 
 
 @dataclass(frozen=True)

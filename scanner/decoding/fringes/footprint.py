@@ -19,6 +19,7 @@ from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_
 _FINE_PX, _COARSE_PX = 3, 9
 # A surface bends less than this over the coarse window, in projector pixels; a wrong fringe order jumps more.
 _JUMP_PX = 0.5
+# Three standard deviations of a larger footprint would reach beyond the coarse window.
 _LARGEST_PX2 = 9.0
 # Default where the capture does not determine it: a pixel's own area (1/12) behind a lens that blurs by a third of a
 # pixel. For a plain wall, zero would be a worse guess with any lens.

@@ -23,7 +23,7 @@ TABLE_LENGTH = len(CYCLE)
 ENOUGH_CYCLES = 8.0
 # From five equal shifts on, a gamma of 2.2 ripples the phase by less than 0.0003 cycle; with three it is 0.05.
 _MANY_SHIFTS = 5
-_HARMONICS = 8
+_HARMONICS = 8  # of the density of phases, which a smooth response leaves
 
 
 def can_ripple(fringe: Fringe) -> bool:

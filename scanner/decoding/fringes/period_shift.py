@@ -8,11 +8,10 @@ had been knocked exactly between them. The two causes cannot be distinguished.
 from itertools import pairwise
 from math import sqrt
 
+from calib.refinement import CUBIC
 from scanner.decoding.motion import MotionFound
 from scanner.decoding.sequence_plan import SequencePlan
 
-# The modes over which the shift is spread: polynomials up to cubic, in either coordinate.
-_MODES = 20
 # Jitter of single frames ripples a fringe. The part that is alike over whole surfaces is this share of the motion:
 # 0.001 to 0.002 px of 0.2 to 0.3, for each polynomial, in three simulated rooms.
 _LEFT_OF_SINGLE_FRAMES = 0.006
@@ -33,7 +32,8 @@ def between_periods_px(plan: SequencePlan, motion: MotionFound | None) -> float:
         before = [place for place in _places(plan, longer) if place >= motion.last / plan.repeats]
         after = [place for place in _places(plan, shorter) if place <= motion.first / plan.repeats]
         if not before and not after:
-            return motion.size_px / (1 - (shorter / longer) ** 2) / sqrt(_MODES)
+            # It is spread over cubic polynomials of either coordinate.
+            return motion.size_px / (1 - (shorter / longer) ** 2) / sqrt(2 * CUBIC)
     return 0.0
 
 

@@ -27,8 +27,9 @@ _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
 # Sums this many times farther off than the median, three standard deviations, are down-weighted: motion or flicker.
 _OUTLYING = 4.5
-_ROUNDS = 4
-# Pixels of the fit, of which one of so many finds the time of an ambient light change.
+_ROUNDS = 4  # of reweighting
+# Pixels of the fit, of which one of so many finds the time of an ambient light change: with every second or tenth, a
+# response like sRGB is taken for such a change in one room of `bench_conditions.py`.
 _MOST_PIXELS, _EVERY = 1000, 8
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
