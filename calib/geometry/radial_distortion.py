@@ -197,7 +197,7 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
         # J dx = du − (∂ distorted / ∂k) dk
         r2 = x * x + y * y
         _, _, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
-        determinant = a * d - b * b
+        inverse = 1.0 / (a * d - b * b)
         for column, du, dv in (
             (0, -u, -v),
             (1, -1 / focal, 0.0),
@@ -208,8 +208,8 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
             (6, -(r2 + 2.0 * x * x), -2.0 * x * y),
             (7, -x * r2 * r2 * r2, -y * r2 * r2 * r2),
         ):
-            by_device[i, 0, column] = (d * du - b * dv) / determinant
-            by_device[i, 1, column] = (a * dv - b * du) / determinant
+            by_device[i, 0, column] = (d * du - b * dv) * inverse
+            by_device[i, 1, column] = (a * dv - b * du) * inverse
 
 
 @compiled
