@@ -6,6 +6,7 @@ import numpy as np
 from calib.geometry import Matches
 from calib.geometry.radial_distortion import rescaled_point
 from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.plane_segmentation.plane_parallax import Lens
 from calib.plane_segmentation.segmentation import Segments
 from calib.plane_segmentation.surfels import Surfels
 
@@ -14,7 +15,8 @@ _GATE = 3.7  # in sigmas: a 2-D normal error exceeds it once in 940
 _CLEARER_BY = 9.0
 _SAMPLE = 100_000
 
-Device = tuple[float, float, float, tuple[float, float, float, float]]
+# The arguments of `rescaled_point` behind the pixel.
+_Device = tuple[float, float, float, Floats]
 
 
 def label_matches(
@@ -29,10 +31,7 @@ def label_matches(
     near = _near(surfels, segments.label, len(homographies))
     cell_sigma, scale = _cell_sigma(surfels), _scale(matches, surfels, rng)
     plane = np.empty(len(matches), np.int32)
-    devices = [
-        (*lens.centre_px, 1 / lens.unit_px, tuple(map(float, lens.parameters)))
-        for lens in (view.camera, view.projector)
-    ]
+    camera, projector = _numbers_of(view.camera), _numbers_of(view.projector)
 
     def label(at: slice) -> Ints:
         camera_px, counts = np.ascontiguousarray(matches.camera_px[at]), np.zeros(len(homographies) + 1, np.int64)
@@ -41,7 +40,8 @@ def label_matches(
         _label(
             camera_px,
             np.ascontiguousarray(matches.projector_px[at]),
-            *devices,
+            camera,
+            projector,
             cell,
             sigma,
             segments.model_px,
@@ -54,6 +54,10 @@ def label_matches(
 
     counts: Ints = np.sum(in_pieces(len(matches), label), axis=0)
     return plane, counts
+
+
+def _numbers_of(lens: Lens) -> _Device:
+    return *lens.centre_px, 1 / lens.unit_px, lens.parameters
 
 
 def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
@@ -91,8 +95,8 @@ def _scale(matches: Matches, surfels: Surfels, rng: np.random.Generator) -> floa
 def _label(
     camera_px: Floats,
     projector_px: Floats,
-    camera: Device,
-    projector: Device,
+    camera: _Device,
+    projector: _Device,
     cell: Ints,
     sigma_px: Floats,
     model_px: float,
