@@ -45,7 +45,7 @@ class Matches:
             if not _is_finite(value):
                 raise ValueError(f"{name} must hold finite numbers, found NaN or infinity")
         sigma = self.sigma_px
-        if sigma is not None and not all(in_slices(n, _PIECE, lambda at: bool((sigma[at] > 0).all()))):
+        if sigma is not None and n and not sigma.min() > 0:
             raise ValueError("sigma_px must be positive")
 
     def __len__(self) -> int:

@@ -15,7 +15,7 @@ PER_DEVICE = 8
 
 _NEWTON_STEPS = 30
 # Largest last step (the error after it is about its square), and largest error of an accepted inverse.
-_CONVERGED, _INVERTED = 1e-9, 1e-9
+_CONVERGED, _INVERTED = 1e-6, 1e-9
 
 Distortion = tuple[float, float, float, float, float]
 Pinhole = tuple[float, float, float, float]
@@ -106,12 +106,15 @@ def distorted_point(x: float, y: float, distortion: Distortion) -> tuple[float, 
 
 
 @inlined
-def _newton_step(x: float, y: float, u: float, v: float, distortion: Distortion) -> tuple[float, float, float]:
-    """A step of Newton's method towards the ideal point of the distorted one (u, v), and how far it moved."""
+def _newton_step(x: float, y: float, u: float, v: float, distortion: Distortion) -> tuple[float, float, float, bool]:
+    """A step of Newton's method towards the ideal point of the distorted one (u, v), how far it moved, and whether it
+    began where the lens is monotonic.
+    """
     bent_x, bent_y, a, b, d = distorted_point(x, y, distortion)
-    off_x, off_y, inverse = bent_x - u, bent_y - v, 1.0 / (a * d - b * b)
+    off_x, off_y, determinant = bent_x - u, bent_y - v, a * d - b * b
+    inverse = 1.0 / determinant
     step_x, step_y = (d * off_x - b * off_y) * inverse, (a * off_y - b * off_x) * inverse
-    return x - step_x, y - step_y, abs(step_x) + abs(step_y)
+    return x - step_x, y - step_y, abs(step_x) + abs(step_y), (determinant > 0.0) & (a + d > 0.0)
 
 
 @inlined
@@ -119,7 +122,7 @@ def _ideal(u: float, v: float, distortion: Distortion) -> tuple[float, float]:
     """Newton's method from the distorted point; the result is arbitrary where it does not converge."""
     x, y = u, v
     for _ in range(_NEWTON_STEPS):
-        x, y, step = _newton_step(x, y, u, v, distortion)
+        x, y, step, _ = _newton_step(x, y, u, v, distortion)
         if not step > _CONVERGED:
             break
     return x, y
@@ -155,10 +158,14 @@ def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, idea
     for i in range(len(x)):
         x[i], y[i] = (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale
     for _ in range(_NEWTON_STEPS):
-        moving = 0
+        moving, outside = 0, 0
         for i in range(len(x)):
-            x[i], y[i], step = _newton_step(x[i], y[i], (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale, distortion)
+            bent_x, bent_y = (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale
+            x[i], y[i], step, monotonic = _newton_step(x[i], y[i], bent_x, bent_y, distortion)
             moving += step > _CONVERGED
+            outside += not monotonic
+        if moving + outside == 0:
+            return
         if moving == 0:
             break
     for i in range(len(x)):
@@ -190,7 +197,7 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
         # J dx = du − (∂ distorted / ∂k) dk
         r2 = x * x + y * y
         _, _, a, b, d = distorted_point(x, y, (k1, k2, p1, p2, k3))
-        determinant = a * d - b * b
+        inverse = 1.0 / (a * d - b * b)
         for column, du, dv in (
             (0, -u, -v),
             (1, -1 / focal, 0.0),
@@ -201,8 +208,8 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
             (6, -(r2 + 2.0 * x * x), -2.0 * x * y),
             (7, -x * r2 * r2 * r2, -y * r2 * r2 * r2),
         ):
-            by_device[i, 0, column] = (d * du - b * dv) / determinant
-            by_device[i, 1, column] = (a * dv - b * du) / determinant
+            by_device[i, 0, column] = (d * du - b * dv) * inverse
+            by_device[i, 1, column] = (a * dv - b * du) * inverse
 
 
 @compiled
@@ -227,13 +234,19 @@ def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, b
         by_device[i, 0, 7], by_device[i, 1, 7] = focal * x * r2 * r2 * r2, focal * y * r2 * r2 * r2
 
 
+@inlined
+def rescaled_point(x: float, y: float, x0: float, y0: float, per_px: float, lens: Floats) -> tuple[float, float]:
+    """`rescaled` of one pixel."""
+    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
+    x, y = (x - x0) * per_px - x_c, (y - y0) * per_px - y_c
+    ratio, _ = _radial(x * x + y * y, k1, k2, 0.0)
+    return x * ratio + x_c, y * ratio + y_c
+
+
 @compiled
 def _rescale(pixels: Floats, x0: float, y0: float, per_px: float, lens: Floats, moved: Floats) -> None:
-    k1, k2, x_c, y_c = lens[0], lens[1], lens[2], lens[3]
     for i in range(len(pixels)):
-        x, y = (pixels[i, 0] - x0) * per_px - x_c, (pixels[i, 1] - y0) * per_px - y_c
-        ratio, _ = _radial(x * x + y * y, k1, k2, 0.0)
-        moved[i, 0], moved[i, 1] = x * ratio + x_c, y * ratio + y_c
+        moved[i, 0], moved[i, 1] = rescaled_point(pixels[i, 0], pixels[i, 1], x0, y0, per_px, lens)
 
 
 @compiled

@@ -114,8 +114,9 @@ def _nearest(x: float, y: float, vx: float, vy: float, pose: tuple[float, ...]) 
     # a u + t = b v as well as can be: both sides crossed with v, and with u, along u × v.
     cx, cy, cz = uy - uz * vy, uz * vx - ux, ux * vy - uy * vx
     cc, uu, vv = cx * cx + cy * cy + cz * cz, ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + 1.0
-    along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) / cc
-    along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) / cc
+    per_cc = 1.0 / cc
+    along_u = ((vy * tz - ty) * cx + (tx - vx * tz) * cy + (ty * vx - tx * vy) * cz) * per_cc
+    along_v = ((uy * tz - uz * ty) * cx + (uz * tx - ux * tz) * cy + (ux * ty - uy * tx) * cz) * per_cc
     # Halfway between the nearest points of both rays.
     hx = 0.5 * (along_v * vx - along_u * ux - tx)
     hy = 0.5 * (along_v * vy - along_u * uy - ty)

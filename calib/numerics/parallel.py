@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from typing import TypeVar
 
@@ -25,14 +25,33 @@ def processors() -> int:
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return a function's result for each item, in the items' order.
+    """Return a function's result for each item, in the items' order, or raise the first failed item's exception.
 
     One set of threads serves the whole process. What runs in one of them already shares its work no further: it would
     wait for threads that wait for it.
     """
     if getattr(_here, "is_shared", False):
         return [function(item) for item in items]
-    return list(_threads(processors()).map(function, items))
+    left, found, failed = iter(list(enumerate(items))), dict[int, Result](), dict[int, BaseException]()
+
+    # A thread takes the next item as soon as it has finished one, and wakes nobody before all are done.
+    def work() -> None:
+        for number, item in left:
+            try:
+                found[number] = function(item)
+            except BaseException as error:
+                failed[number] = error
+            if failed:
+                break
+
+    try:
+        wait([_threads(processors()).submit(work) for _ in range(processors())])
+    finally:
+        for _ in left:  # after an interruption nothing more is begun
+            pass
+    if failed:
+        raise failed[min(failed)]
+    return [found[number] for number in sorted(found)]
 
 
 _here = threading.local()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import NO_FACE, Matches
-from calib.numerics import Floats, Ints, in_pieces, singular_refused
+from calib.numerics import Floats, Ints, compiled, in_pieces, singular_refused
 from calib.plane_segmentation.corner_hypotheses import Triple, Triples, corner_triples, outermost
 from calib.plane_segmentation.labelling import label_matches
 from calib.plane_segmentation.plane_extraction import NO_PLANE
@@ -157,13 +157,16 @@ def _faces(matches: Matches, segments: Segments, plane: Ints, counts: Ints, corn
         listed.append(
             Plane(homography / np.linalg.norm(homography), int(counts[index]), None if face == NO_FACE else face)
         )
-    label, number = np.empty_like(plane), np.empty_like(plane)
+    label = np.empty_like(plane)
+    in_pieces(len(plane), lambda at: _renumber(rank, face_of, plane[at], label[at]))
+    return Faces(matches.with_faces(label), tuple(listed), plane)
 
-    def fill(at: slice) -> None:
-        label[at], number[at] = face_of.take(plane[at]), rank.take(plane[at])
 
-    in_pieces(len(plane), fill)
-    return Faces(matches.with_faces(label), tuple(listed), number)
+@compiled
+def _renumber(rank: Ints, face_of: Ints, plane: Ints, label: Ints) -> None:
+    """Planes (N,) by their rank (n + 1,), and the face of each, (n + 1,) → (N,)."""
+    for i in range(len(plane)):
+        label[i], plane[i] = face_of[plane[i]], rank[plane[i]]
 
 
 def _ideal_point(point_px: tuple[float, float], size_px: tuple[int, int]) -> tuple[float, float]:

@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 
 from calib.geometry import Matches
+from calib.geometry.radial_distortion import rescaled_point
 from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.plane_segmentation.plane_parallax import Lens
 from calib.plane_segmentation.segmentation import Segments
 from calib.plane_segmentation.surfels import Surfels
 
@@ -12,6 +14,9 @@ _GATE = 3.7  # in sigmas: a 2-D normal error exceeds it once in 940
 # A match that two planes explain is assigned to neither unless one is e^4.5 times as likely.
 _CLEARER_BY = 9.0
 _SAMPLE = 100_000
+
+# The arguments of `rescaled_point` behind the pixel.
+_Device = tuple[float, float, float, Floats]
 
 
 def label_matches(
@@ -26,25 +31,33 @@ def label_matches(
     near = _near(surfels, segments.label, len(homographies))
     cell_sigma, scale = _cell_sigma(surfels), _scale(matches, surfels, rng)
     plane = np.empty(len(matches), np.int32)
+    camera, projector = _numbers_of(view.camera), _numbers_of(view.projector)
 
     def label(at: slice) -> Ints:
-        cell = surfels.grid.cell(matches.camera_px[at])
+        camera_px, counts = np.ascontiguousarray(matches.camera_px[at]), np.zeros(len(homographies) + 1, np.int64)
+        cell = surfels.grid.cell(camera_px)
         sigma = cell_sigma.take(cell) if matches.sigma_px is None else scale * matches.sigma_px[at].astype(np.float64)
         _label(
-            view.camera.ideal(matches.camera_px[at]),
-            view.projector.ideal(matches.projector_px[at]),
+            camera_px,
+            np.ascontiguousarray(matches.projector_px[at]),
+            camera,
+            projector,
             cell,
             sigma,
             segments.model_px,
-            view.projector.unit_px,
             homographies,
             near,
             plane[at],
+            counts,
         )
-        return np.bincount(plane[at], minlength=len(homographies) + 1)[:-1]
+        return counts[:-1]
 
     counts: Ints = np.sum(in_pieces(len(matches), label), axis=0)
     return plane, counts
+
+
+def _numbers_of(lens: Lens) -> _Device:
+    return *lens.centre_px, 1 / lens.unit_px, lens.parameters
 
 
 def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
@@ -80,20 +93,24 @@ def _scale(matches: Matches, surfels: Surfels, rng: np.random.Generator) -> floa
 
 @compiled
 def _label(
-    x: Floats,
-    u: Floats,
+    camera_px: Floats,
+    projector_px: Floats,
+    camera: _Device,
+    projector: _Device,
     cell: Ints,
     sigma_px: Floats,
     model_px: float,
-    unit_px: float,
     homographies: Floats,
     near: Ints,
     plane: Ints,
+    counts: Ints,
 ) -> None:
-    """Ideal points x, u (N, 2) → `plane` (N,)."""
-    h, none = homographies, len(homographies)
-    for i in range(len(x)):
-        x0, x1, u0, u1, c = x[i, 0], x[i, 1], u[i, 0], u[i, 1], cell[i]
+    """Pixels (N, 2) of both devices → `plane` (N,), and how often each occurs, (n + 1,)."""
+    h, none, unit_px = homographies, len(homographies), 1.0 / projector[2]
+    for i in range(len(plane)):
+        c = cell[i]
+        x0, x1 = rescaled_point(camera_px[i, 0], camera_px[i, 1], *camera)
+        u0, u1 = rescaled_point(projector_px[i, 0], projector_px[i, 1], *projector)
         per_variance = unit_px * unit_px / (sigma_px[i] * sigma_px[i] + model_px * model_px)
         best, second, found = np.inf, np.inf, none
         for candidate in range(none):
@@ -111,3 +128,4 @@ def _label(
         if best > _GATE * _GATE or second < best + _CLEARER_BY:
             found = none
         plane[i] = found
+        counts[found] += 1

@@ -130,9 +130,10 @@ def _by_cell(cell: Ints, cells: int) -> tuple[Ints, Ints]:
 
 @compiled
 def _cell(camera_px: Floats, side_px: float, columns: int, rows: int, cell: Ints) -> None:
+    per_px = 1.0 / side_px
     # Pixel centres are whole numbers: the image begins at −0.5.
     for i in range(len(cell)):
-        column, row = int((camera_px[i, 0] + 0.5) / side_px), int((camera_px[i, 1] + 0.5) / side_px)
+        column, row = int((camera_px[i, 0] + 0.5) * per_px), int((camera_px[i, 1] + 0.5) * per_px)
         cell[i] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
 
 

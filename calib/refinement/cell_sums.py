@@ -1,4 +1,4 @@
-"""Compiled passes over all matches: the extent of each plane in the image, and sums over image cells."""
+"""A compiled pass over all matches: sums over the image cells of each plane."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,8 @@ _DEGREE = 4  # `image_polynomial.DEGREE` as a compile-time constant: twice as fa
 
 
 @dataclass(frozen=True)
-class Extent:
-    """Number of matches on one plane and their bounding box in camera pixels, `low` and `high` (2,)."""
-
-    count: int
-    low: Floats
-    high: Floats
-
-
-@dataclass(frozen=True)
 class Raster:
-    """Square cells of `side` pixels from `low` (2,); `columns` × `rows` of them."""
+    """Square cells of `side` pixels from `low` (2,); `columns` × `rows` of them, of which the outer ones reach on."""
 
     low: Floats
     side: float
@@ -32,12 +23,6 @@ class Raster:
 
     def __len__(self) -> int:
         return self.columns * self.rows
-
-    def number(self, camera_px: Floats) -> Ints:
-        """Number of the cell (N,) of each pixel (N, 2)."""
-        place = ((camera_px - self.low) / self.side).astype(np.int32)
-        number: Ints = np.asarray(place[:, 1] * self.columns + place[:, 0], np.int32)
-        return number
 
 
 @dataclass(frozen=True)
@@ -68,19 +53,6 @@ def slots(labels: Sequence[int]) -> Ints:
     return slot
 
 
-def extents(camera_px: Floats, label: Ints, slot: Ints) -> list[Extent]:
-    """Return the extent of the matches with each label."""
-
-    def of_piece(at: slice) -> Floats:
-        totals = np.tile([0.0, -np.inf, -np.inf, -np.inf, -np.inf], (slot.max() + 1, 1))
-        _extend(np.ascontiguousarray(camera_px[at], np.float64), _as_ints(label[at]), slot, totals)
-        return totals
-
-    totals = np.stack(in_pieces(len(label), of_piece))
-    counts, ends = totals[:, :, 0].sum(axis=0), totals[:, :, 1:].max(axis=0)
-    return [Extent(int(count), -end[:2], end[2:]) for count, end in zip(counts, ends, strict=True)]
-
-
 def sums_over_cells(
     matches: Matches,
     label: Ints,
@@ -93,11 +65,11 @@ def sums_over_cells(
     """Return the sums over the cells of each label, (cells, 7).
 
     The columns are: number of matches, total weight (1 for a match of the typical sigma), weighted sums of camera
-    pixels (2) and of offsets from the reference's homography (2), and the weighted sum of squared deviations from
-    homography plus polynomial. Matches whose weighted square exceeds the `limits` are left out.
+    pixels (2) and of deviations from the reference (2), and the weighted sum of their squares. Matches whose weighted
+    square exceeds the `limits` are left out.
     """
     first = np.cumsum([0, *(len(raster) for raster in rasters)])
-    grids = np.array([[*raster.low, raster.side, raster.columns] for raster in rasters])
+    grids = np.array([[*raster.low, raster.side, raster.columns, raster.rows] for raster in rasters])
     homographies = np.stack([reference.homography for reference in references])
     scales = np.stack([reference.scale for reference in references])
     coefficients = np.stack([reference.coefficients for reference in references])
@@ -140,25 +112,6 @@ def _plane_of(label: int, slot: Ints) -> int:
 
 
 @compiled
-def _extend(camera_px: Floats, label: Ints, slot: Ints, totals: Floats) -> None:
-    """For each label (L, 5): number of matches, the highest of −x, −y, x, y."""
-    end = 0
-    while end < len(label):
-        start, end = end, _end_of_run(label, end)
-        plane = _plane_of(label[start], slot)
-        if plane < 0:
-            continue
-        total = totals[plane]
-        left, top, right, bottom = total[1], total[2], total[3], total[4]
-        for i in range(start, end):
-            x, y = camera_px[i, 0], camera_px[i, 1]
-            left, right = max(left, -x), max(right, x)
-            top, bottom = max(top, -y), max(bottom, y)
-        total[0] += end - start
-        total[1], total[2], total[3], total[4] = left, top, right, bottom
-
-
-@compiled
 def _add_up(
     camera_px: Floats,
     projector_px: Floats,
@@ -173,7 +126,9 @@ def _add_up(
     first: Ints,
     sums: Floats,
 ) -> None:
-    """Sums (cells, 7); the cells of each plane begin at `first`, `grids`: its left and upper end, side, columns."""
+    """Sums (cells, 7); the cells of each plane begin at `first`, `grids`: its left and upper end, side, columns,
+    rows.
+    """
     along = np.empty((_DEGREE + 1, 2))
     end = 0
     while end < len(label):
@@ -183,26 +138,28 @@ def _add_up(
             continue
         (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = homographies[plane]
         (scale, _, shift_x), (_, _, shift_y), _ = scales[plane]
-        left, top, side, columns = grids[plane]
-        limit, row = limits[plane], np.nan
+        left, top, side, columns, rows = grids[plane]
+        limit, row, per_px = limits[plane], np.nan, 1.0 / side
         for i in range(start, end):
             x, y, weight = camera_px[i, 0], camera_px[i, 1], weights[i]
             if y != row:
                 _polynomials_in_x(coefficients[plane], scale * y + shift_y, along)
                 row = y
-            third = h20 * x + h21 * y + h22
-            offset_x = projector_px[i, 0] - (h00 * x + h01 * y + h02) / third
-            offset_y = projector_px[i, 1] - (h10 * x + h11 * y + h12) / third
+            per_third = 1.0 / (h20 * x + h21 * y + h22)
             bent_x, bent_y = _at(along, scale * x + shift_x)
-            square = weight * ((offset_x - bent_x) ** 2 + (offset_y - bent_y) ** 2)
+            off_x = projector_px[i, 0] - (h00 * x + h01 * y + h02) * per_third - bent_x
+            off_y = projector_px[i, 1] - (h10 * x + h11 * y + h12) * per_third - bent_y
+            square = weight * (off_x * off_x + off_y * off_y)
             if square <= limit:
-                cell = sums[first[plane] + int((y - top) / side) * int(columns) + int((x - left) / side)]
+                down = min(max((y - top) * per_px, 0.0), rows - 1.0)
+                across = min(max((x - left) * per_px, 0.0), columns - 1.0)
+                cell = sums[first[plane] + int(down) * int(columns) + int(across)]
                 cell[0] += 1
                 cell[1] += weight
                 cell[2] += weight * x
                 cell[3] += weight * y
-                cell[4] += weight * offset_x
-                cell[5] += weight * offset_y
+                cell[4] += weight * off_x
+                cell[5] += weight * off_y
                 cell[6] += square
 
 

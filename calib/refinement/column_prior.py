@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, compiled
 
 # One in twenty comes from the wide Gaussian, whose standard deviation is four times as large.
 _ODD, _TIMES = 0.05, 4.0
@@ -46,6 +46,7 @@ class ColumnPrior:
         return replace(self, sigma=sigma)
 
 
+@compiled
 def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
     """Return −2 log of a mixture of a Gaussian of sigma 1 and a wide one, 0 at its peak, for deviations (n, d).
 
@@ -54,13 +55,20 @@ def with_tails(z: Floats) -> tuple[Floats, Floats, Floats]:
     that of the wide Gaussian if larger, both (n, d). The prior is nearly Gaussian up to three sigmas;
     beyond, the data outweigh it.
     """
-    size, least = z.shape[1], _TIMES**-2.0
-    narrow, wide = np.log(1 - _ODD), np.log(_ODD) - size * np.log(_TIMES)
-    square = np.sum(z**2, axis=1, keepdims=True)
-    usual, odd = narrow - square / 2, wide - least * square / 2
-    total = np.logaddexp(usual, odd)
-    share = np.exp(odd - total)  # the probability of belonging to the wide Gaussian
-    weight = 1 - share * (1 - least)
-    curvature = weight - share * (1 - share) * (z * (1 - least)) ** 2
-    cost = 2 * (np.logaddexp(narrow, wide) - total) / size
-    return np.broadcast_to(cost, z.shape), weight * z, np.maximum(curvature, least)
+    cost, slope, curvature = np.empty(z.shape), np.empty(z.shape), np.empty(z.shape)
+    size, least = z.shape[1], 1.0 / (_TIMES * _TIMES)
+    odds = _ODD / (1.0 - _ODD) / _TIMES**size  # of the wide Gaussian, at the peak
+    for i in range(len(z)):
+        square = 0.0
+        for j in range(size):
+            square += z[i, j] * z[i, j]
+        # Relative to the wide Gaussian, whose density does not underflow.
+        usual = np.exp(-0.5 * (1.0 - least) * square) / odds
+        share = 1.0 / (1.0 + usual)  # the probability of belonging to the wide Gaussian
+        weight = 1.0 - share * (1.0 - least)
+        for j in range(size):
+            cost[i, j] = (least * square - 2.0 * np.log((1.0 + usual) / (1.0 + 1.0 / odds))) / size
+            slope[i, j] = weight * z[i, j]
+            curved = weight - share * (1.0 - share) * (z[i, j] * (1.0 - least)) ** 2
+            curvature[i, j] = max(curved, least)
+    return cost, slope, curvature

@@ -1,7 +1,8 @@
 """Average matches on a plane over cells, so that the refinement costs the same for 10⁴ and 10⁷ matches.
 
 In a cell of some tens of camera pixels, the mean deviation from the plane's homography carries all the information of
-the cell's matches. Lens distortion is curved within a cell and would bias the mean; a fitted polynomial corrects this.
+the cell's matches. Lens distortion is curved within a cell and would bias the mean: a fitted polynomial is part of what
+they deviate from.
 """
 
 from collections.abc import Sequence
@@ -12,11 +13,11 @@ import numpy as np
 
 from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped, normalisation
 from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, evenly, in_parallel
-from calib.refinement.cell_sums import Extent, Raster, Reference, extents, slots, sums_over_cells
+from calib.refinement.cell_sums import Raster, Reference, slots, sums_over_cells
 from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, monomials
 
 _CELLS_PER_PLANE = 200
-_SAMPLE = 20_000
+_SAMPLE = 10_000
 _TYPICAL_SAMPLE = 100_000
 _SMALL_SAMPLE = 1_000
 _SPARSE = 0.2
@@ -76,12 +77,11 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     `plane` (N,): labels to use instead of the faces. Raises TooFewMatchesError if a label has fewer than four matches.
     """
     label = matches.labels if plane is None else plane
-    slot = slots(labels)
-    reach = extents(matches.camera_px, label, slot)
-    for name, extent in zip(labels, reach, strict=True):
-        if extent.count < 4:
-            raise TooFewMatchesError(f"face {name} has {extent.count} matches; a homography needs at least four")
     chosen = [label == name for name in labels]
+    counts = [np.count_nonzero(own) for own in chosen]
+    for name, count in zip(labels, counts, strict=True):
+        if count < 4:
+            raise TooFewMatchesError(f"face {name} has {count} matches; a homography needs at least four")
     typical = _typical_sigma(matches, np.logical_or.reduce(chosen))
 
     def sampled(own: Bools) -> tuple[Matches, Reference]:
@@ -89,10 +89,10 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
         return sample, _reference(sample, typical)
 
     samples, references = zip(*in_parallel(sampled, chosen), strict=True)
-    rasters = [_raster(extent) for extent in reach]
+    rasters = [_raster(sample.camera_px) for sample in samples]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
-    sums = sums_over_cells(matches, label, slot, references, rasters, limits, typical)
-    means = [_means(*each) for each in zip(labels, sums, samples, references, rasters, strict=True)]
+    sums = sums_over_cells(matches, label, slots(labels), references, rasters, limits, typical)
+    means = [_means(*each) for each in zip(labels, sums, references, strict=True)]
 
     squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
     noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)
@@ -103,7 +103,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
         noise / np.sqrt(np.concatenate([mean.weight for mean in means])),
         np.concatenate([mean.coarseness for mean in means]),
         noise,
-        1.0 - sum(mean.kept for mean in means) / sum(extent.count for extent in reach),
+        1.0 - sum(mean.kept for mean in means) / sum(counts),
     )
 
 
@@ -145,7 +145,7 @@ class _Means:
     kept: int
 
 
-def _means(label: int, sums: Floats, sample: Matches, reference: Reference, raster: Raster) -> _Means:
+def _means(label: int, sums: Floats, reference: Reference) -> _Means:
     """Compute the means over the cells of one plane from their sums."""
     count = sums[:, 0]
     # A cell with far fewer matches than a typical match's cell holds stray labels, not a piece of the plane.
@@ -153,30 +153,18 @@ def _means(label: int, sums: Floats, sample: Matches, reference: Reference, rast
     if not len(full):
         raise TooFewMatchesError(f"the matches of face {label} follow no homography")
     typical = full[np.searchsorted(np.cumsum(full), full.sum() / 2)]
-    filled = np.flatnonzero(count >= max(1.0, _SPARSE * typical))
-    sums = sums[filled]
+    sums = sums[count >= max(1.0, _SPARSE * typical)]
     count, weight = sums[:, 0], sums[:, 1]
-    camera_px, offset = sums[:, 2:4] / weight[:, None], sums[:, 4:6] / weight[:, None]
+    camera_px, deviation = sums[:, 2:4] / weight[:, None], sums[:, 4:6] / weight[:, None]
     return _Means(
         camera_px,
-        reference.straight(camera_px) + offset - _bias(sample, reference, raster)[filled],
-        np.full(len(filled), label, np.int32),
+        reference.straight(camera_px) + reference.curved(camera_px) + deviation,
+        np.full(len(sums), label, np.int32),
         weight,
         np.sqrt(count / weight),
         (float(sums[:, 6].sum()), max(2.0 * count.sum() - 2 * TERMS, 1.0)),
         int(count.sum()),
     )
-
-
-def _bias(sample: Matches, reference: Reference, raster: Raster) -> Floats:
-    """Return the polynomial's mean over a cell's matches minus its value at their mean, (cells, 2)."""
-    cell, size = raster.number(sample.camera_px), len(raster)
-    count = np.maximum(np.bincount(cell, minlength=size), 1)[:, None]
-
-    def mean(values: Floats) -> Floats:
-        return np.stack([np.bincount(cell, column, minlength=size) for column in values.T], axis=1) / count
-
-    return mean(reference.curved(sample.camera_px)) - reference.curved(mean(sample.camera_px))
 
 
 def _reference(sample: Matches, typical_sigma_px: float) -> Reference:
@@ -212,8 +200,8 @@ def _near_a_homography(sample: Matches) -> Bools:
     return near
 
 
-def _raster(extent: Extent) -> Raster:
-    low, high = extent.low, extent.high
+def _raster(camera_px: Floats) -> Raster:
+    low, high = camera_px.min(axis=0), camera_px.max(axis=0)
     # The share of the bounding box that a face fills is unknown; half is typical for a corner's faces.
     side = max(1.0, float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / (2 * _CELLS_PER_PLANE))))
     columns, rows = (int(reach / side) + 1 for reach in high - low)

@@ -63,15 +63,20 @@ def write_matches(
     """
     arrays: dict[str, Any] = {"camera_px": matches.camera_px, "projector_px": matches.projector_px}
     if matches.face is not None:
-        arrays["face"] = matches.face
+        arrays["face"] = _in_few_bytes(matches.face)
     if matches.sigma_px is not None:
         arrays["sigma_px"] = matches.sigma_px
     if plane is not None:
-        arrays["plane"] = plane
+        arrays["plane"] = _in_few_bytes(plane)
     if only_axis is not None:
         arrays[_MEASURED] = np.array([only_axis == "x", only_axis == "y"])
     with new_file(path, overwrite=True) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
+
+
+def _in_few_bytes(labels: Ints) -> Ints:
+    """Labels from −1 up as the smallest signed numbers that hold them."""
+    return labels.astype(np.min_scalar_type(-1 - int(labels.max(initial=0))))
 
 
 def read_matches(path: Path) -> Matches:

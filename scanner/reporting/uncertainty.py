@@ -15,7 +15,7 @@ from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import ScaledMap, picture
 
 # Sigmas vary smoothly over the image, so this many samples suffice for the map.
-_SAMPLES = 40_000
+_SAMPLES = 10_000
 
 
 @dataclass(frozen=True)

@@ -153,10 +153,29 @@ class Correction:
         self, cosine: Floats32, sine: Floats32, middle: Floats32, brightest: Floats32, rows: NDArray[np.int64]
     ) -> tuple[Floats32, Floats32]:
         """Return the corrected components at pixels in these `rows`, all (P,)."""
-        at = rows if self.of_light.shape[-1] > 1 else np.zeros(1, np.int64)
+        corrected = np.empty((2, len(cosine)), np.float32)
         light = self.light[0] * middle + self.light[1] * brightest + self.light[2]
-        a, b = self.of_components[..., at], self.of_light[..., at]
-        return a[0, 0] * cosine + a[0, 1] * sine + b[0] * light, a[1, 0] * cosine + a[1, 1] * sine + b[1] * light
+        _correct(cosine, sine, light, rows, self.of_components, self.of_light, corrected)
+        return corrected[0], corrected[1]
+
+
+@compiled
+def _correct(
+    cosine: Floats32,
+    sine: Floats32,
+    light: Floats32,
+    rows: NDArray[np.int64],
+    of_components: Floats32,
+    of_light: Floats32,
+    corrected: Floats32,
+) -> None:
+    by_row = int(of_light.shape[1] > 1)
+    for component in range(2):
+        of_cosine, of_sine, offset = of_components[component, 0], of_components[component, 1], of_light[component]
+        into = corrected[component]
+        for i in range(len(into)):
+            row = by_row * rows[i]
+            into[i] = of_cosine[row] * cosine[i] + of_sine[row] * sine[i] + offset[row] * light[i]
 
 
 def correction(

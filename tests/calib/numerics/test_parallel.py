@@ -1,6 +1,7 @@
 """Parallel work in threads."""
 
 import threading
+import time
 
 import pytest
 
@@ -35,3 +36,14 @@ def test_an_error_is_raised_and_later_work_runs() -> None:
     with pytest.raises(ZeroDivisionError):
         in_parallel(inverse, range(10))
     assert in_parallel(inverse, [1, 2, 4]) == [1.0, 0.5, 0.25]
+
+
+def test_of_several_errors_the_first_item_s_is_raised() -> None:
+    def fails(item: int) -> None:
+        if item == 3:
+            time.sleep(0.05)
+        if item in (3, 4):
+            raise ValueError(f"item {item}")
+
+    with pytest.raises(ValueError, match="item 3"):
+        in_parallel(fails, range(10))

@@ -88,3 +88,15 @@ def test_nearly_empty_cells_are_left_out() -> None:
         # Fewer than a fifth of what a typical match has around it: strays, or the edge of a face that cuts a cell off.
         typical = np.sort(of_plane)[np.searchsorted(np.cumsum(np.sort(of_plane)), of_plane.sum() / 2)]
         assert 0.18 < of_plane.min() / typical < 0.5
+
+
+def test_an_image_whose_rows_are_as_long_as_the_samples_are_apart() -> None:
+    """Every fortieth match of this strip is in its first column."""
+    camera_px = np.stack(np.meshgrid(np.arange(40.0), np.arange(10_000.0)), axis=-1).reshape(-1, 2)
+
+    def bent(pixels: np.ndarray) -> np.ndarray:
+        return pixels + 1e-7 * pixels[:, 1:] ** 2
+
+    cells = into_cells(Matches(camera_px, bent(camera_px), np.zeros(len(camera_px), np.int32)), (0,))
+    assert 30 < cells.camera_px[:, 0].max() < 39
+    assert 1e-13 < np.abs(cells.projector_px - bent(cells.camera_px)).max() < 1e-6
