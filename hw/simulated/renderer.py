@@ -23,7 +23,7 @@ from hw.simulated.shapes import Block
 from hw.simulated.texture import paint
 
 _RAYS_PER_NODE = 384
-_RAYS_PER_NODE_ALL_ROUND = 128  # a whole room has many more nodes
+_FEWER_RAYS_PER_NODE = 128  # for ambient light alone, and for a whole room, which has many more nodes
 _WALLPAPER_STREAM = 102  # a stream of its own: a wallpaper leaves all other random numbers unchanged
 
 
@@ -116,7 +116,8 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
     wallpaper = np.random.default_rng([settings.seed, _WALLPAPER_STREAM]) if settings.wallpaper else None
     texture = paint(room.scene, rng, settings.albedo, wallpaper)
     mesh = build_mesh(light)
-    rays = _RAYS_PER_NODE_ALL_ROUND if room.scene.all_round else _RAYS_PER_NODE
+    fewer = room.scene.all_round or not settings.interreflection
+    rays = _FEWER_RAYS_PER_NODE if fewer else _RAYS_PER_NODE
     gathered = Gatherer(light, texture, picture, mesh).gather(rays, rng)
     interreflection = solve(room.scene, mesh, gathered)
     samples = samples_per_pixel(room.camera, room.projector)

@@ -93,8 +93,10 @@ def candidates(
             return _beside(files, tuple(pattern for pattern in whole if pattern not in missing))
 
         paths, patterns = _paths(files), for_size(size)
+        if len(patterns) != len(paths):
+            continue
         kind = patterns if known else tuple(map(_unsized, patterns))
-        if len(patterns) == len(paths) and kind not in seen:
+        if kind not in seen:
             seen.add(kind)
             yield Candidate(paths, patterns, size, known, for_size)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from math import ceil, log2
 
@@ -16,6 +17,7 @@ def bits_of(length: int, cell: int = 1) -> int:
     return max(1, ceil(log2(ceil(length / cell))))
 
 
+@cache  # the same ones are in hundreds of orders
 def gray_bits(
     axis: Axis,
     length: int,
@@ -25,7 +27,7 @@ def gray_bits(
     least: int = 1,
     most: int | None = None,
     centred: bool = False,
-) -> Iterator[Gray]:
+) -> tuple[Gray, ...]:
     """The required bits of a Gray code, most significant first.
 
     `least`: at least this many bits, of which the first never change; `most`: at most this many, which makes cells
@@ -34,9 +36,10 @@ def gray_bits(
     bits = max(least, bits_of(length, cell))
     offset = (cell * (1 << bits) - length) // 2 if centred else 0
     shown = bits if most is None else min(bits, most)
-    for bit in range(shown):
-        for inverted in (False, True) if inverses else (False,):
-            yield Gray(axis, bit, shown, cell << bits - shown, offset, inverted)
+    signs = (False, True) if inverses else (False,)
+    return tuple(
+        Gray(axis, bit, shown, cell << bits - shown, offset, inverted) for bit in range(shown) for inverted in signs
+    )
 
 
 def fringe(axis: Axis, period: float, steps: int, *, first: int = 0, backwards: bool = False) -> Iterator[Phase]:
@@ -97,8 +100,13 @@ def other_gray_orders() -> tuple[SequenceOf, ...]:
 Arrangement = Callable[[list[list[Gray]]], tuple[Pattern, ...]]
 
 
+@cache
+def _inverse(bit: Gray) -> Gray:
+    return replace(bit, inverted=True)
+
+
 def _inverted(bits: list[Gray]) -> list[Gray]:
-    return [replace(bit, inverted=True) for bit in bits]
+    return [*map(_inverse, bits)]
 
 
 def _by_bit(axes: list[list[Gray]]) -> tuple[Pattern, ...]:

@@ -134,5 +134,3 @@ def test_real_boards_predict_each_other(tmp_path: Path, capsys: pytest.CaptureFi
     assert 1.0 < calibration.sigma.camera.focal_px[0] < 10.0
     told = re.search(r"by the others to ([\d.]+) projector px", capsys.readouterr().out)
     assert 0.02 < float(told[1]) < 0.3
-    again = ["board", str(BOARDS / "capture_0"), str(BOARDS / "capture_0"), "--board", "chessboard:9x7"]
-    assert main([*again, "--square", "75mm", "--out", str(tmp_path / "twice")]) == 2

@@ -13,6 +13,8 @@ from scanner.io import read_image, write_png
 from scanner.targets.target import Target
 from tests.support.board_captures import CAMERA, PROJECTOR, write_board_capture
 
+pytestmark = pytest.mark.xdist_group("wrong boards")  # what the module shares is made once
+
 TARGET = Target("chessboard", 7, 5, 0.05)
 OPTIONS = BoardOptions(CAMERA, PROJECTOR, 7, 5, 0.05, 3, distance=(0.9, 1.3), matches=1, bend=0.0)
 
@@ -49,6 +51,7 @@ def captures(made: SyntheticBoards, tmp_path_factory: pytest.TempPathFactory) ->
         ("good", "chessboard:6x4", 2, "but a chessboard of 7 × 5 inner corners"),
         ("good", "chessboard:8x6", 2, "no chessboard:8x6 was found"),
         ("good", "charuco:7x5", 2, "nor any markers"),
+        ("good/0 good/0", "chessboard:7x5", 2, "good/0: given twice"),
         ("good/0 good/1 blank", "chessboard:7x5", 2, "expected the board in at least three captures"),
         ("good/0 good/1", "chessboard:7x5", 4, "at least three are needed"),
         ("parallel", "chessboard:7x5", 4, "Parallel boards do not determine focal lengths"),

@@ -1,18 +1,25 @@
 """Whether the projector shows single pixels unchanged: measured before a capture, and reported then and in replays."""
 
+from functools import lru_cache
+
 import pytest
 
-from hw.open_rig import open_rig
-from hw.settings import PanelSettings, SimulatedRigSettings
+from hw.settings import SimulatedRigSettings
+from hw.simulated.simulation import SimulatedRoom
 from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines, shows_single_pixels
+from tests.support.check_bench import changed, rig_in
 
-CAMERA, PROJECTOR = (204, 160), (214, 120)
+pytestmark = pytest.mark.xdist_group("single pixels")  # the rooms are made once
+SIZES = ((204, 160), (214, 120)), ((408, 320), (428, 240))
 
 
-def measured(**settings: object) -> dict[str, object]:
-    rig = SimulatedRigSettings.model_validate({"backend": "simulated", **settings})
-    with open_rig(rig, CAMERA, PROJECTOR) as opened:
-        (found,) = measure_lines(opened.rig)
+@lru_cache
+def room(camera: tuple[int, int], projector: tuple[int, int]) -> SimulatedRoom:
+    return SimulatedRoom(SimulatedRigSettings(furniture=False, interreflection=False), camera, projector)
+
+
+def measured(sizes: tuple[tuple[int, int], tuple[int, int]] = SIZES[0], /, **settings: object) -> dict[str, object]:
+    (found,) = measure_lines(rig_in(changed(room(*sizes), **settings)))
     return dict(found)
 
 
@@ -22,7 +29,7 @@ def measured(**settings: object) -> dict[str, object]:
         ({}, 0.9, 1.1),
         ({"panel": {"mirrored": True}}, 0.9, 1.1),
         ({"ambient": 0.3, "camera_blur_px": 2.0, "projector_blur_px": 1.5}, 0.9, 1.1),
-        ({"panel": PanelSettings(keystone=0.02)}, 0.2, 0.55),
+        ({"panel": {"keystone": 0.02}}, 0.2, 0.55),
         ({"panel": {"keystone": 0.1}}, 0.2, 0.55),
         ({"panel": {"scale": 0.8}}, 0.2, 0.5),
     ],
@@ -40,13 +47,10 @@ def test_single_pixel_lines_survive_unless_the_picture_is_resampled(
     assert known_of_lines({"frames": [], **found}) == found
 
 
-@pytest.mark.parametrize(("camera", "projector"), [(CAMERA, PROJECTOR), ((612, 512), (854, 480))])
-def test_relevant_keystone_correction_blurs_single_pixels(camera: tuple[int, int], projector: tuple[int, int]) -> None:
+@pytest.mark.parametrize("sizes", SIZES)
+def test_relevant_keystone_correction_blurs_single_pixels(sizes: tuple[tuple[int, int], tuple[int, int]]) -> None:
     """Keystone that moves the picture's corners by half a pixel."""
-    rig = SimulatedRigSettings(panel=PanelSettings(keystone=1.0 / projector[0]))
-    with open_rig(rig, camera, projector) as opened:
-        (found,) = measure_lines(opened.rig)
-    (kept,) = found.values()
+    (kept,) = measured(sizes, panel={"keystone": 1.0 / sizes[1][0]}).values()
     assert isinstance(kept, float)
     assert 0.4 < kept < 0.9
     assert not shows_single_pixels({"lines_of_one_pixel_keep": kept})

@@ -15,6 +15,8 @@ from scanner.patterns.pattern import sequence_for
 from scanner.ui.terminal import Terminal
 from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
 
+pytestmark = pytest.mark.xdist_group("checking")
+
 
 @pytest.mark.parametrize(
     ("blur", "advice"),

@@ -18,6 +18,8 @@ from scanner.patterns import sequence_for
 from scanner.patterns.pattern import Pattern
 from tests.support.synthetic_capture import Scene, decode
 
+pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered once
+
 SCENE = replace(Scene(), depth_bits=16, camera_blur_px=1.0, ambient=12.0)
 GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
 ALONE = sequence_for(SCENE.projector, code="gray", cell=1, inverses=False, shifts=0)

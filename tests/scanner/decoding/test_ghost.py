@@ -80,7 +80,7 @@ def test_a_single_late_frame_is_detected_and_corrected(sequence: str, share: flo
     patterns = SEQUENCES[sequence]
     frames = SCENE.frames(patterns)
     bits = [n for n, pattern in enumerate(patterns) if isinstance(pattern, Gray) and 2 <= pattern.bit <= 4]
-    for place in bits[::2]:
+    for place in bits[::5]:
         late = frames.copy()
         late[place] = np.rint((1 - share) * frames[place].astype(float) + share * frames[place - 1]).astype(np.uint8)
         found = ghost_of(patterns, late)
@@ -99,16 +99,12 @@ def test_wrong_frames_are_not_taken_for_late_ones(sequence: str) -> None:
     """Exchanged, repeated, inverted or brighter frames are left to other checks."""
     patterns = SEQUENCES[sequence]
     still = SCENE.frames(patterns)
-    for place in range(3, len(still), 5):
+    for place in range(3, len(still), 7):
+        wrong = [{place: 255 - still[place]}, {place: np.rint(0.6 * still[place]).astype(np.uint8)}]
         for other in (place - 1, place - 2, len(still) - place // 2 - 1):
-            exchanged, repeated = still.copy(), still.copy()
-            exchanged[place], exchanged[other] = still[other], still[place]
-            repeated[place] = still[other]
-            inverted, darker = still.copy(), still.copy()
-            inverted[place] = 255 - still[place]
-            darker[place] = np.rint(0.6 * still[place]).astype(np.uint8)
-            for frames in (exchanged, repeated, inverted, darker):
-                assert ghost_of(patterns, frames) is None
+            wrong += [{place: still[other], other: still[place]}, {place: still[other]}]
+        for changed in wrong:
+            assert ghost_of(patterns, [changed.get(number, frame) for number, frame in enumerate(still)]) is None
 
 
 FIVE = sequence_for(SCENE.projector, periods=(16.0, 6.7), shifts=5)

@@ -160,7 +160,7 @@ def test_a_frame_of_another_scene_is_named_as_corrupted(number: int) -> None:
     assert f"frame {number} " in said
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", ["quick", "concave"])
 @pytest.mark.parametrize(
     "scene",
     [SCENE, replace(SCENE, projector_blur_px=3.0), replace(SCENE, gamma=3.0), replace(SCENE, read_noise=6.0)],

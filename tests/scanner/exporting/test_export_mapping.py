@@ -19,6 +19,8 @@ from tests.support.command_line import run
 from tests.support.mapped_room import CAMERA, GAMMA, PROJECTORS, SCENE, shown_on_wall, to_network, write_network
 from tests.support.result_folder import write_result
 
+pytestmark = pytest.mark.xdist_group("mapping")  # what the module shares is made once
+
 Y_UP = np.array([1.0, -1.0, -1.0])
 SQUARE_PX = 24  # of the content
 FINE = 2  # points of the wall to a pixel of the content, along each side

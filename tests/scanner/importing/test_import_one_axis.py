@@ -28,18 +28,20 @@ def in_order(axis: Axis, inverses: str, *, finest_first: bool) -> list[Pattern]:
 
 @pytest.mark.parametrize(
     ("axis", "inverses", "finest_first"),
-    [*product(["x"], ["after", "last", "none"], [False, True]), ("y", "after", True)],
+    [*product(["x"], ["last", "none"], [False, True]), ("x", "after", True), ("y", "none", True)],
 )
 def test_the_order_of_one_axis_is_the_only_one_that_fits(
     camera: Photographer, tmp_path: Path, axis: Axis, inverses: str, finest_first: bool
 ) -> None:
     patterns = in_order(axis, inverses, finest_first=finest_first)
     source = camera.write(tmp_path / "frames", patterns, named("{}.png"))
-    assert imported(source, *KNOWN, "--out", tmp_path / "out") == 0
+    # Twenty frames may be fringes as well, in hundreds of orders.
+    layout = ("--from", "gray") if inverses == "after" else ()
+    assert imported(source, *KNOWN, *layout, "--out", tmp_path / "out") == 0
     assert list(open_capture(tmp_path / "out").patterns) == patterns
 
 
-@pytest.mark.parametrize("above_finest", [0, 1, 3])
+@pytest.mark.parametrize("above_finest", [0, 3])
 @pytest.mark.parametrize("options", [(), ("--from", "gray")])
 def test_an_xor_code_is_distinguished_from_a_gray_code(
     camera: Photographer,
@@ -58,7 +60,7 @@ def test_an_xor_code_is_distinguished_from_a_gray_code(
 def test_the_projector_size_must_be_given(
     camera: Photographer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source = camera.write(tmp_path / "frames", in_order("x", "after", finest_first=True), named("{}.png"))
+    source = camera.write(tmp_path / "frames", in_order("x", "none", finest_first=True), named("{}.png"))
     assert imported(source) == 2
     error = capsys.readouterr().err
     assert "looks right along x, but one axis does not determine the projector's size: give --projector" in error

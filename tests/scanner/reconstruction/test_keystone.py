@@ -92,7 +92,7 @@ def worst_px(found: np.ndarray, true: np.ndarray) -> float:
     return float(np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1).max())
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(
     st.floats(0.012, 0.04),
     st.sampled_from(["top", "bottom", "left", "right"]),
@@ -117,7 +117,7 @@ def test_a_trapezoid_is_found_to_sub_pixel_accuracy(
     assert off_px < 5 * sigma_px
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_any_quadrangle_is_found(seed: int) -> None:
     """As if corners are moved one by one, or the projector is oblique."""
     rng = np.random.default_rng(seed)
@@ -130,8 +130,7 @@ def test_any_quadrangle_is_found(seed: int) -> None:
     assert 1e-4 < worst_px(keystone.homography, true) < 0.2
 
 
-@pytest.mark.parametrize("period", [4.0, 6.7, 12.3])
-@pytest.mark.parametrize("scale", [1.0, 0.97, 0.8])
+@pytest.mark.parametrize(("scale", "period"), [(1.0, 6.7), (0.97, 4.0), (0.97, 12.3), (0.8, 6.7)])
 def test_unscaled_and_reduced_pictures_have_no_keystone(scale: float, period: float) -> None:
     middle = (np.array(SIZE) - 1) / 2
     smaller = np.array([[scale, 0, middle[0] * (1 - scale)], [0, scale, middle[1] * (1 - scale)], [0, 0, 1.0]])

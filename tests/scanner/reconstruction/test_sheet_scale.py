@@ -17,6 +17,8 @@ from scanner.reconstruction import scaled
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, GivenMatches
 
+pytestmark = pytest.mark.xdist_group("sheet scale")  # what the module shares is made once
+
 SQUARE_MM = 100.0
 CAMERA, PROJECTOR = (918, 768), (427, 240)
 NOISE_PX = 0.05
