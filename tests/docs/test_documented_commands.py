@@ -16,6 +16,7 @@ from scanner.io.png import write_png
 from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT
+from tests.support.small_room import with_few_rays
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]
@@ -25,7 +26,6 @@ PARSED = [command for command in OURS if command.why_not_run]
 # The documented rooms at a third of their size, and with half the frames.
 SHRINK = 3
 SMALL = {"sequence": {"preset": "quick"}, "projector": {"width": 427, "height": 240}}
-RAYS = 48  # from each point, for indirect light: an eighth
 # Of the simulated camera at its full size: with so few pixels a single capture needs to know it.
 PRINCIPAL_POINT_PX = (628.15, 527.15)
 # What depends on the images' size.
@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("documented")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr("hw.simulated.renderer._RAYS_PER_NODE", RAYS)
+        with_few_rays(patch)
         yield folder
 
 
