@@ -73,6 +73,11 @@ def test_the_console_shows_live_clouds_and_cancel_ends_them(browser: Browser, fo
 
 def _sees_a_cloud(visit: Visit) -> int:
     """Returns the number of colours that it has."""
-    seen: list[int] = []
-    until(lambda: seen.append(visit.colours_in_scene()) or seen[-1] > 20, PATIENCE_MS / 1000)
-    return seen[-1]
+    seen = [0]
+
+    def is_there() -> bool:
+        seen[0] = visit.colours_in_scene()
+        return seen[0] > 20
+
+    until(is_there, PATIENCE_MS / 1000)
+    return seen[0]
