@@ -106,6 +106,11 @@ class Renderer:
         return image
 
 
+def has_indirect_light(settings: SimulatedRigSettings) -> bool:
+    """Whether surfaces light each other, or ambient light does at any time: otherwise no exchange has to be solved."""
+    return settings.interreflection or max(settings.ambient, settings.light.ambient or 0.0) > 0
+
+
 def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Generator) -> Renderer:
     """Paint the room, solve the interreflection of its surfaces, and cast the rays of all camera pixels."""
     projector = room.projector.optics
@@ -117,22 +122,22 @@ def build_renderer(room: Room, settings: SimulatedRigSettings, rng: np.random.Ge
     texture = paint(room.scene, rng, settings.albedo, wallpaper)
     mesh = build_mesh(light)
     fewer = room.scene.all_round or not settings.interreflection
-    rays = _FEWER_RAYS_PER_NODE if fewer else _RAYS_PER_NODE
-    gathered = Gatherer(light, texture, picture, mesh).gather(rays, rng)
-    interreflection = solve(room.scene, mesh, gathered)
+    solved = None
+    if has_indirect_light(settings):
+        gathered = Gatherer(light, texture, picture, mesh).gather(
+            _FEWER_RAYS_PER_NODE if fewer else _RAYS_PER_NODE, rng
+        )
+        solved = solve(room.scene, mesh, gathered)
     samples = samples_per_pixel(room.camera, room.projector)
-    caster = FootprintCaster(light, room.camera, texture, picture, mesh, interreflection.stand_in, samples)
-    unscaled = Renderer(
-        picture,
-        caster,
-        caster.cast(),
-        interreflection if settings.interreflection else None,
-        interreflection.ceiling,
-        ambient_level=1.0,
+    stand_in = np.arange(mesh.count) if solved is None else solved.stand_in
+    caster = FootprintCaster(light, room.camera, texture, picture, mesh, stand_in, samples)
+    ceiling = np.zeros(mesh.count, np.float32) if solved is None else solved.ceiling
+    renderer = Renderer(
+        picture, caster, caster.cast(), solved if settings.interreflection else None, ceiling, ambient_level=1.0
     )
-    renderer = replace(
-        unscaled, ceiling=interreflection.ceiling * _white_over_ambient(unscaled), ambient_level=settings.ambient
-    )
+    if solved is not None:
+        renderer = replace(renderer, ceiling=ceiling * _white_over_ambient(renderer))
+    renderer = replace(renderer, ambient_level=settings.ambient)
     return renderer.with_board(settings) if settings.board.square_m else renderer
 
 

@@ -13,7 +13,7 @@ from hw.simulated.device import PlacedDevice
 from hw.simulated.motion import offset_px, turned
 from hw.simulated.moving_objects import box_in, person_in
 from hw.simulated.placement import resized
-from hw.simulated.renderer import Renderer, build_renderer
+from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
 from hw.simulated.room import Room, draw_room
 from hw.simulated.sensor import build_sensor
 from hw.simulated.truth import GroundTruth, true_calibration, true_place, true_view
@@ -41,7 +41,8 @@ _ROOM_SETTINGS = (
 class SimulatedRoom:
     """A room with a camera and a projector of given sizes, (width, height) in pixels.
 
-    Construction takes seconds, because it solves the transport of light. `room` and `renderer` are those of frame 0.
+    Construction takes seconds, because it solves the transport of indirect light, unless the settings have none. `room`
+    and `renderer` are those of frame 0.
     """
 
     def __init__(
@@ -60,6 +61,8 @@ class SimulatedRoom:
         other = copy.copy(self)
         other.settings = SimulatedRigSettings.model_validate(self.settings.model_dump() | settings)
         fixed = [key for key in _ROOM_SETTINGS if getattr(other.settings, key) != getattr(self.settings, key)]
+        if has_indirect_light(other.settings) and not self.renderer.ceiling.any():
+            fixed.append("ambient")
         if fixed:
             raise ValueError(f"{', '.join(fixed)}: another value needs another room")
         picture = self.renderer.picture.under(other.settings)

@@ -22,6 +22,8 @@ from calib.geometry import Calibration, DeviceSigmas, Matches, Sigmas
 from scanner.decoding import Decoder
 from scanner.patterns import Gray, Phase, draw
 
+pytestmark = pytest.mark.xdist_group("conditions")  # what the module shares is made once
+
 PROJECTOR = (214, 120)
 SETUP = Setup(0, "standard", (306, 256), PROJECTOR)
 FOUND = Outcome("nothing", "", 0, "standard", 0, "", "good", 0.99, 0.03, 0.1, (0.1, -0.2, 0.0, 0.3), (1, -2, 0, 3))

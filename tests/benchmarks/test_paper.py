@@ -23,6 +23,8 @@ from PIL import Image
 from calib.geometry import Size
 from tests.support.places import ROOT
 
+pytestmark = pytest.mark.xdist_group("paper")  # what the module shares is made once
+
 KEPT = Results(ROOT / "benchmarks" / "paper" / "results")
 TABLE_2 = next(experiment for experiment in TABLES if experiment.name == "table2")
 

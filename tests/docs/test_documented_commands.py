@@ -1,6 +1,5 @@
 """Every command in README.md and docs/ is run in its own folder, with small images."""
 
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from scanner.io.png import write_png
 from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT
+from tests.support.small_room import with_few_rays
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]
@@ -42,11 +42,19 @@ def one_after_the_other() -> pytest.MarkDecorator:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The working folder."""
+    folder = tmp_path_factory.mktemp("documented")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        with_few_rays(patch)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Run:
     """Run a command in a folder with the files that the documentation mentions; equal commands run once."""
-    folder, before = tmp_path_factory.mktemp("documented"), Path.cwd()
-    os.chdir(folder)
-    shutil.copytree(ROOT / "configs", "configs")
+    shutil.copytree(ROOT / "configs", folder / "configs")
     room = Path("configs/room-sim.yaml")
     settings = shrunk(yaml.safe_load(room.read_text(encoding="utf-8")))
     room.write_text(yaml.safe_dump(settings), encoding="utf-8")
@@ -74,8 +82,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         shutil.copyfile(result / "matches.npz", Path("scans", name, "matches.npz"))
         shutil.copytree(result / "capture", Path("scans", name, "capture"))
     photograph_codes(Path("their-frames"))
-    yield once
-    os.chdir(before)
+    return once
 
 
 def photograph_codes(folder: Path) -> None:

@@ -45,7 +45,7 @@ corner: {{squareness_deg: 0}}
 
 @pytest.fixture(scope="module")
 def room() -> SimulatedRoom:
-    return SimulatedRoom(SimulatedRigSettings(seed=0), SIZE, PROJECTOR)
+    return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, ambient=0), SIZE, PROJECTOR)
 
 
 @pytest.fixture

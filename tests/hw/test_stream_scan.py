@@ -33,7 +33,7 @@ BEFORE = 4  # frames that are captured before anything happens
 
 @pytest.fixture(scope="module")
 def room() -> SimulatedRoom:
-    return SimulatedRoom(SimulatedRigSettings(seed=0), SIZE, PROJECTOR)
+    return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, ambient=0), SIZE, PROJECTOR)
 
 
 @pytest.fixture

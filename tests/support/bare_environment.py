@@ -49,10 +49,14 @@ def installed(wheel: Path, folder: Path, extras: Sequence[str] = ()) -> Path:
     """
     venv.create(folder, with_pip=False, symlinks=True)
     packages = Path(sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)}))
-    with ZipFile(wheel) as file:  # of Python only: unpacking is all that an installer does, but for the command's file
-        file.extractall(packages)
-    (own,) = (Distribution.at(path) for path in packages.glob("roomscan-*.dist-info"))
-    for needed in _needed(own, extras, {}).values():
+    unpacked = wheel.with_suffix("")  # once for all environments, which so share its bytecode
+    if not unpacked.exists():
+        with ZipFile(wheel) as file:  # of Python only: an installer only unpacks it, and makes the command's file
+            file.extractall(unpacked)
+    for own in unpacked.iterdir():
+        (packages / own.name).symlink_to(own)
+    (roomscan,) = (Distribution.at(path) for path in packages.glob("roomscan-*.dist-info"))
+    for needed in _needed(roomscan, extras, {}).values():
         for name in {file.parts[0] for file in needed.files or () if file.parts[0] not in ("..", "__pycache__")}:
             if not (packages / name).exists():
                 (packages / name).symlink_to(Path(str(needed.locate_file(name))))

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
+from tests.support.notebook import until
 from tests.support.places import ROOT
 
 PATIENCE_MS = int(os.environ.get("TEST_PATIENCE_MS", "180000"))  # of tests beside others on a busy machine
@@ -111,6 +112,17 @@ class Visit:
         clip: Any = {"x": box["x"] + width / 2, "y": box["y"] + height / 2, "width": width, "height": height}
         seen = cv2.imdecode(np.frombuffer(self.page.screenshot(clip=clip), np.uint8), cv2.IMREAD_COLOR)
         return len(np.unique(seen.reshape(-1, 3) // 16, axis=0))
+
+    def at_rest(self, wanted: Callable[[int], bool]) -> int:
+        """Wait until the 3-D view shows a wanted number of colours twice in a row; returns it."""
+        seen = [-1, -2]
+
+        def resting() -> bool:
+            seen[:] = [self.colours_in_scene(), seen[0]]
+            return seen[0] == seen[1] and wanted(seen[0])
+
+        until(resting, PATIENCE_MS / 1000)
+        return seen[0]
 
     def small_texts(self) -> list[str]:
         return list(self.page.evaluate(_SMALL_TEXTS))

@@ -14,12 +14,14 @@ import numpy as np
 
 from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, shown_on, virtual_screen
 from hw.loopback.settings import LoopbackSettings
+from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.capture.recording import Recording, open_capture
 from scanner.commands.main import main
 from scanner.patterns.pattern import Pattern, draw
 
 CAMERA, PROJECTOR = (306, 256), (320, 180)
+ROOM = {"seed": 0, "furniture": False}  # which is built in half of the time
 CONFIG = f"""
 rig: {{backend: aravis, camera: 127.0.0.1, exposure_us: 33333, refresh_hz: 60, packet_size: 8000}}
 camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
@@ -53,8 +55,8 @@ class Keeper:
             self.end()
             screen = self._running.enter_context(virtual_screen(PROJECTOR))
             self._running.enter_context(shown_on(screen))
-            camera = self._running.enter_context(camera_process(screen, LoopbackSettings(camera_size=CAMERA)))
-            self._rig = Loopback(screen, camera)
+            settings = LoopbackSettings(camera_size=CAMERA, room=SimulatedRigSettings.model_validate(ROOM))
+            self._rig = Loopback(screen, self._running.enter_context(camera_process(screen, settings)))
         return self._rig
 
     def end(self) -> None:

@@ -26,6 +26,7 @@ from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
 from tests.support.command_line import names, run
 from tests.support.small_capture import read_listing, write_listing
+from tests.support.small_room import with_few_rays
 
 CONFIG = """
 rig: {backend: simulated, seed: 0, furniture: false}
@@ -51,7 +52,9 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
     folder = tmp_path_factory.mktemp("scan")
     config, result = folder / "room.yaml", folder / "result"
     config.write_text(CONFIG)
-    return Scanned(config, result, run("--config", config, "--out", result, "--quiet"))
+    with pytest.MonkeyPatch.context() as patch:
+        with_few_rays(patch)
+        return Scanned(config, result, run("--config", config, "--out", result, "--quiet"))
 
 
 def test_a_scan_is_complete_and_accurate(scanned: Scanned) -> None:

@@ -13,6 +13,7 @@ from scanner.io.ply import read_cloud
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.results.finished_scan import read_finished_scan
 from tests.support.command_line import names, run
+from tests.support.small_room import with_few_rays
 
 CONFIG = """
 rig: {backend: simulated, seed: 0}
@@ -39,7 +40,9 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> Scanned:
     folder = tmp_path_factory.mktemp("scan")
     config, result = folder / "room.yaml", folder / "result"
     config.write_text(CONFIG)
-    return Scanned(config, result, run("--config", config, "--captures", 2, "--out", result, "--quiet"))
+    with pytest.MonkeyPatch.context() as patch:
+        with_few_rays(patch)
+        return Scanned(config, result, run("--config", config, "--captures", 2, "--out", result, "--quiet"))
 
 
 def test_both_captures_are_kept_completely(scanned: Scanned) -> None:

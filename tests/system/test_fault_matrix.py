@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,12 +27,6 @@ TAKEN = 9
 WITH_Y = 2 + 2 * 3 + 1
 
 pytestmark = pytest.mark.xdist_group("faults")
-
-
-@pytest.fixture(scope="module")
-def bench() -> Iterator[FaultBench]:
-    with FaultBench() as bench:
-        yield bench
 
 
 @pytest.fixture

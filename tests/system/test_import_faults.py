@@ -2,7 +2,6 @@
 succeeds.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +21,6 @@ SYNCING = {"at": "scanner.results.result_folder:sync_tree"}
 PUBLISHING = {"at": "scanner.results.result_folder:publish"}
 
 pytestmark = pytest.mark.xdist_group("faults")
-
-
-@pytest.fixture(scope="module")
-def bench() -> Iterator[FaultBench]:
-    with FaultBench() as bench:
-        yield bench
 
 
 @pytest.fixture(scope="module")

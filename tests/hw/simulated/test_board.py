@@ -10,12 +10,14 @@ from hw.simulated.board import draw_board
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 
+pytestmark = pytest.mark.xdist_group("simulated_board")
+
 SIZES = (306, 256), (214, 120)
 
 
 @pytest.fixture(scope="module")
 def room() -> SimulatedRoom:
-    return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, furniture=False), *SIZES)
+    return SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, furniture=False, ambient=0), *SIZES)
 
 
 def test_the_board_appears_at_its_true_corners(room: SimulatedRoom) -> None:

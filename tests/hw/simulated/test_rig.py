@@ -150,6 +150,15 @@ def test_a_room_is_the_same_for_the_same_seed(room: SimulatedRoom) -> None:
     np.testing.assert_allclose(again.renderer.render(white), room.renderer.render(white), rtol=1e-5)
 
 
+def test_without_interreflection_and_ambient_light_only_direct_light_is_there(room: SimulatedRoom) -> None:
+    dark = SimulatedRoom(SimulatedRigSettings(seed=0, interreflection=False, ambient=0), (306, 256), (214, 120))
+    white = uniform(room, 255)
+    direct = room.renderer.direct(room.renderer.picture.linear(white))
+    np.testing.assert_array_equal(dark.renderer.render(white), direct)
+    with pytest.raises(ValueError, match="ambient: another value needs another room"):
+        dark.under(ambient=0.01)
+
+
 def test_white_is_exposed_to_85_percent(room: SimulatedRoom) -> None:
     projector = SimulatedProjector(room)
     camera = SimulatedCamera(room, projector)
@@ -191,7 +200,7 @@ def test_pictures_of_another_kind_are_refused(room: SimulatedRoom, picture: np.n
 
 
 def test_open_rig_returns_devices_and_the_truth_separately() -> None:
-    settings = SimulatedRigSettings(seed=3, interreflection=False)
+    settings = SimulatedRigSettings(seed=3, interreflection=False, ambient=0)
     with open_rig(settings, (153, 128), (107, 60)) as opened:
         assert (opened.rig.camera.size, opened.rig.projector.size) == ((153, 128), (107, 60))
         opened.rig.projector.show(np.full((60, 107), 255, np.uint8))

@@ -11,9 +11,7 @@ from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import Request, list_jobs
 from scanner.batch.location import Location
 from scanner.batch.running import run_batch
-from scanner.commands.main import main
 from scanner.ui.terminal import Terminal
-from tests.scanner.batch.test_batch import CONFIG
 
 fsspec = pytest.importorskip("fsspec", reason="stores that are far away need the extra 'batch'")
 pytest.importorskip("distributed")
@@ -21,14 +19,6 @@ pytest.importorskip("distributed")
 pytestmark = pytest.mark.xdist_group("batch")
 
 QUIET = Terminal(quiet=True)
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("far")
-    (folder / "room.yaml").write_text(CONFIG)
-    assert main(["--config", str(folder / "room.yaml"), "--out", str(folder / "one"), "--quiet"]) == 0
-    return folder / "one"
 
 
 @pytest.fixture
@@ -55,14 +45,14 @@ def memory() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("where", ["memory", "bucket"])
-def test_captures_and_results_in_remote_storage(where: str, result: Path, request: pytest.FixtureRequest) -> None:
+def test_captures_and_results_in_remote_storage(where: str, museum: Path, request: pytest.FixtureRequest) -> None:
     from distributed import Client
 
     root = request.getfixturevalue(where)
     system, path = fsspec.url_to_fs(root)
-    system.put(f"{result / 'capture'}/", f"{path}/captures/hall/one/", recursive=True)
+    system.put(f"{museum / 'captures/hall/one'}/", f"{path}/captures/hall/one/", recursive=True)
     system.pipe_file(f"{path}/captures/broken/capture.yaml", b"format: 1")
-    jobs = list_jobs([f"{root}/captures"], Request(result.parent / "room.yaml"))
+    jobs = list_jobs([f"{root}/captures"], Request(museum / "room.yaml"))
     assert [(job.name, job.capture) for job in jobs] == [
         ("broken", f"{root.replace('memory://', 'memory:///')}/captures/broken"),
         ("hall/one", f"{root.replace('memory://', 'memory:///')}/captures/hall/one"),
@@ -76,6 +66,6 @@ def test_captures_and_results_in_remote_storage(where: str, result: Path, reques
         assert len((Location(root) / "out" / name).read()) > 100
     delivered = Location(root) / "out/results/hall/one"
     assert {Path(file).name for file in system.find(f"{path}/out/results/hall/one")} >= {"cloud.ply", "report.html"}
-    local = (result / "calibration.yaml").read_text().partition("made:")[0]
+    local = (museum / "scans/one/calibration.yaml").read_text().partition("made:")[0]
     assert (delivered / "calibration.yaml").read().decode().startswith(local)
     assert run_batch(jobs, f"{root}/out", None, QUIET).kept == 2

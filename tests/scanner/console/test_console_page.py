@@ -1,9 +1,9 @@
 """`scan console` in a real browser, with a small simulated rig."""
 
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from scanner.commands.main import main
 from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
+from tests.support.notebook import until as until_within
 from tests.support.small_room import CONFIG
 
 pytestmark = pytest.mark.xdist_group("browser")
@@ -45,11 +46,7 @@ def console(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Itera
         yield Console(folder, served, visit)
 
 
-def until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + PATIENCE_MS / 1000
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not come to pass"
-        time.sleep(0.1)
+until = partial(until_within, patience_s=PATIENCE_MS / 1000)
 
 
 def test_the_live_image_follows_the_exposure(console: Console) -> None:
@@ -63,6 +60,11 @@ def test_the_live_image_follows_the_exposure(console: Console) -> None:
     visit.wait_for("Exposed for 20 ms. Clipped: 0.0 %")
     visit.choose("Projector", "Black")
     visit.wait_for("median 0 % of the range")
+
+
+def test_live_clouds_need_a_calibration(console: Console) -> None:
+    console.visit.press("Live clouds")
+    console.visit.wait_for("live clouds need a calibrated rig")
 
 
 _NOTES_UNSAVED = """() => new MutationObserver(() => {
@@ -84,8 +86,7 @@ def test_a_scan_shows_progress_then_the_cloud(console: Console) -> None:
     for text in ("Calibrated", "focal length, px", "Angle A–B: ", "Open the report"):
         visit.wait_for(text)
     assert visit.page.evaluate("window.unsaved").startswith("written; showing "), "the cloud was there before its files"
-    visit.page.wait_for_timeout(1500)
-    assert visit.colours_in_scene() > before + 30
+    visit.at_rest(lambda colours: colours > before + 30)
     result = console.folder / "scans" / "room"
     assert read_calibration(result / "calibration.yaml").sigma.camera.focal_px
     assert {frame[0] for frame in open_capture(result / "capture").read_back} == {20_000.0}

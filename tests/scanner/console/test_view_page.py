@@ -53,14 +53,10 @@ def test_the_page_shows_everything_about_the_result(visit: Visit) -> None:
 
 
 def test_the_cloud_is_shown_and_can_be_hidden(visit: Visit) -> None:
-    visit.page.wait_for_function("document.querySelector('canvas') !== null")
-    visit.page.wait_for_timeout(1000)
-    with_everything = visit.colours_in_scene()
-    assert with_everything > 50
+    with_everything = visit.at_rest(lambda colours: colours > 50)
     for part in ("Devices", "Faces, ruler", "Names"):
         visit.page.get_by_label(part, exact=True).uncheck()
-    visit.page.wait_for_timeout(1000)
-    assert 10 < visit.colours_in_scene() < with_everything
+    visit.at_rest(lambda colours: 10 < colours < with_everything)
 
 
 def test_points_are_thinned_and_coloured(visit: Visit) -> None:
@@ -83,7 +79,7 @@ def test_points_are_thinned_and_coloured(visit: Visit) -> None:
 def test_two_clicks_measure_a_distance(visit: Visit) -> None:
     visit.wait_for("Click on a point of the cloud")
     visit.press("Back to the first view")
-    visit.page.wait_for_timeout(1000)
+    visit.at_rest(lambda colours: colours > 10)
     box = visit.page.locator("canvas").first.bounding_box()
     assert box
     points = [(x, y) for y in (0.5, 0.55, 0.6, 0.65, 0.7) for x in (0.4, 0.45, 0.5, 0.55, 0.6)]

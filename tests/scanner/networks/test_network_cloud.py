@@ -3,14 +3,26 @@
 import numpy as np
 import pytest
 
-from calib.networks import estimate_network, joined
+from calib.geometry import Size
+from calib.networks import NetworkEstimate, estimate_network, joined
 from calib.numerics import Image
-from calib.synthetic import RoomOptions, random_network
+from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 from scanner.capture import CaptureMetadata
 from scanner.networks.captures import Captures
 from scanner.networks.save import cloud_of
 from scanner.networks.solve import SolvedNetwork
 from scanner.results import Decoded, GivenMatches
+
+pytestmark = pytest.mark.xdist_group("network cloud")  # what the module shares is made once
+
+Estimated = tuple[SyntheticNetwork, dict[str, Size], NetworkEstimate]
+
+
+@pytest.fixture(scope="module")
+def estimated() -> Estimated:
+    made = random_network(np.random.default_rng(1), 2, 1, RoomOptions(boxes=1, count=6000))
+    sizes = {name: each.size for name, each in made.devices.items()}
+    return made, sizes, estimate_network(made.captures, sizes)
 
 
 @pytest.mark.parametrize(
@@ -22,11 +34,9 @@ from scanner.results import Decoded, GivenMatches
     ],
 )
 def test_a_cloud_has_the_colours_of_its_cameras(
-    level: tuple[int, int, int] | int, kind: type, rgb: tuple[int, int, int]
+    estimated: Estimated, level: tuple[int, int, int] | int, kind: type, rgb: tuple[int, int, int]
 ) -> None:
-    made = random_network(np.random.default_rng(1), 2, 1, RoomOptions(boxes=1, count=6000))
-    sizes = {name: each.size for name, each in made.devices.items()}
-    estimate = estimate_network(made.captures, sizes)
+    made, sizes, estimate = estimated
     decoded = {}
     for (camera, projector), matches in made.captures.items():
         width, height = sizes[camera]

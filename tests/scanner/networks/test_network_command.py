@@ -16,6 +16,8 @@ from tests.support.command_line import run
 from tests.support.network_captures import write_captures
 from tests.support.small_capture import write_capture
 
+pytestmark = pytest.mark.xdist_group("network command")  # what the module shares is made once
+
 OPTIONS = RoomOptions(
     camera=Intrinsics(480, 400, (390.0, 390.0), (245.0, 204.0), (-0.06, 0.01, 0.0, 0.0, 0.0)),
     projector=Intrinsics(400, 250, (360.0, 360.0), (203.0, 131.0), (-0.03, 0.0, 0.0, 0.0, 0.0)),

@@ -15,9 +15,11 @@ from scanner.commands.main import main as scan
 from scanner.configuration import load_config
 from scanner.io import read_calibration
 
+pytestmark = pytest.mark.xdist_group("network live")  # what the module shares is made once
+
 _CAMERAS = ("left", "right")
 HALL = Path(__file__).parents[3] / "configs" / "hall-sim.yaml"
-SMALL = ["camera.width=306", "camera.height=256", "projector.width=320", "projector.height=180"]
+SMALL = ["camera.width=306", "camera.height=256", "projector.width=320", "projector.height=180", "rig.ambient=0"]
 SETTINGS = [word for each in SMALL for word in ("--set", each)]
 
 

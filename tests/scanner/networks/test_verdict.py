@@ -30,7 +30,7 @@ def verdict_of(made: SyntheticNetwork, captures: Mapping[tuple[str, str], Matche
 )
 def test_a_camera_turned_between_two_projectors_is_reported(turned_px: float, wavy: float, grade: str) -> None:
     """Walls with waves of half a centimetre are not reported."""
-    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000, wavy=wavy))
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=4_000, wavy=wavy))
     moved = made.captures["camera2", "projector2"]
     turned = replace(moved, camera_px=moved.camera_px + np.array([turned_px, 0.0]))
 
@@ -50,7 +50,7 @@ def test_a_camera_turned_between_two_projectors_is_reported(turned_px: float, wa
 )
 def test_the_device_whose_picture_is_warped_is_named(name: str, remedy: str) -> None:
     """One edge of it is 1 % shorter than the opposite one, and a homography takes a picture of it to a picture."""
-    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=8_000))
+    made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=4_000))
     width, height = made.devices[name].size
     to_middle = np.array([[1.0, 0, -width / 2], [0, 1, -height / 2], [0, 0, 1]])
     keystone = np.linalg.inv(to_middle) @ np.array([[1.0, 0, 0], [0, 1, 0], [0, 0.01 / height, 1]]) @ to_middle

@@ -16,7 +16,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner import pipeline
 from scanner.commands import scan as scan_command
-from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Keeper, Loopback
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, ROOM, Keeper, Loopback
 
 
 def missing_packages() -> str:
@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def room() -> SimulatedRoom:
     """The room seen by the loopback camera."""
-    return SimulatedRoom(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR)
+    return SimulatedRoom(SimulatedRigSettings.model_validate(ROOM), CAMERA, PROJECTOR)
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ PERIOD_US = 1e6 / 60
 def test_a_check_measures_and_writes_the_exposure(
     config: Path, rig: Loopback, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = config.read_text().replace("33333", "150000")
+    text = config.read_text().replace("33333", "100000")
     config.write_text(text)
     assert main(["check", "--config", str(config), "--write"]) in (0, 4)
     table = " ".join(capsys.readouterr().out.split())

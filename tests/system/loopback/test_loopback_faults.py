@@ -54,7 +54,7 @@ def stopped_scan(config: Path, capsys: pytest.CaptureFixture[str], *words: str) 
     return folder
 
 
-@pytest.mark.parametrize("latency_ms", [0, 50, 120])
+@pytest.mark.parametrize("latency_ms", [0, 120])
 def test_any_latency_is_measured(config: Path, rig: Loopback, room: SimulatedRoom, latency_ms: float) -> None:
     rig.camera.change(Conditions(latency_ms=latency_ms))
     code, folder = scan(config)
@@ -64,15 +64,14 @@ def test_any_latency_is_measured(config: Path, rig: Loopback, room: SimulatedRoo
     assert -15 < measured - latency_ms < 30  # tests beside this one keep the processors busy
 
 
-@pytest.mark.parametrize("share", [0.01, 0.05])
 def test_lost_packets_are_recovered(
-    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], share: float
+    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig.camera.change(Conditions(lost_packets=share))
+    rig.camera.change(Conditions(lost_packets=0.05))
     code, folder = scan(config)
     if code == 0:
         assert check_frames(folder, room) == FRAMES
-        assert open_capture(folder).metadata["synchronisation"]["retriggered_frames"] >= (share > 0.01)
+        assert open_capture(folder).metadata["synchronisation"]["retriggered_frames"] > 0
     else:
         message = capsys.readouterr().err
         assert code == 3
@@ -136,11 +135,26 @@ def test_the_screen_dies(config: Path, rig: Loopback, room: SimulatedRoom, capsy
     assert check_frames(folder, room) >= 5
 
 
-def test_ctrl_c(config: Path, rig: Loopback, room: SimulatedRoom) -> None:
-    code, message = broken_off(config, signal.SIGINT)
+def test_after_ctrl_c_a_resumed_scan_takes_the_missing_frames_unless_something_moved(
+    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, message = broken_off(config, signal.SIGINT)  # killed, it would leave the camera to its heartbeat's time-out
     assert code == 130, message
     assert "interrupted" in message
-    assert check_frames(config.with_name("result-incomplete") / "capture", room) >= 5
+    left, out = config.with_name("result-incomplete"), config.with_name("whole")
+    before = check_frames(left / "capture", room)
+    assert before >= 5
+    frame = left / "capture" / "frames" / "000.png"
+    white = read_image(frame)
+    write_png(frame, white // 2)  # as if it had been half as bright when it was shown first
+    resume = ["--resume", str(left), "--out", str(out), "--quiet"]
+    assert main(resume) == 2
+    assert "frame 0 (frames/000.png) was shown again, and it is" in capsys.readouterr().err
+    assert not out.exists()
+    write_png(frame, white)
+    assert main(resume) == 0
+    assert check_frames(out / "capture", room) > FRAMES
+    assert open_capture(out / "capture").metadata["resumed"]["after_frames"] == before
 
 
 @pytest.mark.parametrize(
@@ -171,7 +185,7 @@ def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopb
 
     one_scan()
     seen = [resources()]
-    for _ in range(5):
+    for _ in range(3):
         one_scan()
         seen.append(resources())
     memory_mb, files, threads = np.array(seen).T
@@ -189,26 +203,3 @@ def resources() -> tuple[float, int, int]:
         sum(1 for _ in Path("/proc/self/fd").iterdir()),
         threading.active_count(),
     )
-
-
-@pytest.mark.parametrize("moved", [False, True])
-def test_a_resumed_scan_takes_the_missing_frames(
-    config: Path, rig: Loopback, room: SimulatedRoom, capsys: pytest.CaptureFixture[str], moved: bool
-) -> None:
-    code, message = broken_off(config, signal.SIGTERM)  # killed, it would leave the camera to its heartbeat's time-out
-    assert code == 130, message
-    left, out = config.with_name("result-incomplete"), config.with_name("whole")
-    before = len(open_capture(left / "capture").patterns)
-    assert before >= 5
-    if moved:  # white was half as bright when it was shown first
-        frame = left / "capture" / "frames" / "000.png"
-        write_png(frame, read_image(frame) // 2)
-    code = main(["--resume", str(left), "--out", str(out), "--quiet"])
-    if moved:
-        assert code == 2
-        assert "frame 0 (frames/000.png) was shown again, and it is" in capsys.readouterr().err
-        assert not out.exists()
-        return
-    assert code == 0
-    assert check_frames(out / "capture", room) > FRAMES
-    assert open_capture(out / "capture").metadata["resumed"]["after_frames"] == before

@@ -1,5 +1,6 @@
 """Complete scans through the real path."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from scanner.configuration.schema import load_config
 from scanner.io.calibration_file import read_calibration
 from scanner.patterns.pattern import Black, White
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
-from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Loopback, check_frames, scan
+from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, ROOM, Loopback, check_frames, scan
 
 pytestmark = pytest.mark.xdist_group("loopback")
 
@@ -48,7 +49,9 @@ def test_a_scan_is_as_accurate_as_on_the_simulated_rig(
         assert words in report
 
     simulated = tmp_path / "simulated"
-    code = main(["--config", str(config), "--out", str(simulated), "--quiet", *more, "--set", "rig={seed: 0}"])
+    code = main(
+        ["--config", str(config), "--out", str(simulated), "--quiet", *more, "--set", f"rig={json.dumps(ROOM)}"]
+    )
     assert code == 0
     error, without_hardware = (mean_error_percent(result, room) for result in (capture_folder.parent, simulated))
     assert 0.01 < without_hardware < 1

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.xdist_group("loopback")
 CAMERA, PROJECTOR = (204, 170), (213, 120)
 CAMERAS, PROJECTORS = ("left", "right"), ("stage", "side")
 _PUNCTUAL_S = 0.01
-_ROOM = {"seed": 3, "furniture": False, "interreflection": False}
+_ROOM = {"seed": 3, "furniture": False, "interreflection": False, "ambient": 0}
 
 
 class Pair:

@@ -1,0 +1,24 @@
+"""Captures that all batches of these tests take."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from scanner.commands.main import main
+from tests.support.small_room import CONFIG
+
+
+@pytest.fixture(scope="session")
+def museum(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two captures of a room, a dark one that is refused, one whose frame is missing, and the configuration."""
+    folder = tmp_path_factory.mktemp("museum")
+    (folder / "room.yaml").write_text(CONFIG)
+    scans, scan = folder / "scans", ("--config", str(folder / "room.yaml"), "--quiet", "--out")
+    assert main([*scan, str(scans / "one")]) == 0
+    assert main([*scan, str(scans / "dark"), "--set", "rig.exposure_us=1000"]) == 4
+    captures = folder / "captures"
+    for name, source in (("hall/one", "one"), ("hall/two", "one"), ("dark", "dark"), ("broken", "one")):
+        shutil.copytree(scans / source / "capture", captures / name)
+    (captures / "broken" / "frames" / "003.png").unlink()
+    return folder
