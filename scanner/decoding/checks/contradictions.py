@@ -19,6 +19,9 @@ from scanner.decoding.significance import HALF, HUBER_SIGMAS
 # Largest share of the lit pixels at which frames may be off by half of what an exchange causes: people and occlusion
 # edges cover less, an exchanged frame is wrong where its pattern differs.
 _WRONG_SHARE = 0.05
+# Largest share that occlusion edges, undersampled stripes and people break of the coordinates that depend on a frame.
+# If it shows another pattern, half of them are wrong.
+MOST_BROKEN = 0.35
 # Exchanged frames are named, and a fringe is none, if a right sequence leaves more than this share of the
 # contradictions: all but those of noise and of the projector's and the camera's curves, which leave 0.05.
 LEFT_BY_EXCHANGE = 0.3

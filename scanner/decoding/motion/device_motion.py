@@ -9,23 +9,20 @@ from calib.numerics import Floats
 from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
-from scanner.decoding.significance import HALF
+from scanner.decoding.significance import FEW, HALF
 from scanner.decoding.tiles import STRIP_ROWS
 
 # Least size of a motion, which interreflection, ripple and noise do not reach at rest.
 LEAST_PX = 0.02
 # Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
-# Share of the shortest period. Sizes can be measured up to a sixth of it (measure.py), but a bump within a fringe also
-# leaves a ripple of up to a quarter of itself in single matches.
-_LARGEST_CYCLES = 1 / 8
+# Share of the shortest period beyond which a size is ambiguous; a bump within a fringe also leaves a ripple of up to a
+# quarter of itself in single matches.
+LARGEST_CYCLES = 1 / 8
 # Each fringe sees only a part of a drift. A larger one shifts coordinates beyond the linear range of their gradient.
 _LARGEST_PX = 3.0
 # For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
-_SIZE = "{:.2g} px"
-# Relative uncertainty of a correction.
-_REMAINDER = 0.1
 # Standard deviation assumed for an unobservable motion between the axes.
 SUSPECTED_PX = 0.3
 
@@ -119,7 +116,7 @@ class MotionFound:
         likely = []
         if self.significant:
             likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
-            likely.append(self.shift.times(_REMAINDER))
+            likely.append(self.shift.times(FEW))
         return Shifts(likely=tuple(each.shifts for each in likely), possible=tuple(each.shifts for each in self.unseen))
 
     def __str__(self) -> str:
@@ -132,7 +129,7 @@ class MotionFound:
 
     def _description(self) -> str:
         """Describe which device moved, and how far. A large size is a lower bound: fringes leave whole periods open."""
-        size = "about {:.2g} px or more" if self.is_too_large else _SIZE
+        size = "about {:.2g} px or more" if self.is_too_large else "{:.2g} px"
         if not self.linear:
             size = f"more than {self.largest_px:.2g} projector pixels"
         return _likelier(self.motion, size) if self.undecided else moved_device(self.motion, size)
@@ -140,7 +137,7 @@ class MotionFound:
 
 def largest_bump_px(finest_period: float) -> float:
     """Return the largest bump, in px, that can be corrected with fringes of this period and longer ones."""
-    return min(_LARGEST_CYCLES * finest_period, _LARGEST_PX)
+    return min(LARGEST_CYCLES * finest_period, _LARGEST_PX)
 
 
 def _likelier(motion: Floats, size: str) -> str:
@@ -160,7 +157,7 @@ def turns_px(motion: Floats) -> tuple[float, float]:
     return projector, camera
 
 
-def moved_device(motion: Floats, size: str = _SIZE) -> str:
+def moved_device(motion: Floats, size: str = "{:.2g} px") -> str:
     """Describe which device moved, for example: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`:
     format of px.
     """

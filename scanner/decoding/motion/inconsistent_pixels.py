@@ -16,7 +16,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.light_arithmetic import RESTING, broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 
@@ -25,10 +25,12 @@ _STRIDE, _A_FEW = 3, 4
 # Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
 # moved; both object and background light its edges.
 _WINDOW, _DENSE = 9, 0.3
-# Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
-# again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
-# camera. Last, the largest shift of the whole picture, in pixels of the grid.
-MOST, _MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
+# Largest share of lit pixels for an object that comes to stay; a transient one may cover nearly all.
+MOST = 1 - RESTING
+# Largest share of lit pixels for a transient object, and groups of frames in which its pixels are inconsistent: it is
+# gone again in later frames, whereas a bump of the camera shows in many. Largest shift of the whole picture, in pixels
+# of the grid.
+_MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.97, 1.5, 0.5
 
 
 @dataclass(frozen=True)
