@@ -74,9 +74,11 @@ def middle_of(angles: Floats, width: float) -> float:
 
     The mean angle is unreliable where a cell is nearly as long as the period: a few angles more or less turn it.
     """
-    some, arc = np.sort(_wrapped(evenly_spread(angles))), 2 * np.pi * width
-    held = np.searchsorted(np.concatenate([some, some + 2 * np.pi]), some + arc, side="right") - np.arange(len(some))
-    about = float(some[np.argmax(held)]) + arc / 2
+    some = np.sort(_wrapped(evenly_spread(angles)))
+    turned = np.concatenate([some, some + 2 * np.pi])
+    held = np.searchsorted(turned, some + 2 * np.pi * width, side="right") - np.arange(len(some))
+    first = int(np.argmax(held))
+    about = float(_wrapped((turned[first] + turned[first + held[first] - 1]) / 2))
     return about + float(np.quantile(_wrapped(angles - about), ENDS).mean())
 
 
