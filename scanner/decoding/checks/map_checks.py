@@ -33,7 +33,10 @@ _MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.
 
 
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
-    """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample."""
+    """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample.
+
+    Raises InputError if they do not follow the code at all.
+    """
     axis = decoder.plan
     if not axis.fringes:
         return
@@ -50,8 +53,13 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and found < HALF * expected:
+            if found < FEW * expected:
+                raise InputError(
+                    f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
+                    f"some of these frames exchanged{_or_code(plan, axis)}?"
+                )
             yield Anomaly(
-                f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}",
+                f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
                 fringe.frames,
             )
     between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px

@@ -46,14 +46,6 @@ class Disturbance:
         shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
         return shifts
 
-    def times(self, factor: float) -> "Disturbance":
-        """Return the disturbance scaled by a factor."""
-        return replace(self, motions=factor * self.motions)
-
-    def less(self, other: "Disturbance") -> "Disturbance":
-        """Return the difference of two disturbances."""
-        return replace(self, motions=self.motions - other.motions)
-
     def take_back(self, projector_px: Floats32) -> None:
         """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
         height, width, _ = projector_px.shape
@@ -115,9 +107,12 @@ class MotionFound:
         """Return the shifts that may remain in the matches after the correction."""
         likely = []
         if self.significant:
-            likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
-            likely.append(self.shift.times(FEW))
-        return Shifts(likely=tuple(each.shifts for each in likely), possible=tuple(each.shifts for each in self.unseen))
+            likely = [(each.motions - self.shift.motions) / sqrt(len(self.others)) for each in self.others]
+            likely.append(FEW * self.shift.motions)
+        return Shifts(
+            likely=tuple(replace(self.shift, motions=each).shifts for each in likely),
+            possible=tuple(each.shifts for each in self.unseen),
+        )
 
     def __str__(self) -> str:
         """Describe the motion, for example: the projector moved by 1.2 px between frames 18 and 24."""

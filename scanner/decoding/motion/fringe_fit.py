@@ -6,13 +6,13 @@ the position by a motion along the trajectory g, which the fringe cannot tell fr
 frames, the residuals also give u.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import pi
 
 import numpy as np
 
-from calib.numerics import Floats, compiled
+from calib.numerics import Floats, Ints, compiled
 from scanner.decoding.arrays import NEGLIGIBLE
 
 # Least share of the effect of a motion on the frames, in squares, that no change of position explains.
@@ -36,14 +36,22 @@ class MotionResponse:
 class FringeFit:
     """The least-squares fit of `levels` (N, P) at phase `shifts` (N,); grey levels have the variance `noise` (P,).
 
-    `moved_px` (N, P): known motion of each pixel's coordinate in each frame; None if there is none.
+    `times` (N,): places of the frames, including repeats, in the sequence. `moved_px` (N, P): known motion of each
+    pixel's coordinate in each frame; None if there is none.
     """
 
     levels: Floats
     shifts: Floats
     period: float
     noise: Floats
+    times: Ints
     moved_px: Floats | None = None
+
+    def with_known_motion(self, share: Floats, motion_px: Floats) -> "FringeFit":
+        """Return a fit that takes a known motion (P,) of its pixels into account, of which each frame has seen a share
+        (N,).
+        """
+        return replace(self, moved_px=share[:, None] * motion_px)
 
     @property
     def mean_moved_px(self) -> Floats | float:

@@ -25,8 +25,6 @@ _STRIDE, _A_FEW = 3, 4
 # Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
 # moved; both object and background light its edges.
 _WINDOW, _DENSE = 9, 0.3
-# Largest share of lit pixels for an object that comes to stay; a transient one may cover nearly all.
-MOST = 1 - RESTING
 # Largest share of lit pixels for a transient object, and groups of frames in which its pixels are inconsistent: it is
 # gone again in later frames, whereas a bump of the camera shows in many. Largest shift of the whole picture, in pixels
 # of the grid.
@@ -73,7 +71,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     is_transient = _is_transient(groups, inconsistent[lit])
-    if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
+    if not 0 < share <= (_MOST_IN_ALL if is_transient else 1 - RESTING):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > FEW for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):

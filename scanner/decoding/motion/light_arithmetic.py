@@ -8,9 +8,10 @@ brighter than white or darker than black.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import sqrt
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfinv
 
 from calib.numerics import Bools, median, quantile
@@ -77,7 +78,7 @@ def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools
     return cast(Bools, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma))
 
 
-def _usual_sigma(deviation: Floats32) -> float:
+def _usual_sigma(deviation: NDArray[np.floating[Any]]) -> float:
     """Return the standard deviation of normal deviates with the absolute values (P,) of the pixels that rest."""
     return quantile(deviation, RESTING) / (sqrt(2) * float(erfinv(RESTING)))
 
