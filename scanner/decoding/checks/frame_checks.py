@@ -86,11 +86,16 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     before = total_contradiction(plan, seen, swing)
     for first in suspects:
         for second in range(len(seen)):
-            order = np.arange(len(seen))
-            order[[first, second]] = second, first
-            if total_contradiction(plan, seen[order], swing) < LEFT_BY_EXCHANGE * before:
+            if _once_exchanged(plan, seen, swing, (first, second)) < LEFT_BY_EXCHANGE * before:
                 return True
     return False
+
+
+def _once_exchanged(plan: SequencePlan, levels: Floats32, swing: Floats32, pair: tuple[int, int]) -> float:
+    """Return the total contradiction of `levels` (frames, P) with two frames exchanged."""
+    order = np.arange(len(levels))
+    order[[*pair]] = pair[::-1]
+    return total_contradiction(plan, levels[order], swing)
 
 
 def _in_one_light(
@@ -167,9 +172,7 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
             if differ < _DIFFERENT or (second in suspects and second < first):
                 continue
-            order = np.arange(len(levels))
-            order[[first, second]] = second, first
-            left = tried[first, second] = total_contradiction(plan, levels[order], swing)
+            left = tried[first, second] = _once_exchanged(plan, levels, swing, (first, second))
             if before - left > HALF * differ and left < least:
                 least, pair = left, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
