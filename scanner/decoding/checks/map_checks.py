@@ -4,7 +4,7 @@ Fringes that run backwards decode like any others. But fringes must agree with t
 and projector see the same side of a surface, so that the map between them is never mirrored.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import sqrt
@@ -86,8 +86,8 @@ def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:
         if not (axis.codes and axis.fringes):
             continue
         # Two periods, as if the code ran backwards, may agree with a second fringe as well.
-        slips = (2,) if axis.corrects_bits else (1, 2)
-        share = _periods_apart(projector_px[..., number], axis.fringes[0].period, slips)
+        slips, period = (2,) if axis.corrects_bits else (1, 2), axis.fringes[0].period
+        share = max(_apart(projector_px[..., number], slip * period, period) for slip in slips)
         if share > _MOST_SLIPS:
             frames = [frame for code in axis.codes for frame in code.frames]
             raise InputError(
@@ -97,14 +97,13 @@ def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:
             )
 
 
-def _periods_apart(coordinate: Floats32, period: float, slips: Sequence[int]) -> float:
-    """Return the share of neighbours in an image (H, W) that are so many periods apart."""
+def _apart(coordinate: Floats32, px: float, period: float) -> float:
+    """Return the share of neighbours in an image (H, W) that are about `px` apart."""
     apart = known = 0
     for way in (0, 1):
-        step = np.abs(np.diff(coordinate, axis=way)) / np.float32(period)
+        step = np.abs(np.diff(coordinate, axis=way))
         known += int(np.count_nonzero(np.isfinite(step)))
-        for whole in slips:
-            apart += int(np.count_nonzero(np.abs(step - np.float32(whole)) < _NEARLY))  # NaN is not
+        apart += int(np.count_nonzero(np.abs(step - np.float32(px)) < _NEARLY * period))  # NaN is not
     return apart / max(known, 1)
 
 

@@ -16,9 +16,9 @@ from scanner.decoding.tiles import STRIP_ROWS
 LEAST_PX = 0.02
 # Largest correction without confirmation: of a motion between the axes, or one that explains little.
 _LARGEST_BUMP_PX = 0.35
-# Share of the shortest period beyond which a size is ambiguous; a bump within a fringe also leaves a ripple of up to a
-# quarter of itself in single matches.
-LARGEST_CYCLES = 1 / 8
+# Share of the shortest period. Sizes can be measured up to a sixth of it (measure.py), but a bump within a fringe also
+# leaves a ripple of up to a quarter of itself in single matches.
+_LARGEST_CYCLES = 1 / 8
 # Each fringe sees only a part of a drift. A larger one shifts coordinates beyond the linear range of their gradient.
 _LARGEST_PX = 3.0
 # For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
@@ -132,7 +132,7 @@ class MotionFound:
 
 def largest_bump_px(finest_period: float) -> float:
     """Return the largest bump, in px, that can be corrected with fringes of this period and longer ones."""
-    return min(LARGEST_CYCLES * finest_period, _LARGEST_PX)
+    return min(_LARGEST_CYCLES * finest_period, _LARGEST_PX)
 
 
 def _likelier(motion: Floats, size: str) -> str:

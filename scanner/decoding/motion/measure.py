@@ -11,7 +11,7 @@ import numpy as np
 from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.device_motion import LARGEST_CYCLES, LEAST_PX, Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
@@ -26,6 +26,8 @@ _SIGNIFICANT = 8.0
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3  # of Gauss–Newton
+# Beyond this part of the shortest period, the motion is ambiguous.
+_LINEAR_CYCLES = 1 / 6
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class MotionMeter:
         explained = self._explained(refined) if is_significant else 0.0
         shift, *others = (self._disturbance(one) for one in (refined, *likely))
         size_px = self._size_px(refined.fit)
-        linear = size_px < LARGEST_CYCLES * self._finest_period
+        linear = size_px < _LINEAR_CYCLES * self._finest_period
         first, last = min(one.trajectory.first for one in likely), max(one.trajectory.last for one in likely)
         contradicted = self._is_overdetermined and is_significant
         found = MotionFound(

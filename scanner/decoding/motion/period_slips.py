@@ -12,10 +12,12 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints, quantile
 from scanner.decoding.motion.robust_fit import RobustFit, robust_fit
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import ENDS, FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
 _BLOCKS = (8, 6)  # of the projector's picture along x and y
-# Blocks of partial cells are rejected, whose width differs by more than this share.
+# Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
+# cells are rejected, whose width differs by more than this share.
+_QUANTILE = 0.04
 _WIDTH_OFF = 0.25
 _FEWEST_BLOCKS = 12  # for eight parameters
 # Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
@@ -93,8 +95,8 @@ def _blocks(place: Floats, height: float) -> list[Ints]:
 
 def _offset(axis: Offsets, pixels: Ints) -> float | None:
     """Return the offset of the fringe from the cells in a block; None if they are not filled evenly."""
-    low, high = (quantile(axis.px[pixels], share) for share in ENDS)
-    filled = (high - low) / ((ENDS[1] - ENDS[0]) * axis.axis.cell)
+    low, high = (quantile(axis.px[pixels], share) for share in (_QUANTILE, 1 - _QUANTILE))
+    filled = (high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
     return (low + high) / 2 if abs(filled - 1) < _WIDTH_OFF else None
 
 
