@@ -5,7 +5,7 @@ import numpy as np
 from calib.numerics import Bools
 from scanner.decoding.accumulators import Accumulators, Frames
 from scanner.decoding.arrays import WHOLE
-from scanner.decoding.checks.cycle_checks import check_cycles
+from scanner.decoding.checks.map_checks import check_cycles
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps

@@ -77,6 +77,7 @@ def _decided_words(
     numbers = [(cell_numbers(each).astype(np.float32), possible) for each, possible in choices]
     for _ in range(_ROUNDS):
         decided = _nearest(numbers, _planes(number, resting | decided), number)
+        decided &= ~growth.contradicts(number, resting | decided)
     found = number.astype(words.dtype)
     return decided, np.where(decided, found ^ found >> 1, words)
 
@@ -127,14 +128,24 @@ class _Growth:
         """
         number = number.astype(np.uint32)
         place = np.where(usable, number % block, np.nan).astype(np.float32)
-        window, steps = np.ones(_WINDOW_PX, np.float32), _steps(place, down=self.down)
-        comparable = np.isfinite(steps) & (_steps((number // block).astype(np.float32), down=self.down) == 0)
-        steps = np.where(comparable, steps, np.float32(0))
-        count = _filtered(comparable.astype(np.float32), window, window)
-        growth = _filtered(steps, window, window) / np.maximum(count, 1) / self.cells
+        same_block = _steps((number // block).astype(np.float32), down=self.down) == 0
+        growth = self._in_windows(np.where(same_block, _steps(place, down=self.down), np.float32(np.nan)))
         within_window = abs(self.cells) * (1 + _WINDOW_PX / (2 * _REACH_PX))
-        apart = np.abs(block - 1 - 2 * place) > within_window
-        return growth > 0, (np.abs(growth) > HALF) & (count >= _WINDOW_PX) & apart
+        return growth > 0, (np.abs(growth) > HALF) & (np.abs(block - 1 - 2 * place) > within_window)
+
+    def contradicts(self, number: Floats32, known: Bools) -> Bools:
+        """Return where (h, w) the known cells do not grow like this."""
+        steps = _steps(np.where(known, number, np.float32(np.nan)), down=self.down)
+        return self._in_windows(steps) < HALF
+
+    def _in_windows(self, steps: Floats32) -> Floats32:
+        """Return the mean of the known steps around each pixel (h, w), relative to these; NaN with few of them."""
+        window, known = np.ones(_WINDOW_PX, np.float32), np.isfinite(steps)
+        count = _filtered(known.astype(np.float32), window, window)
+        total = _filtered(np.where(known, steps, np.float32(0)), window, window)
+        mean = np.where(count >= _WINDOW_PX, total, np.float32(np.nan)) / np.maximum(count, np.float32(1))
+        growth: Floats32 = mean / np.float32(self.cells)
+        return growth
 
 
 def _steps(values: Floats32, *, down: bool) -> Floats32:

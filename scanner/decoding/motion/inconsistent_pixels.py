@@ -17,7 +17,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.light_arithmetic import RESTING, broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 
@@ -26,10 +26,9 @@ _STRIDE, _A_FEW = 3, 4
 # Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
 # moved; both object and background light its edges.
 _WINDOW, _DENSE = 9, 0.3
-# Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
-# again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
-# camera. Last, the largest shift of the whole picture, in pixels of the grid.
-MOST, _TRANSIENT, _MOVED_PX = 0.7, 1.5, 0.5
+# A transient object is gone again in later frames: its pixels are inconsistent in about one group of frames, and in
+# many after a bump of the camera. Largest shift of the whole picture, in pixels of the grid.
+_TRANSIENT, _MOVED_PX = 1.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     is_transient = _is_transient(groups, inconsistent[lit])
-    if not 0 < share <= (1 if is_transient else MOST):
+    if not 0 < share <= (1 if is_transient else 1 - RESTING):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > FEW for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
