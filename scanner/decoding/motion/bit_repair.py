@@ -143,9 +143,8 @@ class _Growth:
         window, known = np.ones(_WINDOW_PX, np.float32), np.isfinite(steps)
         count = _filtered(known.astype(np.float32), window, window)
         total = _filtered(np.where(known, steps, np.float32(0)), window, window)
-        mean = np.where(count >= _WINDOW_PX, total, np.float32(np.nan)) / np.maximum(count, np.float32(1))
-        growth: Floats32 = mean / np.float32(self.cells)
-        return growth
+        mean = np.where(count >= _WINDOW_PX, total, np.nan) / (np.maximum(count, 1) * self.cells)
+        return mean.astype(np.float32)
 
 
 def _steps(values: Floats32, *, down: bool) -> Floats32:
