@@ -2,14 +2,18 @@
 
 import numpy as np
 
+from calib.numerics import Bools
 from scanner.decoding.accumulators import Accumulators, Frames
-from scanner.decoding.checks.cycle_checks import check_cycles
+from scanner.decoding.arrays import WHOLE
+from scanner.decoding.checks.map_checks import check_cycles
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
 from scanner.decoding.checks.stray_light import leave_out_stray_light
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.edge_refinement import refine_by_edges
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
+from scanner.decoding.motion.bit_repair import repair_bits
+from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
 from scanner.decoding.sample_analysis import CalibratedDecoders, Observations
 
 
@@ -28,7 +32,10 @@ def checked_maps(
     all over the image, RefusalError if something moved between codes and fringes.
     """
     plan = accumulators.plan
-    maps = coordinate_maps(accumulators, calibrated.decoders, observed.moved, observed.corrupted)
+    corrupted = observed.corrupted
+    if observed.inconsistent is not None and corrupted is not None:
+        corrupted = corrupted & ~_repaired(accumulators, frames, observed.inconsistent)
+    maps = coordinate_maps(accumulators, calibrated.decoders, observed.moved, corrupted)
     if observed.moved is not None and not observed.code_shifts:
         mask_wrong_bits(plan, maps, observed.moved)
     elif is_anomalous and not plan.fringes:
@@ -44,3 +51,18 @@ def checked_maps(
     if is_anomalous and observed.moved is None and plan.fringes:
         mask_wrong_bits(plan, maps, None)
     return maps, refined or bool(plan.fringes)
+
+
+def _repaired(accumulators: Accumulators, frames: Frames, inconsistent: InconsistentPixels) -> Bools:
+    """Decide spoilt bits of plain Gray codes, in place; return the pixels (H, W) at which all of them are decided."""
+    spoilt, decided = (np.zeros(accumulators.brightest.shape, np.bool_) for _ in range(2))
+    for fold in accumulators.codes:
+        by_bit = {
+            bit: inconsistent.spoilt[pair] for bit, pair in fold.code.pairs.items() if pair in inconsistent.spoilt
+        }
+        if by_bit and fold.code.base is None:
+            shown = {index: image for index, image in frames(WHOLE) if index in fold.code.frames}
+            repaired = repair_bits(fold, by_bit, shown, inconsistent.resting)
+            spoilt |= np.logical_or.reduce(list(by_bit.values())) & ~repaired
+            decided |= repaired
+    return decided & ~spoilt

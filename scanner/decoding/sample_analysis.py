@@ -110,7 +110,7 @@ def observe(
     if coarse.are_divided or accumulators.plan != shown:
         inconsistent = _inconsistent_pixels(accumulators.plan, sample, coarse, noise)
     if inconsistent is not None:
-        rests = sample.levels[:, inconsistent.resting.reshape(-1)[sample.pixels]]
+        rests = coarse.levels[:, coarse.of(inconsistent.resting)]
         inconsistent = inconsistent if agree(accumulators.plan, rests, noise, saturation) else None
     if inconsistent is not None:
         tiles.leave_out(inconsistent.moved)
@@ -137,7 +137,7 @@ def _inconsistent_pixels(
 ) -> InconsistentPixels | None:
     """Find moving objects; None if too few static pixels remain, or if exchanged frames explain the finding."""
     found = find_inconsistent_pixels(plan, coarse, noise)
-    if found is None or np.count_nonzero(found.resting.reshape(-1)[sample.pixels]) < FEWEST_PIXELS:
+    if found is None or np.count_nonzero(coarse.of(found.resting)) < FEWEST_PIXELS:
         return None
     levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
     return None if an_exchange_explains(plan, levels, found.frames) else found

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, Anomaly
+from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, MOST_BROKEN, Anomaly
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import FINE_BITS, GrayFold
 from scanner.decoding.light.lit_pixels import LIT
@@ -30,9 +30,6 @@ _FEWEST_CHANGES = 30  # of a bit, before it is judged by their share
 # If the camera resolves the cells, nearly all changes are in a single bit; stripes finer than its pixels are not
 # checked.
 _MOSTLY_SINGLE = 0.8
-# Occlusion edges and undersampled stripes leave well over this share of a bit's changes between neighbours; if another
-# bit of the word is wrong, at most a half.
-_LEAST_ADJACENT = 0.65
 
 
 @dataclass(frozen=True)
@@ -186,7 +183,7 @@ def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
     A single pair of cells that meet at an occlusion edge may differ in one bit by chance.
     """
     chosen = wrong[wrong.bit == bit]
-    if len(chosen.bit) < max(_FEWEST_CHANGES, (1 - _LEAST_ADJACENT) * np.count_nonzero(of_bit)):
+    if len(chosen.bit) < max(_FEWEST_CHANGES, MOST_BROKEN * np.count_nonzero(of_bit)):
         return False
     _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
     return bool(counts.max() < len(chosen.bit) / 2)

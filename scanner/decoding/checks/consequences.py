@@ -14,15 +14,12 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Floats
 from scanner.decoding.arrays import Reasons
-from scanner.decoding.checks.contradictions import Anomaly
+from scanner.decoding.checks.contradictions import MOST_BROKEN, Anomaly
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.decoding.subsampling import at_random
 from scanner.errors import InputError
 
-# A corrupted frame differs from its pattern at half of the pixels; at least a part of the coordinates that depend on it
-# are then inconsistent or break the surface. People in the picture cover less.
-_MOST_BROKEN = 0.35
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
 _MOST_OUTLIERS = 0.15  # largest share of matches that are farther from it
@@ -49,7 +46,7 @@ def judge(anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, o
     counts = count_reasons(reasons, (MaskReason.KEPT, *BROKEN))
     broken = int(sum(counts[reason] for reason in BROKEN))
     share = broken / max(1, broken + int(counts[MaskReason.KEPT]))
-    if share > _MOST_BROKEN:
+    if share > MOST_BROKEN:
         raise InputError(
             f"{_description(anomalies)}; and {share:.0%} of the lit pixels are inconsistent in themselves or with "
             "their surface: did something move in most of the picture, or were frames exchanged?"

@@ -1,6 +1,10 @@
-"""Contradictions between frames and the light that their patterns must show, at the lit pixels of a sample."""
+"""Contradictions between frames and the light that their patterns must show, at the lit pixels of a sample.
 
-from collections.abc import Iterator, Sequence
+White is the brightest of all frames and black the darkest, pattern and inverse add up to the same light, the steps of a
+fringe lie on a cosine, and all fringes have the same mean. What a frame misses of this is its residual.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,23 +14,16 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
+from scanner.decoding.significance import HALF, HUBER_SIGMAS
 
-# Deviations from the right frame, relative to what an exchange would cause. An exchanged frame is wrong by the whole
-# swing where its pattern differs, a nonlinear camera curve by less than half. N times the scatter of a fringe's mean
-# over N shifts is about an amplitude if one of the N frames shows another pattern, 0.1 to 0.2 from harmonics. The
-# amplitude and shift of a frame is off by a distance of 1 and more between phasors.
-_WRONG = 0.5
-_WRONG_SHARE = 0.05  # of the lit pixels: people and occlusion edges cover less
-# If less than a third of a cycle is visible, shifts and amplitudes are not separable: limit on the ratio of singular
-# values.
-_MOST_UNEVEN = 2.0
-# Share of the power of a fringe that its fit leaves: 0.05 for a gamma of 2.2, 0.5 for exchanged opposite or next
-# shifts.
-_UNEXPLAINED = 0.25
-# Scatter of a fringe's frames in standard deviations of the noise; a barely visible fringe has 3.
-_BLURRED_AWAY = 2.0
-# Exchanged frames are named if undoing the exchange leaves at most this share of the contradictions: all but those of
-# noise and of the projector's and the camera's curves.
+# Largest share of the lit pixels at which frames may be off by half of what an exchange causes: people and occlusion
+# edges cover less, an exchanged frame is wrong where its pattern differs.
+_WRONG_SHARE = 0.05
+# Largest share that occlusion edges, undersampled stripes and people break of the coordinates that depend on a frame.
+# If it shows another pattern, half of them are wrong.
+MOST_BROKEN = 0.35
+# Exchanged frames are named, and a fringe is none, if a right sequence leaves more than this share of the
+# contradictions: all but those of noise and of the projector's and the camera's curves, which leave 0.05.
 LEFT_BY_EXCHANGE = 0.3
 
 
@@ -53,58 +50,62 @@ class LitSample:
         return cls(levels, high - low, noise.sigma((high + low) / 2))
 
 
-@dataclass(frozen=True)
-class _SampledFringe:
-    """One fringe at the lit pixels: `levels` (shifts, P), and the least-squares fit `offset`, `cosine`, `sine` (P,).
+def beyond_extremes(plan: SequencePlan, levels: Floats32) -> Iterator[tuple[int, Floats32]]:
+    """Yield white and black, each with how much brighter or darker the others are, from `levels` (frames, P)."""
+    for frame, side in ((plan.white, 1), (plan.black, -1)):
+        if frame is not None:
+            yield frame, np.maximum(side * (levels - levels[frame]), 0)
 
-    `is_seen`: whether it exceeds the noise.
-    """
 
-    fringe: Fringe
-    levels: Floats32
-    offset: Floats32
-    cosine: Floats32
-    sine: Floats32
-    is_seen: bool
+def uneven_pairs(plan: SequencePlan, levels: Floats32) -> Floats32:
+    """Return how far the sums of pattern and inverse are from the usual one, (pairs, P); no pair if there is one."""
+    pairs = np.array(plan.complements if len(plan.complements) > 1 else np.empty((0, 2), np.int64))
+    sums: Floats32 = levels[pairs[:, 0]] + levels[pairs[:, 1]]
+    return sums - medians(sums, axis=0) if len(sums) else sums
 
-    @property
-    def amplitude(self) -> Floats32:
-        """(P,)."""
-        amplitude: Floats32 = np.hypot(self.cosine, self.sine)
-        return amplitude
+
+def beside_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
+    """Return what the least-squares fit of a fringe leaves of its steps, (N, P), from `levels` (frames, P)."""
+    steps = levels[list(fringe.frames)]
+    left: Floats32 = steps - (fringe.design @ fringe.weights).astype(np.float32) @ steps
+    return left
+
+
+def total_contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
+    """Return the sum of squares of all residuals, in swings (P,), per pixel; `levels` (frames, P)."""
+    # No light is negative: for a single pair of frames, only this shows before which of them the light changed.
+    residuals = [np.minimum(levels, 0), *(excess for _, excess in beyond_extremes(plan, levels))]
+    residuals += [uneven_pairs(plan, levels), *(beside_cosine(fringe, levels) for fringe in plan.fringes)]
+    if len(plan.fringes) > 1:
+        sums = np.stack([np.sum(levels[list(fringe.frames)], axis=0) for fringe in plan.fringes])
+        residuals.append(sums - medians(sums, axis=0))
+    return sum(float(np.sum((each / swing) ** 2)) for each in residuals) / len(swing)
 
 
 def contradictions(plan: SequencePlan, shown: LitSample) -> list[Anomaly]:
     """Return all contradictions between the frames and the sequence."""
-    # A fringe that the lenses have blurred away cannot be checked.
-    seen = [fringe for fringe in (_sampled_fringe(fringe, shown) for fringe in plan.fringes) if fringe.is_seen]
-    return [*_extremes(plan, shown), *_complements(plan, shown), *_means(plan, shown, seen), *_shifts(plan, seen)]
+    return [*_extremes(plan, shown), *_pairs(plan, shown), *_fringes(plan, shown)]
 
 
 def _extremes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
-    for frame, side, word in ((plan.white, 1, "darker"), (plan.black, -1, "brighter")):
-        if frame is None:
-            continue
-        excess = shown.levels - shown.levels[frame]
-        beyond = excess > _WRONG * shown.swing if side > 0 else excess < -_WRONG * shown.swing
+    for frame, excess in beyond_extremes(plan, shown.levels):
+        beyond = excess > HALF * shown.swing
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
             yield Anomaly(
-                f"{plan.name(frame)} is {word} than others at {wrong:.0%} of the lit pixels, above all than "
-                f"{plan.name(suspect)}",
+                f"{plan.name(frame)} is {'darker' if frame == plan.white else 'brighter'} than others at {wrong:.0%} "
+                f"of the lit pixels, above all than {plan.name(suspect)}",
                 (frame, suspect),
             )
 
 
-def _complements(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
-    pairs = plan.complements
-    if len(pairs) < 2:
-        return
-    sums = np.stack([shown.levels[a] + shown.levels[b] for a, b in pairs])
-    wrong = np.mean(np.abs(sums - medians(sums, axis=0)) > _WRONG * shown.swing, axis=1)
-    if wrong.max() > _WRONG_SHARE:
-        suspects = [frame for pair, share in zip(pairs, wrong, strict=True) for frame in pair if share > _WRONG_SHARE]
+def _pairs(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
+    wrong = np.mean(np.abs(uneven_pairs(plan, shown.levels)) > HALF * shown.swing, axis=1)
+    suspects = [
+        frame for pair, share in zip(plan.complements, wrong, strict=False) for frame in pair if share > _WRONG_SHARE
+    ]
+    if suspects:
         yield Anomaly(
             f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
             f"{plan.names(suspects)}",
@@ -112,47 +113,28 @@ def _complements(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
         )
 
 
-def _means(plan: SequencePlan, shown: LitSample, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
-    even = [one for one in seen if one.fringe.equal_steps]
-    if not even:
-        return
-    means = np.stack([np.mean(one.levels, axis=0) for one in even])
-    reference = medians(means, axis=0) if len(even) > 1 else shown.levels.min(axis=0)
+def _fringes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
+    """Yield the fringes whose mean is uneven, or whose steps make no cosine; blurred ones cannot be checked."""
+    levels = {fringe: shown.levels[list(fringe.frames)] for fringe in plan.fringes}
+    # Scatter of the steps in standard deviations of the noise; a barely visible fringe has 3.
+    seen = [
+        fringe for fringe, steps in levels.items() if median(np.std(steps, axis=0, ddof=1) / shown.sigma) > HUBER_SIGMAS
+    ]
+    even = [fringe for fringe in seen if fringe.equal_steps]
+    means = [levels[fringe].mean(axis=0) for fringe in even]
+    usual = medians(np.stack(means), axis=0) if len(even) > 1 else shown.levels.min(axis=0)
     relative_noise = median(shown.sigma / shown.swing)
-    spreads = robust_sigmas((means - reference) / shown.swing)
-    amplitudes = medians(np.stack([one.amplitude for one in even]) / shown.swing, axis=1)
-    for one, spread, amplitude in zip(even, spreads.tolist(), amplitudes.tolist(), strict=True):
-        steps = len(one.fringe.shifts)
-        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > _WRONG * amplitude:
+    for fringe, mean in zip(even, means, strict=True):
+        steps, amplitude = len(fringe.shifts), np.hypot(*fringe.weights[1:].astype(np.float32) @ levels[fringe])
+        spread = float(robust_sigmas(((mean - usual) / shown.swing)[None])[0])
+        # N times the scatter of the mean is about an amplitude if one of N frames shows another pattern, 0.1 to 0.2 of
+        # it from harmonics.
+        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > HALF * median(amplitude / shown.swing):
             yield Anomaly(
-                f"the mean of {plan.names(one.fringe.frames)} is no even grey, as it is for a fringe in equal steps",
-                one.fringe.frames,
+                f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps",
+                fringe.frames,
             )
-
-
-def _shifts(plan: SequencePlan, seen: Sequence[_SampledFringe]) -> Iterator[Anomaly]:
-    """Yield frames whose amplitude or phase shift does not fit the fringe that all of them form together."""
-    for one in seen:
-        fringe, swings = one.fringe, one.levels - one.offset
-        phasors = fringe.design[:, 1:].T
-        components = np.stack([one.cosine, one.sine])
-        unexplained = swings - phasors.T.astype(np.float32) @ components
-        if np.mean(unexplained**2) > _UNEXPLAINED * np.mean(swings**2):
+    for fringe in seen:
+        swings = levels[fringe] - fringe.weights[0].astype(np.float32) @ levels[fringe]
+        if np.mean(beside_cosine(fringe, shown.levels) ** 2) > LEFT_BY_EXCHANGE * np.mean(swings**2):
             yield Anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
-            continue
-        components = components.astype(np.float64)
-        gram = components @ components.T
-        if np.linalg.cond(gram) > _MOST_UNEVEN**2:
-            continue
-        wrong = np.linalg.norm(np.linalg.solve(gram, components @ swings.T) - phasors, axis=0) > _WRONG
-        if wrong.any():
-            suspects = [frame for frame, is_wrong in zip(fringe.frames, wrong, strict=True) if is_wrong]
-            message = f"{plan.names(suspects)} have another shift or period than their patterns"
-            yield Anomaly(message, tuple(suspects))
-
-
-def _sampled_fringe(fringe: Fringe, shown: LitSample) -> _SampledFringe:
-    levels = shown.levels[list(fringe.frames)]
-    offset, cosine, sine = np.tensordot(fringe.weights.astype(np.float32), levels, axes=1)
-    spread = medians(np.std(levels, axis=0, ddof=1) / shown.sigma, axis=0)
-    return _SampledFringe(fringe, levels, offset, cosine, sine, bool(spread > _BLURRED_AWAY))

@@ -17,11 +17,16 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Bools
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, Anomaly, LitSample, contradictions
+from scanner.decoding.checks.contradictions import (
+    LEFT_BY_EXCHANGE,
+    Anomaly,
+    LitSample,
+    contradictions,
+    total_contradiction,
+)
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
 from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.errors import InputError
 
@@ -33,7 +38,6 @@ _FEWEST_LIT = 20  # of the sample: in the fewest pixels that can be decoded at a
 # one other frame contradicts it. Undoing an exchange must remove at least this part.
 # It is rejected if another exchange of either frame leaves hardly more: if black was taken in brighter light, for
 # example, any dark frame in its place helps as much.
-_REPAIRED = 0.5
 _DIFFERENT = 0.02  # least mean squared difference of exchanged frames, in swings: less does no harm
 # Flicker and automatic exposure change white by less than this factor.
 _MOST_BRIGHTER = 4.0
@@ -79,14 +83,19 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
-    before = _contradiction(plan, seen, swing)
+    before = total_contradiction(plan, seen, swing)
     for first in suspects:
         for second in range(len(seen)):
-            order = np.arange(len(seen))
-            order[[first, second]] = second, first
-            if _contradiction(plan, seen[order], swing) < LEFT_BY_EXCHANGE * before:
+            if _once_exchanged(plan, seen, swing, (first, second)) < LEFT_BY_EXCHANGE * before:
                 return True
     return False
+
+
+def _once_exchanged(plan: SequencePlan, levels: Floats32, swing: Floats32, pair: tuple[int, int]) -> float:
+    """Return the total contradiction of `levels` (frames, P) with two frames exchanged."""
+    order = np.arange(len(levels))
+    order[[*pair]] = pair[::-1]
+    return total_contradiction(plan, levels[order], swing)
 
 
 def _in_one_light(
@@ -103,15 +112,17 @@ def _in_one_light(
     for one in (alike, shown):
         if not contradictions(plan, one) and not may_be_switched(plan, one.levels):
             continue
-        switch = light_switch(plan, one.levels, one.swing, lambda levels: _contradiction(plan, levels, shown.swing))
+        switch = light_switch(
+            plan, one.levels, one.swing, lambda levels: total_contradiction(plan, levels, shown.swing)
+        )
         if switch is not None:
             without = replace(one, levels=switch.undone(one.levels))
-            best = min(best, (without, switch), key=lambda each: _contradiction(plan, each[0].levels, shown.swing))
+            best = min(best, (without, switch), key=lambda each: total_contradiction(plan, each[0].levels, shown.swing))
     flickers = not np.array_equal(alike.levels, shown.levels)
     if best[1] is None or plan.white is None or not flickers:
         return best
     flickered = _with_white(plan, alike, 1 / _MOST_BRIGHTER, _MOST_BRIGHTER)
-    left = [_contradiction(plan, one.levels, shown.swing) for one in (flickered, best[0])]
+    left = [total_contradiction(plan, one.levels, shown.swing) for one in (flickered, best[0])]
     return (alike, None) if left[0] <= left[1] else best
 
 
@@ -125,8 +136,8 @@ def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
         return alike
 
     brighter = _with_white(plan, alike, 1, _MOST_BRIGHTER)
-    left = [_contradiction(plan, one.levels, alike.swing) for one in (brighter, alike)]
-    return brighter if left[0] < _REPAIRED * left[1] else alike
+    left = [total_contradiction(plan, one.levels, alike.swing) for one in (brighter, alike)]
+    return brighter if left[0] < HALF * left[1] else alike
 
 
 def _with_white(plan: SequencePlan, alike: LitSample, least: float, most: float) -> LitSample:
@@ -138,7 +149,7 @@ def _with_white(plan: SequencePlan, alike: LitSample, least: float, most: float)
         return replace(alike, levels=levels)
 
     def left(factor: float) -> float:
-        return _contradiction(plan, times(factor).levels, alike.swing)
+        return total_contradiction(plan, times(factor).levels, alike.swing)
 
     found = minimize_scalar(left, bounds=(least, most), method="bounded", options={"xatol": 0.01})
     return times(float(found.x))
@@ -153,45 +164,21 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     few = evenly_spread(np.arange(len(shown.swing)), TRIAL_PIXELS)
     levels, swing = shown.levels[:, few], shown.swing[few]
     suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
-    before = _contradiction(plan, levels, swing)
-    least, pair = _contradiction(plan, alike.levels[:, few], swing), (0, 0)
+    before = total_contradiction(plan, levels, swing)
+    least, pair = total_contradiction(plan, alike.levels[:, few], swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
     for first in suspects:
         for second in range(len(levels)):
             differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
             if differ < _DIFFERENT or (second in suspects and second < first):
                 continue
-            order = np.arange(len(levels))
-            order[[first, second]] = second, first
-            left = tried[first, second] = _contradiction(plan, levels[order], swing)
-            if before - left > _REPAIRED * differ and left < least:
+            left = tried[first, second] = _once_exchanged(plan, levels, swing, (first, second))
+            if before - left > HALF * differ and left < least:
                 least, pair = left, (first, second)
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
     if pair not in tried or tried[pair] > max(LEFT_BY_EXCHANGE * before, AS_GOOD * min(others, default=before)):
         return ""
     return f"with {plan.names(pair)} exchanged they do"
-
-
-def _contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
-    """Return the sum of squares of all contradictions, in swings, per pixel; `levels` (frames, P)."""
-    # No light is negative: for a single pair of frames, only this shows before which of them the light changed.
-    total = float(np.sum((np.minimum(levels, 0) / swing) ** 2))
-    for frame, side in ((plan.white, 1), (plan.black, -1)):
-        if frame is not None:
-            total += float(np.sum(np.maximum(side * (levels - levels[frame]) / swing, 0) ** 2))
-    pairs = np.array(plan.complements)
-    if len(pairs) > 1:
-        sums = levels[pairs[:, 0]] + levels[pairs[:, 1]]
-        total += float(np.sum(((sums - medians(sums, axis=0)) / swing) ** 2))
-    means = []
-    for fringe in plan.fringes:
-        of_fringe = levels[list(fringe.frames)]
-        unexplained = of_fringe - (fringe.design @ fringe.weights).astype(np.float32) @ of_fringe
-        total += float(np.sum((unexplained / swing) ** 2))
-        means.append(np.sum(of_fringe, axis=0) / swing)
-    if len(means) > 1:
-        total += float(np.sum((np.stack(means) - medians(np.stack(means), axis=0)) ** 2))
-    return total / len(swing)
 
 
 def _duplicate(plan: SequencePlan, shown: LitSample, found: Sequence[Anomaly]) -> str:

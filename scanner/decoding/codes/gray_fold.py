@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, compiled
+from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Words
 from scanner.decoding.sequence_plan import GrayCode
 
@@ -63,6 +63,14 @@ class GrayFold:
     def least_needed(self) -> Image:
         """(H, W): the smallest contrast among the bits that are not optional."""
         return self._least_of_others if self.optional else self.least
+
+    def decide(self, where: Bools, words: Words, least: Image) -> None:
+        """Replace the words and the smallest contrast (H, W) in some pixels (H, W)."""
+        np.copyto(self.words, words, where=where)
+        for contrast in (self.least, self._least_of_others):
+            np.copyto(contrast, least, where=where)
+        for contrast in self.optional.values():
+            np.maximum(contrast, least, out=contrast, where=where)
 
     def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
         """Return the coarser code without its `count` finest bits, once all frames are in; its `least` covers all its

@@ -15,32 +15,22 @@ from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.tile_sample import MOST_ALONG, TILE_PX, TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEW, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 
 _JUMPS = 33  # to try, within half a period on either side
-# The largest bump that is searched for.
-_LARGEST_PX = 15.0
-# Jumps differ between surfaces, but agree between blocks: least length of the mean of their unit vectors.
-_LEAST_AGREEMENT = 0.8
 _BLOCK_TILES, _FEWEST_BLOCKS = 4, 4  # side of a block; blocks without which their agreement means nothing
-# Largest share that the fit with a jump may leave of a fringe's power, of which the harmonics of a gamma of 2.2 leave
-# 0.05, and of what the fit without a jump leaves.
-_MOST_LEFT = 0.12
-# A jump of a whole phase step, within this many cycles, means that a frame was taken for the next one.
-_STEP_CYCLES = 0.02
 
 
 @dataclass(frozen=True)
 class _FringeSample:
-    """The frames of one fringe: grey `levels` (N, P), the image `block` of each pixel (P,), the `times` and phase
-    `shifts` (N,) of the frames, and the `period` in px.
+    """The frames of one fringe: grey `levels` (N, P), the image `block` of each pixel (P,), and the `times` and phase
+    `shifts` (N,) of the frames.
     """
 
     levels: Floats
     block: Ints
     times: Ints
     shifts: Floats
-    period: float
 
     def left(self, first_after: int) -> tuple[float, float]:
         """Fit a phase jump before frame `first_after`: the unexplained share of the power, and the jump in cycles.
@@ -48,8 +38,7 @@ class _FringeSample:
         Each block of the image takes its best jump; the result is the mean over blocks.
         """
         after = self.times >= first_after
-        largest = min(0.5, _LARGEST_PX / self.period) if 0 < after.sum() < len(after) else 0.0
-        jumps = np.linspace(-largest, largest, _JUMPS) if largest else np.zeros(1)
+        jumps = np.linspace(-0.5, 0.5, _JUMPS) if 0 < after.sum() < len(after) else np.zeros(1)
         power = np.maximum(np.sum((self.levels - self.levels.mean(axis=0)) ** 2, axis=0), 1e-9)
         count = np.bincount(self.block)
         big = count >= FEWEST_PIXELS
@@ -64,7 +53,8 @@ class _FringeSample:
         )[:, big]
         best = np.argmin(left, axis=0)
         common = np.mean(np.exp(2j * np.pi * jumps[best]))
-        if abs(common) < _LEAST_AGREEMENT:
+        # Jumps differ between surfaces, but agree between blocks.
+        if abs(common) < AS_GOOD:
             return 1.0, 0.0
         return float(np.mean(left[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
 
@@ -82,17 +72,20 @@ def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> 
         ((*_worst(samples, second), first, second) for first, second in pairwise(times)), key=lambda one: one[0]
     )
     left, is_step, *frames = found
-    if is_step or left > _MOST_LEFT * min(1, before):
+    # Harmonics of a gamma of 2.2 leave 0.05 of a fringe's power.
+    if is_step or left > FEW * min(1, before):
         return None
     first, second = (plan.repeats * frame for frame in frames)
     return first, second
 
 
 def _worst(samples: Sequence[_FringeSample], first_after: int) -> tuple[float, bool]:
-    """Return the unexplained power of the worst fringe, and whether all jumps are by a whole phase step."""
+    """Return the unexplained power of the worst fringe, and whether all jumps are by a whole phase step, as if
+    frames were taken for the next ones.
+    """
     each = [(one, *one.left(first_after)) for one in samples]
     jumps = [
-        abs(jump * len(one.shifts) - np.rint(jump * len(one.shifts))) / len(one.shifts) < _STEP_CYCLES
+        abs(jump * len(one.shifts) - np.rint(jump * len(one.shifts))) / len(one.shifts) < 1 / _JUMPS
         for one, _, jump in each
         if one.times.min() < first_after <= one.times.max()
     ]
@@ -113,7 +106,7 @@ def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise:
     seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
     down, across = (tiles.camera_px[seen] // _block_size(tiles)).astype(np.int64).T[::-1]
     _, block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)
-    return _FringeSample(levels[:, seen], block.reshape(-1), times, shifts, fringe.period)
+    return _FringeSample(levels[:, seen], block.reshape(-1), times, shifts)
 
 
 def _block_size(tiles: TileSample) -> Floats:

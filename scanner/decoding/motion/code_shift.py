@@ -10,12 +10,10 @@ from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.period_slips import Offsets, PeriodSlip, moved_by_periods
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
-from scanner.decoding.significance import ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
+from scanner.decoding.subsampling import evenly_spread
 
-_BINS = 256  # of the histogram by which the arc of the angles is found, before the middle of its ends refines it
 _LEAST_PX = 0.5
-# A finest bit that was exchanged with its inverse also shifts by half a period.
-_MOST_CYCLES = 0.4
 
 
 @dataclass(frozen=True)
@@ -76,11 +74,11 @@ def middle_of(angles: Floats, width: float) -> float:
 
     The mean angle is unreliable where a cell is nearly as long as the period: a few angles more or less turn it.
     """
-    count, _ = np.histogram(_wrapped(angles), _BINS, (-np.pi, np.pi))
-    within = np.abs(np.fft.fftfreq(_BINS)) <= width / 2
-    held = np.fft.irfft(np.fft.rfft(count) * np.fft.rfft(within), _BINS)
-    fullest = np.exp(2j * np.pi * np.flatnonzero(held > held.max() - 0.5) / _BINS).sum()
-    about = float(np.angle(-fullest * np.exp(1j * np.pi / _BINS)))
+    some = np.sort(_wrapped(evenly_spread(angles)))
+    turned = np.concatenate([some, some + 2 * np.pi])
+    held = np.searchsorted(turned, some + 2 * np.pi * width, side="right") - np.arange(len(some))
+    first = int(np.argmax(held))
+    about = float(_wrapped((turned[first] + turned[first + held[first] - 1]) / 2))
     return about + float(np.quantile(_wrapped(angles - about), ENDS).mean())
 
 
@@ -92,5 +90,6 @@ def _wrapped(angles: Floats) -> Floats:
 def _shift(found: Offsets, slip: PeriodSlip | None) -> CodeShift | None:
     if slip is not None:
         return CodeShift(found.axis, slip.px, by_periods=True, sure=slip.sure)
-    is_one = _LEAST_PX <= abs(found.mean_px) <= _MOST_CYCLES * found.period
+    # A finest bit that was exchanged with its inverse also shifts by half a period.
+    is_one = _LEAST_PX <= abs(found.mean_px) <= AS_GOOD * found.period / 2
     return CodeShift(found.axis, found.mean_px) if is_one else None

@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from calib.refinement import Shifts
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
-from scanner.decoding.significance import HALF
+from scanner.decoding.significance import FEW, HALF
 from scanner.decoding.tiles import STRIP_ROWS
 
 # Least size of a motion, which interreflection, ripple and noise do not reach at rest.
@@ -23,9 +23,6 @@ _LARGEST_CYCLES = 1 / 8
 _LARGEST_PX = 3.0
 # For independent frames: half a radian of a fringe of six pixels, beyond which it is no longer linear.
 _LARGEST_OF_FRAMES_PX = 0.5
-_SIZE = "{:.2g} px"
-# Relative uncertainty of a correction.
-_REMAINDER = 0.1
 # Standard deviation assumed for an unobservable motion between the axes.
 SUSPECTED_PX = 0.3
 
@@ -48,14 +45,6 @@ class Disturbance:
         by_motion = shifts_by_motion(camera_px, projector_px, gradient, self.camera_size, self.projector_size)
         shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
         return shifts
-
-    def times(self, factor: float) -> "Disturbance":
-        """Return the disturbance scaled by a factor."""
-        return replace(self, motions=factor * self.motions)
-
-    def less(self, other: "Disturbance") -> "Disturbance":
-        """Return the difference of two disturbances."""
-        return replace(self, motions=self.motions - other.motions)
 
     def take_back(self, projector_px: Floats32) -> None:
         """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
@@ -118,9 +107,12 @@ class MotionFound:
         """Return the shifts that may remain in the matches after the correction."""
         likely = []
         if self.significant:
-            likely = [each.less(self.shift).times(1 / sqrt(len(self.others))) for each in self.others]
-            likely.append(self.shift.times(_REMAINDER))
-        return Shifts(likely=tuple(each.shifts for each in likely), possible=tuple(each.shifts for each in self.unseen))
+            likely = [(each.motions - self.shift.motions) / sqrt(len(self.others)) for each in self.others]
+            likely.append(FEW * self.shift.motions)
+        return Shifts(
+            likely=tuple(replace(self.shift, motions=each).shifts for each in likely),
+            possible=tuple(each.shifts for each in self.unseen),
+        )
 
     def __str__(self) -> str:
         """Describe the motion, for example: the projector moved by 1.2 px between frames 18 and 24."""
@@ -132,7 +124,7 @@ class MotionFound:
 
     def _description(self) -> str:
         """Describe which device moved, and how far. A large size is a lower bound: fringes leave whole periods open."""
-        size = "about {:.2g} px or more" if self.is_too_large else _SIZE
+        size = "about {:.2g} px or more" if self.is_too_large else "{:.2g} px"
         if not self.linear:
             size = f"more than {self.largest_px:.2g} projector pixels"
         return _likelier(self.motion, size) if self.undecided else moved_device(self.motion, size)
@@ -160,7 +152,7 @@ def turns_px(motion: Floats) -> tuple[float, float]:
     return projector, camera
 
 
-def moved_device(motion: Floats, size: str = _SIZE) -> str:
+def moved_device(motion: Floats, size: str = "{:.2g} px") -> str:
     """Describe which device moved, for example: the projector moved by 1.2 px; `motion` (8,) as in `rigid`, `size`:
     format of px.
     """

@@ -19,8 +19,6 @@ from scanner.decoding.subsampling import evenly_spread
 
 # Noise reduction by the taps along both axes, as a factor of the variance.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
-# Width of the part of a tile in which the taps of slopes lie inside it.
-_INSIDE_PX = TILE_PX - len(LEVEL) + 1
 
 
 @dataclass(frozen=True)
@@ -85,7 +83,7 @@ def frame_equations(
     return FrameEquations(
         times,
         np.array([fringe.axis == "y" for fringe in fringes], np.int64),
-        np.repeat(np.arange(tiles.count), _INSIDE_PX**2)[pixels],
+        np.repeat(np.arange(tiles.count), blurred.shape[1] // tiles.count)[pixels],
         beside.T @ levels / sigma,
         np.concatenate([of_each(-right), of_each(-down)]),
         of_each(steepness * amplitude * np.sin(phase)),

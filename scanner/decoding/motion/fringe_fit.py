@@ -6,17 +6,14 @@ the position by a motion along the trajectory g, which the fringe cannot tell fr
 frames, the residuals also give u.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import pi
 
 import numpy as np
 
-from calib.numerics import Floats, compiled
+from calib.numerics import Floats, Ints, compiled
 from scanner.decoding.arrays import NEGLIGIBLE
-
-# Least share of the effect of a motion on the frames, in squares, that no change of position explains.
-_LEAST_SEEN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -36,14 +33,22 @@ class MotionResponse:
 class FringeFit:
     """The least-squares fit of `levels` (N, P) at phase `shifts` (N,); grey levels have the variance `noise` (P,).
 
-    `moved_px` (N, P): known motion of each pixel's coordinate in each frame; None if there is none.
+    `times` (N,): places of the frames, including repeats, in the sequence. `moved_px` (N, P): known motion of each
+    pixel's coordinate in each frame; None if there is none.
     """
 
     levels: Floats
     shifts: Floats
     period: float
     noise: Floats
+    times: Ints
     moved_px: Floats | None = None
+
+    def with_known_motion(self, share: Floats, motion_px: Floats) -> "FringeFit":
+        """Return a fit that takes a known motion (P,) of its pixels into account, of which each frame has seen a share
+        (N,).
+        """
+        return replace(self, moved_px=share[:, None] * motion_px)
 
     @property
     def mean_moved_px(self) -> Floats | float:
@@ -146,7 +151,7 @@ def _fit_response(
     parameters: Floats,
     beside: Floats,
     px_per_radian: float,
-    least_power: float,
+    negligible: float,
     response: Floats,
     motion_px: Floats,
     seen: Floats,
@@ -159,7 +164,7 @@ def _fit_response(
         cosine, sine, at = components[0, p], components[1, p], p if waves.shape[2] > 1 else 0
         by_cosine = cosine * parameters[0, 1, at] + sine * parameters[1, 1, at]
         by_sine = cosine * parameters[0, 2, at] + sine * parameters[1, 2, at]
-        power = max(cosine * cosine + sine * sine, least_power)
+        power = max(cosine * cosine + sine * sine, negligible)
         response[p] = px_per_radian * (cosine * by_sine - sine * by_cosine) / power
         all_of_it = left = along = 0.0
         for n in range(waves.shape[1]):
@@ -168,6 +173,6 @@ def _fit_response(
             all_of_it += slope * slope
             left += rest * rest
             along += rest * unexplained[n, p]
-        is_observable = left > _LEAST_SEEN * all_of_it
+        is_observable = left > negligible * all_of_it
         motion_px[p] = along / left if is_observable else 0.0
         seen[p] = left if is_observable else 0.0

@@ -4,7 +4,8 @@ A corrupted frame violates the checks of light_arithmetic.py all over the pictur
 violates them in patches, outside of which all frames agree.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from math import hypot
 from typing import cast
 
@@ -16,7 +17,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.coarse_frames import CoarseFrames
-from scanner.decoding.motion.light_arithmetic import broken_fringes, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.light_arithmetic import RESTING, broken_fringes, contradictions, frames_of_fine_bits
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 
@@ -25,10 +26,9 @@ _STRIDE, _A_FEW = 3, 4
 # Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
 # moved; both object and background light its edges.
 _WINDOW, _DENSE = 9, 0.3
-# Largest share of lit pixels for an object that comes to stay, and for a transient one. A transient object is gone
-# again in later frames, so that a pixel is inconsistent in about one group of frames, but in many after a bump of the
-# camera. Last, the largest shift of the whole picture, in pixels of the grid.
-MOST, _MOST_IN_ALL, _TRANSIENT, _MOVED_PX = 0.7, 0.97, 1.5, 0.5
+# A transient object is gone again in later frames: its pixels are inconsistent in about one group of frames, and in
+# many after a bump of the camera. Largest shift of the whole picture, in pixels of the grid.
+_TRANSIENT, _MOVED_PX = 1.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class InconsistentPixels:
 
     `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
     coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
-    (cycles.py).
+    (cycles.py). `spoilt`: with codes alone, and if what moved is gone in later frames, the pixels (H, W) at which a
+    pattern and its inverse contradict the others, by their frames.
     """
 
     moved: Bools
@@ -46,6 +47,7 @@ class InconsistentPixels:
     resting: Bools
     share: float
     frames: tuple[int, ...]
+    spoilt: Mapping[tuple[int, ...], Bools] = field(default_factory=dict)
 
     def message(self, plan: SequencePlan) -> str:
         """Return a sentence for the operator."""
@@ -71,7 +73,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     is_transient = _is_transient(groups, inconsistent[lit])
-    if not 0 < share <= (_MOST_IN_ALL if is_transient else MOST):
+    if not 0 < share <= (1 if is_transient else 1 - RESTING):
         return None
     frames = {frame for of, each in groups if each[inside].mean() > FEW for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
@@ -80,10 +82,29 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
         corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
         corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
-    resting = coarse.at_full_size(lit & ~moved & ~_dense(inconsistent, lit))
+    resting = coarse.at_full_size(lit & ~moved & ~_grown(inconsistent))
     return InconsistentPixels(
-        coarse.at_full_size(moved), coarse.at_full_size(corrupted), resting, share, tuple(sorted(frames))
+        coarse.at_full_size(moved),
+        coarse.at_full_size(corrupted),
+        resting,
+        share,
+        tuple(sorted(frames)),
+        {} if plan.fringes or not is_transient else dict(_spoilt(coarse, groups, lit)),
     )
+
+
+def _spoilt(
+    coarse: CoarseFrames, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools
+) -> Iterator[tuple[tuple[int, ...], Bools]]:
+    for frames, each in groups:
+        if np.count_nonzero(each) >= SMALLEST_PATCH:
+            contradicting = np.zeros(lit.shape, np.bool_)
+            contradicting[lit] = each
+            yield frames, coarse.at_full_size(contradicting | patches(contradicting, lit))
+
+
+def _grown(some: Bools) -> Bools:
+    return cast(Bools, cv2.dilate(some.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_))
 
 
 def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Bools) -> bool:
@@ -152,7 +173,7 @@ def patches(inconsistent: Bools, lit: Bools) -> Bools:
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= SMALLEST_PATCH
     large[0] = False
-    return cast(Bools, cv2.dilate(large[labels].astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_))
+    return _grown(large[labels])
 
 
 def _dense(inconsistent: Bools, lit: Bools) -> Bools:

@@ -8,9 +8,10 @@ brighter than white or darker than black.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import sqrt
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import erfinv
 
 from calib.numerics import Bools, median, quantile
@@ -19,14 +20,11 @@ from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
-from scanner.decoding.significance import HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
 
-# Least contradiction, relative to the pixel's swing.
-_LEAST = 0.1
-# An object may cover more than half of the lit pixels, so that a low quantile tells the usual deviation (a nonlinear
-# camera, a projector that sharpens or dims fine stripes). It is this part of the standard deviation of normal deviates.
-_RESTING = 0.3
-_OF_SIGMA = sqrt(2) * float(erfinv(_RESTING))
+# Least share of the lit pixels that rest: an object may cover more than half of them. These pixels tell the usual
+# deviation (a nonlinear camera, a projector that sharpens or dims fine stripes).
+RESTING = 0.3
 # A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
 # adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
 _OF_FINE = 2.5
@@ -76,9 +74,13 @@ def _contradicting_pixels(
 def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
     deviation = np.abs(group.deviation) / swing
     some = deviation if resting is None or not resting.any() else deviation[resting]
-    usual = OUTLYING_SIGMAS / _OF_SIGMA * quantile(some, _RESTING)
-    least = max(group.times * _LEAST, usual)
+    least = max(group.times * FEW, OUTLYING_SIGMAS * _usual_sigma(some))
     return cast(Bools, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma))
+
+
+def _usual_sigma(deviation: NDArray[np.floating[Any]]) -> float:
+    """Return the standard deviation of normal deviates with the absolute values (P,) of the pixels that rest."""
+    return quantile(deviation, RESTING) / (sqrt(2) * float(erfinv(RESTING)))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
@@ -121,7 +123,7 @@ def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     if plan.white is not None:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
-            yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), HALF / _LEAST)
+            yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), HALF / FEW)
 
 
 def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -147,7 +149,7 @@ def _most_concentrated(values: Floats32) -> Bools:
 
     A moving object near a lamp is brighter than all that rests, and would bias a mean.
     """
-    count = max(1, round(_RESTING * len(values)))
+    count = max(1, round(RESTING * len(values)))
     ordered = np.sort(values)
     start = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
@@ -166,7 +168,7 @@ def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usua
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
     brightness, left = _fit_most(every.T, usual[:, None], _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
-    far = _LEAST * np.ptp(frames, axis=0)[:, None]
+    far = FEW * np.ptp(frames, axis=0)[:, None]
     if contradict := np.count_nonzero(np.abs(left) > far):
         relative = usual / max(float(usual.max()), 1e-6)
         curved = np.stack([usual, *every[1:], usual * relative, usual * relative**2])
@@ -189,7 +191,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats3
         factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
         left = targets - terms @ factors
         size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(HUBER_SIGMAS / _OF_SIGMA * quantile(size, _RESTING), 1e-6)
+        kept = size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)
     return cast(Floats32, factors), left
 
 
@@ -200,7 +202,7 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
         return
     ordered = np.sort(levels[alone], axis=0)
     # White itself may be the corrupted frame, which then does no harm. About half of the bits are lit at each pixel.
-    few = round(_RESTING * (len(alone) - 1))
+    few = round(RESTING * (len(alone) - 1))
     most, least = np.maximum(levels[plan.white], ordered[-1 - few]), np.minimum(levels[plan.black], ordered[few])
     for frame in alone:
         bright = levels[frame] > (most + least) / 2
@@ -220,5 +222,5 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
     size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
-    _, left = _fit_most(terms, left.T, size <= quantile(size, _RESTING))
+    _, left = _fit_most(terms, left.T, size <= quantile(size, RESTING))
     return cast(Floats32, np.sqrt(np.mean(left**2, axis=1)))

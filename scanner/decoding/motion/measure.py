@@ -12,11 +12,12 @@ from calib.numerics import Floats, median
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.tile_sample import TileSample
-from scanner.decoding.motion.trajectories import FringeObservation, MotionObserver, Trajectory, observations_of
+from scanner.decoding.motion.trajectories import MotionObserver, Trajectory, fits_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
 
@@ -50,13 +51,13 @@ class MotionMeter:
         self._pixels, self._repeats = pixels, plan.repeats
         self._finest_period = min(fringe.period for fringe in plan.fringes)
         self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
-        self._observations = observations_of(plan, tiles, pixels)
-        self._observer = MotionObserver(self._observations, pixels)
+        self._fits = fits_of(plan, tiles, pixels)
+        self._observer = MotionObserver(self._fits, pixels)
         by_motion = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
         # The shifts of x of all pixels, then those of y.
         self._design = np.concatenate([by_motion[:, 0], by_motion[:, 1]])
         self._tile = np.tile(pixels.tile, 2)
-        self._times = sorted({int(time) for axis in self._observations for one in axis for time in one.times})
+        self._times = sorted({int(time) for axis in self._fits for one in axis for time in one.times})
 
     def measure(self) -> tuple[MotionFound, bool]:
         """Return the motion that explains the fringes best, with the alternatives to it, and whether the fringes
@@ -99,13 +100,8 @@ class MotionMeter:
 
     def _is_undecided(self, trajectory: Trajectory) -> bool:
         """Return whether either device alone explains about as much as the other, as before a scene of little depth."""
-        observed, devices = self._observer.observe(trajectory), np.arange(COLUMNS) // PER_DEVICE
-        gained = [
-            fit_motion(
-                self._design * (devices == device), observed.motion_px, observed.precision, observed.row, self._tile
-            ).gained
-            for device in (0, 1)
-        ]
+        devices = np.arange(COLUMNS) // PER_DEVICE
+        gained = [self._fit(self._observer, trajectory, self._design * (devices == device)).gained for device in (0, 1)]
         return min(gained) > NEARLY_ALL * max(gained)
 
     @property
@@ -113,14 +109,14 @@ class MotionMeter:
         """Whether every fringe has enough frames to reveal an outlier frame; with three, a nonlinear curve only shifts
         the phase.
         """
-        return all(len(one.times) > COSINE_PARAMETERS for axis in self._observations for one in axis)
+        return all(len(one.times) > COSINE_PARAMETERS for axis in self._fits for one in axis)
 
     def _try(self, trajectory: Trajectory) -> _Candidate:
-        return _Candidate(trajectory, self._fit(self._observer, trajectory))
+        return _Candidate(trajectory, self._fit(self._observer, trajectory, self._design))
 
-    def _fit(self, observer: MotionObserver, trajectory: Trajectory) -> Fit:
+    def _fit(self, observer: MotionObserver, trajectory: Trajectory, design: Floats) -> Fit:
         observed = observer.observe(trajectory)
-        return fit_motion(self._design, observed.motion_px, observed.precision, observed.row, self._tile)
+        return fit_motion(design, observed.motion_px, observed.precision, observed.row, self._tile)
 
     def _is_significant(self, candidate: _Candidate) -> bool:
         """Return whether the motion exceeds what is measured at rest."""
@@ -137,7 +133,7 @@ class MotionMeter:
 
         The common part is equivalent to another pose of the rig.
         """
-        shares = np.array([_share(axis, candidate.trajectory) for axis in self._observations])
+        shares = np.array([_share(axis, candidate.trajectory) for axis in self._fits])
         squares = np.array([np.mean(moved_px**2) for moved_px in self._moved_px(candidate.fit)])
         common = float(shares @ squares / max(float(squares.sum()), 1e-12))
         return Disturbance(np.outer(shares - common, candidate.fit.motion), *self._sizes)
@@ -148,15 +144,15 @@ class MotionMeter:
 
     def _with_known_motion(self, candidate: _Candidate) -> MotionObserver:
         x, y = (
-            tuple(one.with_known_motion(candidate.trajectory, moved_px) for one in axis)
-            for axis, moved_px in zip(self._observations, self._moved_px(candidate.fit), strict=True)
+            tuple(one.with_known_motion(candidate.trajectory.at(one.times), moved_px) for one in axis)
+            for axis, moved_px in zip(self._fits, self._moved_px(candidate.fit), strict=True)
         )
         return MotionObserver((x, y), self._pixels)
 
     def _refined(self, candidate: _Candidate) -> _Candidate:
         """Refine a motion beyond first order (Gauss–Newton)."""
         for _ in range(_ROUNDS):
-            more = self._fit(self._with_known_motion(candidate), candidate.trajectory)
+            more = self._fit(self._with_known_motion(candidate), candidate.trajectory, self._design)
             candidate = _Candidate(
                 candidate.trajectory, Fit(candidate.fit.motion + more.motion, more.covariance, candidate.fit.gained)
             )
@@ -173,12 +169,12 @@ class MotionMeter:
         return 1.0 - left / max(all_of_it, 1e-12)
 
 
-def _share(fringes: Sequence[FringeObservation], trajectory: Trajectory) -> float:
+def _share(fringes: Sequence[FringeFit], trajectory: Trajectory) -> float:
     """Return the share of the motion in the coordinate: that of the shortest fringe, which determines it
     (`fringes/systematic_error.py`).
     """
     shortest = fringes[-1]
-    return float(np.mean(shortest.fit.response_to(trajectory.at(shortest.times)).response))
+    return float(np.mean(shortest.response_to(trajectory.at(shortest.times)).response))
 
 
 def measure_motion(

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Ints, quantile
+from calib.numerics import Bools, Floats, Ints, quantile
+from scanner.decoding.motion.robust_fit import RobustFit, robust_fit
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, HUBER_SIGMAS, REJECTED, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
 _BLOCKS = (8, 6)  # of the projector's picture along x and y
 # Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
@@ -71,8 +72,9 @@ def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodS
     if len(rows) < _FEWEST_BLOCKS:
         return None, None
     fit, moved, sure = _likeliest(np.array(rows), np.array(offsets))
+    sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
     of_x, of_y = (
-        _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], fit.sigma[number - 2])
+        _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], sigma[number - 2])
         if moved[number]
         else 0.0
         for number, each in enumerate(axes)
@@ -106,51 +108,22 @@ def _row(number: int, place: Floats) -> Floats:
     return row
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Parameters and their standard deviations, (8,); residuals of M blocks, (M,), and their robust scale."""
-
-    found: Floats
-    sigma: Floats
-    left: Floats
-    scale: float
-
-    def cost(self, scale: float) -> float:
-        """Return −2 log likelihood for this standard deviation, with the Huber loss for outliers."""
-        off = np.abs(self.left) / scale
-        return float(np.sum(np.where(off < HUBER_SIGMAS, off**2, HUBER_SIGMAS * (2 * off - HUBER_SIGMAS))))
-
-
-def _likeliest(rows: Floats, offsets: Floats) -> tuple[_Fit, list[bool], list[bool]]:
+def _likeliest(rows: Floats, offsets: Floats) -> tuple[RobustFit, list[bool], list[bool]]:
     """Return the best fit to blocks (M, 8) and (M,), which axes moved, and which of these moved for certain.
 
     It is certain if the alternative is far less likely.
     """
-    both, of_y = _fitted(rows, offsets), rows[:, _SLOPES] != 0
+    both, of_y = robust_fit(rows.T, offsets), rows[:, _SLOPES] != 0
     resting = []
     for blocks in (~of_y, of_y):
         bent = rows.copy()
         bent[blocks, -2:] = 0.0
-        resting.append(_fitted(bent, offsets))
+        resting.append(robust_fit(bent.T, offsets))
     worse = [fit.cost(both.scale) - both.cost(both.scale) for fit in resting]
     likelier = int(worse[1] < worse[0])
     if worse[likelier] > -REJECTED:
         return both, [True, True], [by > REJECTED for by in worse]
     return resting[likelier], [axis != likelier for axis in (0, 1)], [by > REJECTED for by in worse]
-
-
-def _fitted(rows: Floats, offsets: Floats) -> _Fit:
-    """Fit blocks (M, 8) and (M,) by robust least squares."""
-    weights, scale = np.ones(len(rows)), 1.0
-    found: Floats = np.zeros(_COLUMNS)
-    left, inverse = offsets, np.eye(_COLUMNS)
-    for _ in range(HUBER_ROUNDS):
-        inverse = np.linalg.pinv(rows.T @ (weights[:, None] * rows)).astype(np.float64)
-        found = inverse @ rows.T @ (weights * offsets)
-        left = offsets - rows @ found
-        scale = SIGMA_PER_MEDIAN * float(np.median(np.abs(left))) * len(rows) / max(len(rows) - _COLUMNS, 1)
-        weights = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(np.abs(left), 1e-9))
-    return _Fit(found, scale * np.sqrt(np.diag(inverse)), left, scale)
 
 
 def _by_periods(period: float, offset_px: float, curvature: float, sigma: float) -> float:

@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -95,53 +95,15 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     """Fit planes (tiles, 3, 2), offset and slopes by camera x and y, to the coordinates; also return the inliers."""
     offset = tiles.camera_px[: TILE_PX**2] - tiles.camera_px[: TILE_PX**2].mean(axis=0)
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
-    seen, on = projector_px.reshape(tiles.count, TILE_PX**2, 2), usable.reshape(tiles.count, TILE_PX**2)
-    fit = on.copy()
+    products = (terms[:, :, None] * terms[:, None]).reshape(len(terms), -1)
+    on = usable.reshape(tiles.count, TILE_PX**2)
+    seen, fit = np.where(on, projector_px.T.reshape(2, *on.shape), 0.0), on
     for _ in range(TRIMMED_FITS):
-        matrices, right = _normal_equations(terms, seen, fit)
-        planes = np.linalg.solve(matrices + 1e-9 * np.eye(3), right).astype(np.float64)
-        rough, count = _trim(terms, seen, on, planes, fit, SIGNIFICANT_SIGMAS / sqrt(2))
+        normal = (fit @ products).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
+        planes: Floats = np.linalg.solve(normal, np.moveaxis((fit * seen) @ terms, 0, 2))
+        off = np.sum((seen - np.moveaxis(planes, 2, 0) @ terms.T) ** 2, axis=0)
+        count = np.count_nonzero(fit, axis=1)
+        rough = np.sqrt(np.sum(fit * off, axis=1) / np.maximum(count, 1))
+        fit = on & (off <= np.maximum(SIGNIFICANT_SIGMAS / sqrt(2) * rough, 1e-3)[:, None] ** 2)
     smooth = (rough < MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
     return planes, (fit & smooth[:, None]).reshape(-1)
-
-
-@compiled
-def _normal_equations(terms: Floats, seen: Floats, fit: Bools) -> tuple[Floats, Floats]:
-    """Return matrices (T, 3, 3) and right-hand sides (T, 3, 2) of planes with the `terms` (P, 3) through `seen` (T, P,
-    2) where `fit`.
-    """
-    matrices, right = np.zeros((len(seen), 3, 3)), np.zeros((len(seen), 3, 2))
-    for t in range(len(seen)):
-        for p in range(len(terms)):
-            if fit[t, p]:
-                for a in range(3):
-                    for b in range(3):
-                        matrices[t, a, b] += terms[p, a] * terms[p, b]
-                    for axis in range(2):
-                        right[t, a, axis] += terms[p, a] * seen[t, p, axis]
-    return matrices, right
-
-
-@compiled
-def _trim(terms: Floats, seen: Floats, on: Bools, planes: Floats, fit: Bools, outlier: float) -> tuple[Floats, Ints]:
-    """Return the rms residual (T,) and the count (T,) of pixels in `fit` (T, P), then reset `fit` to those `on` whose
-    residual is at most `outlier` times it.
-    """
-    rough, count = np.zeros(len(seen)), np.zeros(len(seen), np.int64)
-    off2 = np.empty(len(terms))
-    for t in range(len(seen)):
-        for p in range(len(terms)):
-            off2[p] = 0.0
-            for axis in range(2):
-                off = seen[t, p, axis]
-                for a in range(3):
-                    off -= terms[p, a] * planes[t, a, axis]
-                off2[p] += off * off
-            rough[t] += off2[p] if fit[t, p] else 0.0
-            count[t] += fit[t, p]
-        count[t] = max(count[t], 1)
-        rough[t] = np.sqrt(rough[t] / count[t])
-        most = max(outlier * rough[t], 1e-3)
-        for p in range(len(terms)):
-            fit[t, p] = on[t, p] and off2[p] <= most * most
-    return rough, count

@@ -10,23 +10,20 @@ from math import sqrt
 import numpy as np
 from scipy.stats import chi2
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from calib.numerics import Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import Disturbance, MotionFound
 from scanner.decoding.motion.frame_equations import FrameEquations, frame_equations
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, PRIOR_PX
+from scanner.decoding.motion.robust_fit import robust_fit
 from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import Trajectory
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import BY_CHANCE, HALF, HUBER_ROUNDS, HUBER_SIGMAS
+from scanner.decoding.significance import AS_GOOD, BY_CHANCE, HALF
 
 # Apparent motion at rest due to ripple: of a single frame, and of the mean of the frames of a fringe.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
-# Largest share of two frames, in squares: up to half for eight independent frames, 0.97 for one late frame and its
-# opposite step.
-_MOST_OF_TWO = 0.75
-
 # One event explains nearly all of its effect; nonlinearity leaves a few hundredths.
 _MOST_BY_EVENT = 0.95
 
@@ -60,10 +57,11 @@ class FrameShifts:
         """Whether the shifts explain what changes of light do not, and many frames are shifted.
 
         A frame with ghosting of the last picture looks as if it and the opposite step were shifted. Shifts explain more
-        than 0.75 of the residuals of light where frames were shifted, and less than 0.35 where flicker was left.
+        than 0.75 of the residuals of light where frames were shifted, and less than 0.35 where flicker was left. Two of
+        eight independent frames have up to half of the squares, a late frame and its opposite step 0.97.
         """
         squares = np.sort(np.sum(self.shift_px**2, axis=0))
-        return self.by_shifts > HALF and float(squares[-2:].sum()) < _MOST_OF_TWO * float(squares.sum())
+        return self.by_shifts > HALF and float(squares[-2:].sum()) < AS_GOOD * float(squares.sum())
 
     def between(self, shares: Floats) -> tuple[Floats, Floats]:
         """Return the sum (2,) of shares (N,) of the shifts, and its covariance (2, 2)."""
@@ -88,40 +86,20 @@ def _solved(equations: FrameEquations) -> FrameShifts:
     expected[:alike, :alike] += np.sum(design**2) * np.kron(np.eye(4), np.full((count, count), 1 / count))
     asked = slice(0, len(columns) - count)
     light = slice(2 * count, len(columns) - count)
-    found, left, weight, inverse = _robust(design[asked], seen, expected[asked, asked])
-    _, left_by_light, *_ = _robust(design[light], seen, expected[light, light])
-    normal, right = (design * weight) @ design.T + expected, (design * weight) @ seen
-    scores = (design[asked] * (weight * left)).reshape(columns[asked].shape).sum(axis=1)
+    fit, by_light = (robust_fit(design[part], seen, expected[part, part]) for part in (asked, light))
+    normal, right = (design * fit.weight) @ design.T + expected, (design * fit.weight) @ seen
+    scores = (design[asked] * (fit.weight * fit.left)).reshape(columns[asked].shape).sum(axis=1)
     _, group = np.unique(equations.tile, return_inverse=True)
     sums = np.stack([np.bincount(group, of_unknown) for of_unknown in scores])
-    covariance = (inverse @ (sums @ sums.T) @ inverse)[: 2 * count, : 2 * count]
+    covariance = (fit.inverse @ (sums @ sums.T) @ fit.inverse)[: 2 * count, : 2 * count]
     about_mean = np.kron(np.eye(2), np.eye(count) - 1 / count)
     return FrameShifts(
         equations.times,
-        (about_mean @ found[: 2 * count]).reshape(2, count),
+        (about_mean @ fit.found[: 2 * count]).reshape(2, count),
         about_mean @ covariance @ about_mean,
-        1.0 - (_scale(left) / max(_scale(left_by_light), 1e-9)) ** 2,
+        1.0 - (fit.scale / max(by_light.scale, 1e-9)) ** 2,
         _by_event(equations, normal, right),
     )
-
-
-def _robust(design: Floats, seen: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Fit unknowns (U,) to what is seen (M,); return them, the residuals and weights (M,), and the inverse normal
-    matrix.
-    """
-    weight: Floats = np.ones(len(seen))
-    for _ in range(HUBER_ROUNDS):
-        weighted = design * weight
-        inverse: Floats = np.asarray(np.linalg.inv(weighted @ design.T + expected), np.float64)
-        found = inverse @ (weighted @ seen)
-        left = seen - found @ design
-        weight = np.minimum(1.0, HUBER_SIGMAS * _scale(left) / np.maximum(np.abs(left), 1e-9))
-    return found, left, weight, inverse
-
-
-def _scale(left: Floats) -> float:
-    """Return the robust standard deviation of the residuals (M,)."""
-    return SIGMA_PER_MEDIAN * float(median(np.abs(left)))
 
 
 def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float:

@@ -1,6 +1,6 @@
 """Observations of a motion with a given trajectory in time, from the fringes of a capture."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -37,20 +37,8 @@ class Trajectory:
         return (times >= self.last).astype(np.float64)
 
 
-@dataclass(frozen=True)
-class FringeObservation:
-    """The fit to all frames of a fringe, including repeats, and their `times` (N,) in the sequence."""
-
-    fit: FringeFit
-    times: Ints
-
-    def with_known_motion(self, trajectory: Trajectory, motion_px: Floats) -> "FringeObservation":
-        """Return a fit that takes a known motion (P,) of its pixels into account."""
-        return replace(self, fit=replace(self.fit, moved_px=trajectory.at(self.times)[:, None] * motion_px))
-
-
 # The fringes of x and of y, longest first.
-FringeObservations = tuple[tuple[FringeObservation, ...], tuple[FringeObservation, ...]]
+FringeFits = tuple[tuple[FringeFit, ...], tuple[FringeFit, ...]]
 
 
 @dataclass(frozen=True)
@@ -65,13 +53,13 @@ class MotionObservations:
     row: Ints
 
 
-def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeObservations:
+def fits_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeFits:
     """Fit all fringes of a capture at the pixels."""
 
-    def of(fringe: Fringe) -> FringeObservation:
+    def of(fringe: Fringe) -> FringeFit:
         times, shifts = plan.times_of(fringe)
         levels = tiles.levels(times.tolist(), pixels.number).astype(np.float64)
-        return FringeObservation(FringeFit(levels, shifts, fringe.period, pixels.noise), times)
+        return FringeFit(levels, shifts, fringe.period, pixels.noise, times)
 
     x, y = (tuple(map(of, axis.fringes)) for axis in plan.axes)
     return x, y
@@ -81,15 +69,15 @@ def observations_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> Fr
 class MotionObserver:
     """Fits of fringes that take a known motion, or none, into account; what remains can be observed."""
 
-    observations: FringeObservations
+    fits: FringeFits
     pixels: Pixels
 
     def observe(self, trajectory: Trajectory) -> MotionObservations:
         """Return the motion along this trajectory that remains beside the known motion."""
         parts = []
         every = np.arange(len(self.pixels))
-        for axis, (of_axis, apart) in enumerate(zip(self.observations, self._position_differences, strict=True)):
-            responses = [one.fit.response_to(trajectory.at(one.times)) for one in of_axis]
+        for axis, (of_axis, apart) in enumerate(zip(self.fits, self._position_differences, strict=True)):
+            responses = [one.response_to(trajectory.at(one.times)) for one in of_axis]
             found = [(one.motion_px, one.precision) for one in responses]
             for (before, after), known in zip(pairwise(responses), apart, strict=True):
                 if known is not None:
@@ -107,12 +95,12 @@ class MotionObserver:
         curves. None if one period is much longer than the other.
         """
         found = []
-        for axis, of_axis in enumerate(self.observations):
+        for axis, of_axis in enumerate(self.fits):
             of_pairs: list[tuple[Floats, Floats] | None] = []
             # With a known motion, every fringe gives the position before it: the longest as well as the others.
-            longest = of_axis[0].fit
+            longest = of_axis[0]
             coordinate = _nearest(longest, self.pixels.projector_px[:, axis] - longest.mean_moved_px)
-            for longer, shorter in pairwise(one.fit for one in of_axis):
+            for longer, shorter in pairwise(of_axis):
                 nearest = _nearest(shorter, coordinate)
                 of_pairs.append(
                     _with_variance(nearest - coordinate, longer.variance + shorter.variance, self.pixels.tile)

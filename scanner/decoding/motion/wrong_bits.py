@@ -11,12 +11,12 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
 from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.cycles import in_wrong_cycles
-from scanner.decoding.motion.inconsistent_pixels import MOST, patches
+from scanner.decoding.motion.inconsistent_pixels import patches
+from scanner.decoding.motion.light_arithmetic import RESTING
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Neighbours on a surface are not farther apart than this many cells, nor this many times the usual distance.
 _FAR_CELLS, _TIMES_USUAL = 1.4, 4.0
-_AROUND = np.ones((5, 5), np.uint8)
 
 
 def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None:
@@ -29,7 +29,7 @@ def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None
     wrong &= maps.reason != MaskReason.DARK
     maps.reason[wrong] = np.uint8(MaskReason.MOVED)
     # Isolated pixels on the border of another period would look like a code that does not belong to the fringes.
-    near = cv2.dilate(wrong.astype(np.uint8), _AROUND) > 0
+    near = cv2.dilate(wrong.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=2) > 0
     maps.projector_px[wrong | (maps.reason != MaskReason.KEPT) & (near if moved is None else near | moved)] = np.nan
 
 
@@ -39,7 +39,7 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
     broken = np.isin(reason, BROKEN) | _jumps(plan, coarse, maps)
     lit = broken | (reason == MaskReason.KEPT)
     found = patches(broken, lit)
-    if np.count_nonzero(found & lit) > MOST * np.count_nonzero(lit):
+    if np.count_nonzero(lit & ~found) < RESTING * np.count_nonzero(lit):
         return np.zeros_like(maps.reason, np.bool_)
     return coarse.at_full_size(found)
 

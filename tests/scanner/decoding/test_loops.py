@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 
 from calib.numerics.array_types import Image
 from scanner.decoding.checks.code_checks import _changes, _note_changes
-from scanner.decoding.checks.map_checks import _count_jumps
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
@@ -98,23 +97,6 @@ def test_bits_beyond_the_picture_are_not_compared() -> None:
     brightest[1] = 52
     found, _ = _changes(fold, NoiseModel(1e-6, 0.0), middle, brightest, None)
     assert len(found.bit) == SHAPE[0] - 1
-
-
-@given(
-    values=arrays.arrays(np.float32, (2, 30), elements=st.floats(0, 100, width=16)),
-    there=CHOSEN,
-    offset=st.integers(0, 20),
-)
-def test_jumps_over_the_edges_of_cells(values: np.ndarray, there: np.ndarray, offset: int) -> None:
-    cell, before = 8.0, offset + 0.5
-    jumps = total = 0
-    for line, chosen in zip(values, there, strict=True):
-        places = np.flatnonzero(chosen)
-        for i, j in pairwise(places):
-            if j - i <= 16 and (line[i] + before) // cell != (line[j] + before) // cell:
-                total += 1
-                jumps += abs(float(line[j]) - float(line[i])) > cell
-    assert _count_jumps(values, there, cell, before, 16) == (jumps, total)
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,14 @@ def fringe(motion_px: float) -> FringeFit:
     rng = np.random.default_rng(4)
     position, amplitude = rng.uniform(0, PERIOD, 500), rng.uniform(20, 90, 500)
     angle = 2 * np.pi * ((position + motion_px * TRAJECTORY[:, None]) / PERIOD + SHIFTS[:, None])
-    return FringeFit(100 + amplitude * np.cos(angle), SHIFTS, PERIOD, np.full(500, 2.0))
+    return FringeFit(100 + amplitude * np.cos(angle), SHIFTS, PERIOD, np.full(500, 2.0), np.arange(6))
 
 
 @pytest.mark.parametrize("known_px", [None, 0.0])
 def test_a_fringe_measures_a_motion_and_its_response_to_it(known_px: float | None) -> None:
     rest, moved = fringe(0.0), fringe(1e-3)
     if known_px is not None:  # a known motion of each pixel
-        moved = FringeFit(moved.levels, SHIFTS, PERIOD, moved.noise, np.full((6, 500), known_px))
+        moved = FringeFit(moved.levels, SHIFTS, PERIOD, moved.noise, moved.times, np.full((6, 500), known_px))
     observed = moved.response_to(TRAJECTORY)
     shifted = (moved.position - rest.position + PERIOD / 2) % PERIOD - PERIOD / 2
     assert np.median(np.abs(observed.response - shifted / 1e-3)) < 2e-3

@@ -21,7 +21,7 @@ def test_shifts_of_all_frames_are_distinguished_from_light(seed: int, size_px: f
     assert found.are_distinct_from_light
 
 
-@pytest.mark.parametrize(("share", "is_motion"), [(0.45, True), (0.8, False), (0.97, False)])
+@pytest.mark.parametrize(("share", "is_motion"), [(0.45, True), (0.85, False), (0.97, False)])
 def test_ghosting_in_a_frame_is_not_taken_for_shifts(share: float, is_motion: bool) -> None:
     squares = np.full(COUNT, (1 - share) / (COUNT - 2))
     squares[[1, 6]] = share / 2

@@ -1,0 +1,178 @@
+"""Decide the bits that something moving has spoilt, by the surface around them.
+
+A spoilt bit of a Gray code leaves a choice of two cells, which are mirror images of each other within the block of
+cells that share all coarser bits. Over a surface one of them grows in the direction in which all coordinates of the
+axis grow, the other one in the opposite direction. Pixels where that is clear, and those at which nothing moved, decide
+the others around them: the right cell lies in the plane of its neighbours.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+
+from calib.numerics import Bools, Image, median
+from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF
+
+# Cells are compared over this many pixels to either side, and their growth is averaged over a window of this side.
+_REACH_PX, _WINDOW_PX = 2, 5
+# Side of the window of a plane, and how often it is fitted: decided pixels spread by half a window each time.
+_PLANE_PX, _ROUNDS = 9, 8
+# Largest distance of a cell from the plane of its neighbours: half a cell for each of them, and as much for a bend.
+_NEAR_CELLS = 1.5
+
+
+def repair_bits(fold: GrayFold, spoilt: Mapping[int, Bools], frames: Mapping[int, Image], resting: Bools) -> Bools:
+    """Decide spoilt bits of a plain Gray code, in place; return the pixels (H, W) at which all of them are decided.
+
+    `spoilt`: by bit, the pixels (H, W) at which its frames are spoilt. `frames`: by number, those of the code (H, W).
+    `resting` (H, W): lit pixels at which nothing moved.
+    """
+    everywhere = np.logical_or.reduce(list(spoilt.values()))
+    left, top, width, height = cv2.boundingRect((everywhere | resting).view(np.uint8))
+    part = slice(top, top + height), slice(left, left + width)
+    decided, words = np.zeros(resting.shape, np.bool_), fold.words.copy()
+    found = _decided_words(fold, {bit: where[part] for bit, where in spoilt.items()}, resting[part], words[part])
+    if found is None:
+        return decided
+    decided[part], words[part] = found
+    least = np.full_like(fold.least, np.iinfo(fold.least.dtype).max)
+    for bit, (normal, inverse) in fold.code.pairs.items():
+        where = spoilt.get(bit, np.zeros_like(decided))
+        # A spoilt frame gives no edge to interpolate from.
+        shown = (words >> (fold.code.bits - 1 - bit) & 1).astype(np.uint8)
+        decided &= ~(where & (cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0))
+        contrast = cv2.absdiff(frames[normal], frames[inverse]).astype(least.dtype)
+        np.minimum(least, contrast, out=least, where=~where)
+    fold.decide(decided, words, least)
+    return decided
+
+
+def _decided_words(
+    fold: GrayFold, spoilt: Mapping[int, Bools], resting: Bools, words: Words
+) -> tuple[Bools, Words] | None:
+    """Return where (h, w) spoilt bits are decided, and the words (h, w); None if the code grows in no one direction."""
+    number = cell_numbers(words).astype(np.float32)
+    growth = _Growth.of(number, resting)
+    if growth is None:
+        return None
+    some, several = (np.sum(list(spoilt.values()), axis=0) > least for least in (0, 1))
+    decided = np.zeros_like(resting)
+    choices = [(words, some)]
+    for bit, where in spoilt.items():
+        place = fold.code.bits - 1 - bit
+        mask = words.dtype.type(1 << place)
+        unset, set_ = cell_numbers(words & ~mask), cell_numbers(words | mask)
+        grows, clear = growth.of_choice(unset, 2 << place, ~several & (where | ~some))
+        clear &= where & ~several
+        number[clear] = np.where(grows, unset, set_)[clear]
+        decided |= clear
+        without = [(np.where(where, each & ~mask, each), possible) for each, possible in choices]
+        choices = without + [(each | mask, possible & where) for each, possible in choices]
+    numbers = [(cell_numbers(each).astype(np.float32), possible) for each, possible in choices]
+    for _ in range(_ROUNDS):
+        decided = _nearest(numbers, _planes(number, resting | decided), number)
+        decided &= ~growth.contradicts(number, resting | decided)
+    found = number.astype(words.dtype)
+    return decided, np.where(decided, found ^ found >> 1, words)
+
+
+def _nearest(numbers: Sequence[tuple[Floats32, Bools]], expected: Floats32, number: Floats32) -> Bools:
+    """Set `number` (h, w), in place, to the possible one that is nearest to the expected one; return where it is clear.
+
+    `numbers`: each with the pixels (h, w) at which it is possible. `expected` (h, w): NaN where unknown.
+    """
+    best, next_best = (np.full(number.shape, np.inf, np.float32) for _ in range(2))
+    nearest = number.copy()
+    for each, possible in numbers:
+        error = np.where(possible, np.abs(each - expected), np.float32(np.inf))
+        nearer = error < best
+        next_best = np.where(nearer, best, np.minimum(next_best, error))
+        np.copyto(best, error, where=nearer)
+        np.copyto(nearest, each, where=nearer)
+    clear: Bools = (best < _NEAR_CELLS) & (next_best > 2 * best + 1)
+    np.copyto(number, nearest, where=clear)
+    return clear
+
+
+@dataclass(frozen=True)
+class _Growth:
+    """By how many `cells` a coordinate grows over twice the reach: along image columns if `down`, or along rows."""
+
+    cells: float
+    down: bool
+
+    @classmethod
+    def of(cls, number: Floats32, resting: Bools) -> "_Growth | None":
+        """Measure it at `resting` pixels (h, w); None if they are few, or do not nearly all grow in one direction."""
+        found = []
+        for down in (False, True):
+            steps = _steps(np.where(resting, number, np.float32(np.nan)), down=down)
+            steps = steps[np.isfinite(steps)]
+            if len(steps) >= FEWEST_PIXELS:
+                cells = float(median(steps))
+                if abs(cells) >= 1 and np.mean(steps * cells < 0) < FEW:
+                    found.append(cls(cells, down))
+        return max(found, key=lambda growth: abs(growth.cells), default=None)
+
+    def of_choice(self, number: Words, block: int, usable: Bools) -> tuple[Bools, Bools]:
+        """Return where (h, w) the cells `number` grow like this within blocks of so many cells, and where it is clear.
+
+        Near the middle of a block, where a cell and its mirror image are close, it is not. `usable` (h, w): where no
+        other bit is spoilt.
+        """
+        number = number.astype(np.uint32)
+        place = np.where(usable, number % block, np.nan).astype(np.float32)
+        same_block = _steps((number // block).astype(np.float32), down=self.down) == 0
+        growth = self._in_windows(np.where(same_block, _steps(place, down=self.down), np.float32(np.nan)))
+        within_window = abs(self.cells) * (1 + _WINDOW_PX / (2 * _REACH_PX))
+        return growth > 0, (np.abs(growth) > HALF) & (np.abs(block - 1 - 2 * place) > within_window)
+
+    def contradicts(self, number: Floats32, known: Bools) -> Bools:
+        """Return where (h, w) the known cells do not grow like this."""
+        steps = _steps(np.where(known, number, np.float32(np.nan)), down=self.down)
+        return self._in_windows(steps) < HALF
+
+    def _in_windows(self, steps: Floats32) -> Floats32:
+        """Return the mean of the known steps around each pixel (h, w), relative to these; NaN with few of them."""
+        window, known = np.ones(_WINDOW_PX, np.float32), np.isfinite(steps)
+        count = _filtered(known.astype(np.float32), window, window)
+        total = _filtered(np.where(known, steps, np.float32(0)), window, window)
+        mean = np.where(count >= _WINDOW_PX, total, np.nan) / (np.maximum(count, 1) * self.cells)
+        return mean.astype(np.float32)
+
+
+def _steps(values: Floats32, *, down: bool) -> Floats32:
+    """Return the difference between the pixels at the reach on either side of each, (h, w); NaN at the border."""
+    steps = np.full_like(values, np.nan)
+    along, of = (steps.T, values.T) if down else (steps, values)
+    along[:, _REACH_PX:-_REACH_PX] = of[:, 2 * _REACH_PX :] - of[:, : -2 * _REACH_PX]
+    return steps
+
+
+def _planes(values: Floats32, known: Bools) -> Floats32:
+    """Return the value at each pixel (h, w) of the plane through the `known` values around it; NaN with few of them."""
+    weight = known.astype(np.float32)
+    weighted = weight * values
+    flat = np.ones(_PLANE_PX, np.float32)
+    slope = np.arange(_PLANE_PX, dtype=np.float32) - _PLANE_PX // 2
+    count, x, y = (_filtered(weight, *by) for by in ((flat, flat), (slope, flat), (flat, slope)))
+    xx, xy, yy = (_filtered(weight, *by) for by in ((slope**2, flat), (slope, slope), (flat, slope**2)))
+    z, xz, yz = (_filtered(weighted, *by) for by in ((flat, flat), (slope, flat), (flat, slope)))
+    # Cramer's rule for the constant of the normal equations.
+    minors = xx * yy - xy * xy, x * yy - xy * y, x * xy - xx * y
+    determinant = count * minors[0] - x * minors[1] + y * minors[2]
+    enough = (count >= _PLANE_PX) & (determinant > count)
+    plane: Floats32 = np.where(enough, z * minors[0] - xz * minors[1] + yz * minors[2], np.float32(np.nan))
+    plane /= np.where(enough, determinant, 1)
+    return plane
+
+
+def _filtered(values: Floats32, along: Floats32, down: Floats32) -> Floats32:
+    """Return the sums over the window around each pixel, weighted along rows and columns."""
+    return cast(Floats32, cv2.sepFilter2D(values, cv2.CV_32F, along, down, borderType=cv2.BORDER_CONSTANT))
