@@ -13,7 +13,7 @@ from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import Sight
-from calib.networks.warps import Warps, find_warps, weighed
+from calib.networks.warps import Warps, find_warps, or_moved, weighed
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
@@ -233,6 +233,6 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         (grown.names[0], grown.names[1]),
         sights,
         waves,
-        warps if warps.alone or warps.several else hidden,
+        or_moved(warps or hidden, grown, sights, fit),
         {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
     )

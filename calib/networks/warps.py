@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
+from calib.networks.moves import likeliest_move
 from calib.networks.network import PER_WARP, WARP, Network
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.sights import Sight
@@ -53,10 +54,17 @@ class Warp:
 
 @dataclass(frozen=True)
 class Warps:
-    """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it."""
+    """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it. `moved`: the
+    camera that does, if it was moved between its captures.
+    """
 
     alone: tuple[Warp, ...] = ()
     several: bool = False
+    moved: str = ""
+
+    def __bool__(self) -> bool:
+        """Whether anything is warped, or was moved."""
+        return bool(self.alone or self.several or self.moved)
 
 
 def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
@@ -109,6 +117,18 @@ def weighed(sights: Sequence[Sight], fit: Fit[Network], free: Bools, names: Sequ
             warp = other.value * np.eye(PER_WARP)[k]
             likely.setdefault(name, Warp(name, (other.value / other.sigma) ** 2, warp))
     return Warps(tuple(likely.values())), covariance
+
+
+def or_moved(warps: Warps, grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> Warps:
+    """In place of warps that were found, a camera that was moved between its captures, if that explains more than all
+    pictures' warps together.
+    """
+    if not warps:
+        return warps
+    every = _freed(fit.layout, grown.free(fit.layout), range(len(grown.names)))
+    rival = Weights.of_noise(sights).fitted(grown, sights, fit.layout, every, ROUGH)
+    moved, name = likeliest_move(grown, sights, fit)
+    return Warps(moved=name) if moved < rival.cost else warps
 
 
 def _strained(sights: Sequence[Sight], fit: Fit[Network]) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Motion, Size
-from calib.networks import NetworkEstimate, estimate_network
+from calib.networks import NetworkEstimate, Warps, estimate_network
 from calib.networks.network import Device
 from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 
@@ -58,3 +58,17 @@ def test_keystone_is_in_the_sigmas_or_named(seed: int, named: list[str]) -> None
     assert 0.3 < (off / sigma).min() < (off / sigma).max() < 2
     for each in estimate.warps.alone:
         assert 0.5 * KEYSTONE < each.trapezoid < 1.5 * KEYSTONE
+
+
+def test_a_camera_that_was_moved_between_two_projectors_is_named() -> None:
+    """Turned by one pixel; and none, where a projector corrects keystone."""
+    made = random_network(np.random.default_rng(4), 1, 2, RoomOptions(boxes=1, count=5_000))
+    sizes = {name: device.size for name, device in made.devices.items()}
+    second = made.captures["camera1", "projector2"]
+    turned = replace(second, camera_px=second.camera_px + np.array([1.0, 0.0]))
+
+    moved = estimate_network({**made.captures, ("camera1", "projector2"): turned}, sizes)
+    warped = estimate_network(with_keystone(made).captures, sizes)
+
+    assert moved.warps == Warps(moved="camera1")
+    assert [each.name for each in warped.warps.alone] == ["projector1"]
