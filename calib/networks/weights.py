@@ -64,7 +64,8 @@ class Weights:
         stations = []
         for capture in range(len(grown.labelled)):
             own = [(sight.cells, each) for sight, each in left if sight.capture == capture]
-            stations.append(of_station(*zip(*own, strict=True), absorbed)[0] if own else UNKNOWN)
+            seen, residuals = [cells for cells, _ in own], [each for _, each in own]
+            stations.append(of_station(seen, residuals, absorbed)[0] if own else UNKNOWN)
         levels = Levels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
         surfaces = [
             replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))
