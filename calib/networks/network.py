@@ -49,7 +49,7 @@ class Device:
     def rays(self, pixels: Floats) -> tuple[Floats, Floats, Floats]:
         """Through pixels (N, 2), (N, 3) at z = 1; derivatives by the lens (N, 3, 8) and by the warp (N, 3, 4)."""
         square: Floats = pixels - self._middle
-        back = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
+        back: Floats = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
         if self.warp.any():
             back = np.linalg.inv(self._affine - square[:, :, None] * self._lean)
             square = np.einsum("nij,nj->ni", back, square)
