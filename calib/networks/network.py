@@ -51,7 +51,7 @@ class Device:
         square: Floats = pixels - self._middle
         back: Floats = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
         if self.warp.any():
-            back = np.linalg.inv(self._affine - square[:, :, None] * self._lean)
+            back = np.linalg.inv(self._affine - square[:, :, None] * self._lean).astype(np.float64)
             square = np.einsum("nij,nj->ni", back, square)
         rays, by_lens = unproject(self.lens, self._middle + square)
         by_lean = square[:, :, None] * square[:, None] / self.size
