@@ -80,7 +80,7 @@ def main() -> None:
             except RefusalError:
                 refused += 1
                 continue
-            if estimate.warps.alone or estimate.warps.several:
+            if estimate.warps:
                 refused += 1
                 continue
             costs.append(time.process_time() - start)

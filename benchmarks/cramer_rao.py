@@ -154,7 +154,13 @@ def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: flo
     for name in names:
         pose = made.poses[name]
         place = frame.rotation.T @ (pose.translation - frame.translation) / unit
-        devices.append(Device(rig_device_of(made.devices[name]), Motion(frame.rotation.T @ pose.rotation, place)))
+        devices.append(
+            Device(
+                rig_device_of(made.devices[name]),
+                Motion(frame.rotation.T @ pose.rotation, place),
+                made.devices[name].size,
+            )
+        )
     normals, offsets = made.planes
     planes = zip(normals @ frame.rotation, (offsets - normals @ frame.translation) / unit, strict=True)
     truth = Network(tuple(devices), tuple(RoomPlane(normal, float(offset)) for normal, offset in planes))

@@ -13,7 +13,7 @@ from calib.networks.network import WARP, Device, Network
 from calib.networks.overlaps import PairName
 from calib.networks.prior import NetworkKnowledge
 from calib.networks.sights import Sight
-from calib.networks.warps import Warps, covariance_of_warps, find_warps
+from calib.networks.warps import Warps, find_warps, or_moved, weighed
 from calib.numerics import Floats, evenly
 from calib.refinement import SQUARENESS_DEG, LensPrior, Noise, Shifts, covariance_of
 from calib.refusal import RefusalError
@@ -216,7 +216,8 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         heights = surface.solved(fit.layout).amplitudes
         waves[plane] = np.sqrt(np.mean(np.square(np.concatenate(surface.modes) @ heights)))
     of_shifts = [shifts.get(pair, Shifts()) for pair in pairs]
-    covariance = covariance_of(fit.information, free) + covariance_of_warps(fit, free)
+    hidden, of_warps = weighed(sights, fit, free, grown.names)
+    covariance = covariance_of(fit.information, free) + of_warps
     covariance += covariance_of_shifts(sights, fit, variances, free, levels, of_shifts)
     on_planes = {sight.capture for sight in sights}
     noise = {
@@ -232,6 +233,6 @@ def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstima
         (grown.names[0], grown.names[1]),
         sights,
         waves,
-        warps,
+        or_moved(warps or hidden, grown, sights, fit),
         {pairs[capture]: strain for capture, strain in strains(sights, fit).items()},
     )

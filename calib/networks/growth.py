@@ -59,8 +59,8 @@ class Grown:
         rig = start.calibration
         back = rig.rotation.T
         devices = (
-            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3))),
-            Device(device_of(rig.projector), Motion(back, -back @ rig.translation)),
+            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3)), rig.camera.size),
+            Device(device_of(rig.projector), Motion(back, -back @ rig.translation), rig.projector.size),
         )
         overlaps = Overlaps.of(captures, knowledge.sizes)
         return cls(seed, Network(devices, ()), {}, (), captures, overlaps, knowledge)._with_pair(seed)
@@ -85,15 +85,15 @@ class Grown:
         for on_one_plane in (False, True):
             for pair, points, pixels in candidates:
                 new = pair[0] if pair[0] not in self.names else pair[1]
-                width = self.knowledge.sizes[new].width
+                size = self.knowledge.sizes[new]
                 if len(points) < _FEWEST:
                     continue
                 found = (
-                    placed_before_wall(points, pixels, width, self.knowledge.point(new).px)
+                    placed_before_wall(points, pixels, size, self.knowledge.point(new).px)
                     if on_one_plane
-                    else placed(points, pixels)
+                    else placed(points, pixels, size)
                 )
-                if found is not None and sees(found, points, pixels, width):
+                if found is not None and sees(found, points, pixels):
                     return self._with_device(pair, new, found)
         return None
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import Motion, cross, project, unproject
+from calib.geometry import Motion, Size, cross, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
 from calib.rooms.planes import PER_PLANE, RoomPlane
@@ -31,54 +31,59 @@ class Device:
     """`lens` (8,): f, x_0, y_0, k1, k2, p1, p2, k3. `pose`: X_room = rotation X_device + translation.
 
     `warp` (4,) of a picture that is shown, or was recorded, through a homography, as by keystone correction: aspect a,
-    skew s, leans l and m. Square pixels at d from (x_0, y_0) are at A d / (1 + (l, m) · d / f), A = [1 + a, s; 0, 1].
-    All other homographies are similarities, which other values of f, x_0, y_0 and of the pose are as good as.
+    skew s, and by how much its right and lower edges are shorter than those opposite, l and m. Square pixels at d from
+    the middle of a picture of this `size` are at A d / (1 + (l, m) · d / size), A = [1 + a, s; 0, 1]. All other
+    homographies are similarities, which other values of f, x_0, y_0 and of the pose are as good as.
     """
 
     lens: Floats
     pose: Motion
+    size: Size
     warp: Floats = field(default_factory=lambda: np.zeros(PER_WARP))
 
     def moved(self, step: Floats) -> "Device":
         """After a step (18,)."""
         lens = moved_device(self.lens, step[:PER_DEVICE])
-        return Device(lens, moved_place(self.pose, step[POSE]), self.warp + step[WARP])
+        return Device(lens, moved_place(self.pose, step[POSE]), self.size, self.warp + step[WARP])
 
     def rays(self, pixels: Floats) -> tuple[Floats, Floats, Floats]:
         """Through pixels (N, 2), (N, 3) at z = 1; derivatives by the lens (N, 3, 8) and by the warp (N, 3, 4)."""
-        focal, centre, lean = self.lens[0], self.lens[1:3], self.warp[2:]
-        square, back = pixels - centre, np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
+        square: Floats = pixels - self._middle
+        back: Floats = np.broadcast_to(np.eye(2), (len(pixels), 2, 2))
         if self.warp.any():
-            back = np.linalg.inv(self._affine - square[:, :, None] * lean / focal)
+            back = np.linalg.inv(self._affine - square[:, :, None] * self._lean).astype(np.float64)
             square = np.einsum("nij,nj->ni", back, square)
-        rays, by_lens = unproject(self.lens, centre + square)
-        by_x = back[:, :, :1] * square[:, None]
-        by_warp = by_lens[:, :, 1:3] @ np.concatenate([by_x, -square[:, :, None] * square[:, None] / focal], axis=2)
-        if self.warp.any():
-            lengthened = (1 + square @ lean / focal)[:, None]
-            by_lens[:, :, 0] *= lengthened
-            by_lens[:, :, 1:3] = by_lens[:, :, 1:3] @ (lengthened[:, :, None] * back)
+        rays, by_lens = unproject(self.lens, self._middle + square)
+        by_lean = square[:, :, None] * square[:, None] / self.size
+        by_warp = by_lens[:, :, 1:3] @ np.concatenate([back[:, :, :1] * square[:, None], -by_lean], axis=2)
         return rays, by_lens, by_warp
 
     def pixels(self, points: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Of points (N, 3) in its frame, (N, 2); derivatives by the point (N, 2, 3), lens and warp, as above."""
-        focal, centre, lean = self.lens[0], self.lens[1:3], self.warp[2:]
         pixels, by_point, by_lens = project(self.lens, points)
-        square = pixels - centre
-        lengthened = 1 + square @ lean / focal
-        off = square @ self._affine.T / lengthened[:, None]
+        square = pixels - self._middle
+        lengthened = (1 + square @ self._lean)[:, None]
+        off = square @ self._affine.T / lengthened
         by_warp = np.zeros((len(points), 2, PER_WARP))
-        by_warp[:, 0, :2] = square / lengthened[:, None]
-        by_warp[:, :, 2:] = -off[:, :, None] * square[:, None] / (focal * lengthened[:, None, None])
+        by_warp[:, 0, :2] = square / lengthened
+        by_warp[:, :, 2:] = -off[:, :, None] * (square / self.size / lengthened)[:, None]
         if self.warp.any():
-            by_square = (self._affine - off[:, :, None] * lean / focal) / lengthened[:, None, None]
+            by_square = (self._affine - off[:, :, None] * self._lean) / lengthened[:, :, None]
             by_point, by_lens = by_square @ by_point, by_square @ by_lens
-            by_lens[:, :, 0], by_lens[:, :, 1:3] = off, np.eye(2)
-        return centre + off, by_point, by_lens, by_warp
+        return self._middle + off, by_point, by_lens, by_warp
+
+    @property
+    def _middle(self) -> Floats:
+        return (np.array(self.size) - 1) / 2
 
     @property
     def _affine(self) -> Floats:
         return np.array([[1 + self.warp[0], self.warp[1]], [0.0, 1.0]])
+
+    @property
+    def _lean(self) -> Floats:
+        lean: Floats = self.warp[2:] / self.size
+        return lean
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,16 @@
 import numpy as np
 
 from calib.closed_form import decompose
-from calib.geometry import Motion, homogeneous, homography_between, nearest_depths, normalisation, project, unproject
+from calib.geometry import (
+    Motion,
+    Size,
+    homogeneous,
+    homography_between,
+    nearest_depths,
+    normalisation,
+    project,
+    unproject,
+)
 from calib.networks.network import Device
 from calib.numerics import Floats
 
@@ -25,7 +34,7 @@ def triangulated(camera: Device, projector: Device, camera_px: Floats, projector
     return points
 
 
-def placed(points: Floats, pixels: Floats) -> Device | None:
+def placed(points: Floats, pixels: Floats, size: Size) -> Device | None:
     """A device, without lens terms, that sees points (N, 3) at pixels (N, 2); None of points on one plane.
 
     Hartley & Zisserman, section 7.1.
@@ -46,12 +55,12 @@ def placed(points: Floats, pixels: Floats) -> Device | None:
         return None
     lens = np.array([np.sqrt(matrix[0, 0] * matrix[1, 1]), *matrix[:2, 2], 0.0, 0.0, 0.0, 0.0, 0.0])
     back = rotation.T
-    device = Device(lens, Motion(back, centre - spread * (back @ translation)))
+    device = Device(lens, Motion(back, centre - spread * (back @ translation)), size)
     ahead = (points - device.pose.translation) @ back[:, 2]
     return device if np.median(ahead) > 0 else None
 
 
-def placed_before_wall(points: Floats, pixels: Floats, width: int, point_px: tuple[float, float]) -> Device | None:
+def placed_before_wall(points: Floats, pixels: Floats, size: Size, point_px: tuple[float, float]) -> Device | None:
     """The same of points that are nearly on one plane, with square pixels and the principal point where it is expected.
 
     Both axes of the plane are perpendicular and of one length before the device (Zhang, "A flexible new technique for
@@ -63,8 +72,8 @@ def placed_before_wall(points: Floats, pixels: Floats, width: int, point_px: tup
         return None
     spread = float(spreads[0]) / np.sqrt(len(points))
     frame = np.stack([axes[0], axes[1], np.cross(axes[0], axes[1])], axis=1)
-    homography = homography_between((points - centre) @ frame[:, :2] / spread, pixels - point_px) / width
-    homography[2] *= width  # of pixels in image widths
+    homography = homography_between((points - centre) @ frame[:, :2] / spread, pixels - point_px) / size.width
+    homography[2] *= size.width  # of pixels in image widths
     (one, other, _) = homography.T
     by_focal = np.array([one[:2] @ other[:2], one[:2] @ one[:2] - other[:2] @ other[:2]])
     rest = np.array([one[2] * other[2], one[2] ** 2 - other[2] ** 2])
@@ -76,11 +85,11 @@ def placed_before_wall(points: Floats, pixels: Floats, width: int, point_px: tup
     before *= np.sign(before[2, 2]) / np.sqrt(np.linalg.norm(before[:, 0]) * np.linalg.norm(before[:, 1]))
     left, _, right = np.linalg.svd(np.column_stack([before[:, 0], before[:, 1], np.cross(before[:, 0], before[:, 1])]))
     back = frame @ (left @ right).T
-    lens = np.array([focal * width, *point_px, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return Device(lens, Motion(back, centre - spread * (back @ before[:, 2])))
+    lens = np.array([focal * size.width, *point_px, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return Device(lens, Motion(back, centre - spread * (back @ before[:, 2])), size)
 
 
-def sees(device: Device, points: Floats, pixels: Floats, width: int) -> bool:
+def sees(device: Device, points: Floats, pixels: Floats) -> bool:
     """Whether a device has known points (N, 3) about where they are seen, (N, 2)."""
     predicted, _, _ = project(device.lens, (points - device.pose.translation) @ device.pose.rotation)
-    return bool(np.median(np.linalg.norm(predicted - pixels, axis=1)) < _OFF * width)
+    return bool(np.median(np.linalg.norm(predicted - pixels, axis=1)) < _OFF * device.size.width)

@@ -14,7 +14,7 @@ from calib.self_calibration import PrincipalPoint
 
 _CENTRE_SIGMA = 0.03  # of a camera's principal point around its image's centre, in image widths
 _EXACTLY_SQUARE = 1e-3  # degrees, for walls that are said to be exactly square
-WARP_SIGMA = np.array([0.01, 0.01, 0.05, 0.05])  # of pictures that may have one: of a few per cent of keystone
+WARP_SIGMA = np.array([0.01, 0.01, 0.03, 0.03])  # of pictures that may have one: of a few per cent of keystone
 _SCALE_SIGMA = 1e-6  # of the first two devices' distance, which is the unit
 
 

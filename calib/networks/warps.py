@@ -2,6 +2,9 @@
 
 With one device's picture warped and all others as they are, the captures are likelier by a factor that tells which
 device it is. Noise is measured with all of them free, since what a warp does would else pass for noise.
+
+A keystone of 1 % may raise χ² by less than chance does, and yet move focal lengths by several sigmas. So each single
+parameter is weighed by its evidence: what is certain is named, and all that is possible is in the covariance.
 """
 
 from collections.abc import Collection, Sequence
@@ -12,6 +15,7 @@ from scipy.stats import chi2
 
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
+from calib.networks.moves import likeliest_move
 from calib.networks.network import PER_WARP, WARP, Network
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.sights import Sight
@@ -23,8 +27,11 @@ from calib.rooms.likelihood import Fit
 _CHANCE = 1e-4
 _BY_CHANCE = float(chi2.isf(_CHANCE, PER_WARP))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
+_CERTAIN = 20.0  # odds
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
-_PROBABILITY = 0.01  # of each picture, as of one that is scaled in `calib.refinement.picture_scale`
+# Beforehand, of a picture's aspect, as in `calib.refinement.picture_scale`, its skew, and its trapezoids: projectors,
+# even by themselves, make upright ones.
+_PROBABILITY = 0.01, 0.01, 0.1, 0.3
 _ROUNDS = 2
 _FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 
@@ -32,21 +39,32 @@ _FOR_NOISE, _ENOUGH = 1e-3, 1.0  # tolerance of fits, the former of their cost
 @dataclass(frozen=True, eq=False)
 class Warp:
     """`gain`: χ², of four degrees of freedom by chance, if the picture of device `name` alone is warped, by `warp` (4,)
-    as of `Device`. `trapezoid`: by how much one of its edges is then longer than the opposite one.
+    as of `Device`.
     """
 
     name: str
     gain: float
     warp: Floats
-    trapezoid: float
+
+    @property
+    def trapezoid(self) -> float:
+        """By how much one of its edges is longer than the opposite one."""
+        return float(np.abs(self.warp[2:]).max())
 
 
 @dataclass(frozen=True)
 class Warps:
-    """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it."""
+    """Devices of which each `alone` may be the warped one, likeliest first; `several`: no one explains it. `moved`: the
+    camera that does, if it was moved between its captures.
+    """
 
     alone: tuple[Warp, ...] = ()
     several: bool = False
+    moved: str = ""
+
+    def __bool__(self) -> bool:
+        """Whether anything is warped, or was moved."""
+        return bool(self.alone or self.several or self.moved)
 
 
 def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[Warps, Fit[Network], Weights]:
@@ -58,8 +76,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         _, weights = weights.measured_anew(grown, sights, whole, every)
         whole = weights.fitted(grown, sights, whole.layout, every, _ENOUGH)
     none = weights.fitted(grown, sights, _without_warps(whole.layout), free, _ENOUGH)
-    strained = any(each.across_px > _STRAINED * each.noise_px for each in strains(sights, whole).values())
-    if none.cost - whole.cost < _BY_CHANCE or strained:
+    if none.cost - whole.cost < _BY_CHANCE or _strained(sights, whole):
         return Warps(), none, weights
     whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
@@ -71,9 +88,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     for number, name in enumerate(grown.names):
         start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
         alone = weights.fitted(grown, sights, start, columns, ROUGH)
-        device = alone.layout.devices[number]
-        trapezoid = float(np.max(np.abs(device.warp[2:]) * grown.knowledge.sizes[name])) / float(device.lens[0])
-        found.append(Warp(name, none.cost - alone.cost, device.warp, trapezoid))
+        found.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
     found.sort(key=lambda each: -each.gain)
     several = none.cost - whole.cost - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
     if several or found[0].gain < _BY_CHANCE:
@@ -82,19 +97,42 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     return Warps(likely), none, weights
 
 
-def covariance_of_warps(fit: Fit[Network], free: Bools) -> Floats:
-    """What warps that the captures do not exclude add to the covariance (size, size), one parameter of one picture at
-    most.
+def weighed(sights: Sequence[Sight], fit: Fit[Network], free: Bools, names: Sequence[str]) -> tuple[Warps, Floats]:
+    """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
+    captures do not exclude add to the covariance (size, size).
     """
-    covariance, total, others = np.zeros_like(fit.information), 1.0, []
-    for number in range(len(fit.layout.devices)):
-        columns = np.arange(fit.layout.size)[fit.layout.device_columns(number)][WARP]
-        for column, spread in zip(columns.tolist(), WARP_SIGMA.tolist(), strict=True):
-            others.append(alternative(fit.information, fit.gradient, free, column, _PROBABILITY, spread))
-            total += others[-1].odds
-    for other in others:
-        covariance += other.added(other.odds / total)
-    return covariance
+    others = []
+    for number, name in enumerate(names):
+        start = fit.layout.device_columns(number).start + WARP.start
+        for k, (probability, spread) in enumerate(zip(_PROBABILITY, WARP_SIGMA.tolist(), strict=True)):
+            others.append((name, k, alternative(fit.information, fit.gradient, free, start + k, probability, spread)))
+    others.sort(key=lambda each: -each[2].odds)
+    total = 1 + sum(other.odds for _, _, other in others)
+    covariance = sum((other.added(other.odds / total) for _, _, other in others), np.zeros_like(fit.information))
+    if total < _CERTAIN or _strained(sights, fit):
+        return Warps(), covariance
+    likely: dict[str, Warp] = {}
+    for name, k, other in others:
+        if other.odds * np.exp(_AS_LIKELY / 2) > others[0][2].odds:
+            warp = other.value * np.eye(PER_WARP)[k]
+            likely.setdefault(name, Warp(name, (other.value / other.sigma) ** 2, warp))
+    return Warps(tuple(likely.values())), covariance
+
+
+def or_moved(warps: Warps, grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> Warps:
+    """In place of warps that were found, a camera that was moved between its captures, if that explains more than all
+    pictures' warps together.
+    """
+    if not warps:
+        return warps
+    every = _freed(fit.layout, grown.free(fit.layout), range(len(grown.names)))
+    rival = Weights.of_noise(sights).fitted(grown, sights, fit.layout, every, ROUGH)
+    moved, name = likeliest_move(grown, sights, fit)
+    return Warps(moved=name) if moved < rival.cost else warps
+
+
+def _strained(sights: Sequence[Sight], fit: Fit[Network]) -> bool:
+    return any(each.across_px > _STRAINED * each.noise_px for each in strains(sights, fit).values())
 
 
 def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:

@@ -25,7 +25,7 @@ class Weights:
     """
 
     variances: Sequence[Floats]
-    joints: Sequence[SharedPoints] = ()
+    joints: Sequence[Joint[Network]] = ()
     surfaces: Sequence[Surface] = ()
     rough: bool = False
 
@@ -55,17 +55,17 @@ class Weights:
         """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
         solved = [surface.solved(fit.layout) for surface in self.surfaces]
         steepness, told = likeliest_steepness(self.surfaces, solved, fit, free)
-        left = {
-            id(sight): each
+        left = [
+            (sight, each)
             for surface, heights in zip(self.surfaces, solved, strict=True)
             for sight, each in zip(surface.sights, heights.left, strict=True)
-        }
+        ]
         absorbed = (np.count_nonzero(free) + told) / len(sights)
         stations = []
         for capture in range(len(grown.labelled)):
-            own = [sight for sight in sights if sight.capture == capture]
-            residuals = [left[id(sight)] for sight in own]
-            stations.append(of_station([each.cells for each in own], residuals, absorbed)[0] if own else UNKNOWN)
+            own = [(sight.cells, each) for sight, each in left if sight.capture == capture]
+            seen, residuals = [cells for cells, _ in own], [each for _, each in own]
+            stations.append(of_station(seen, residuals, absorbed)[0] if own else UNKNOWN)
         levels = Levels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
         surfaces = [
             replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))

@@ -57,6 +57,8 @@ def _refusals(network: SolvedNetwork) -> Iterator[_Finding]:
 def _warped(network: SolvedNetwork) -> Iterator[_Finding]:
     """Pictures that are not shown as they are sent, or not recorded as they are seen."""
     warps, projectors = network.estimate.warps, network.surfaces
+    if warps.moved:
+        yield "refused", f"{warps.moved} was moved between its captures.", MOVED
     if warps.several:
         advice = f"For every projector {AS_SENT}, for every camera {AS_SEEN}, and take all captures again."
         yield "refused", "Pictures of several devices are warped, as by keystone correction.", advice

@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.geometry import Motion, project, rotation_about
+from calib.geometry import Motion, Size, project, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import Floats
@@ -15,7 +15,7 @@ def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoin
         Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)
     ]
     network = Network(
-        tuple(Device(LENS * (1 + 0.05 * i), pose) for i, pose in enumerate(poses)),
+        tuple(Device(LENS * (1 + 0.05 * i), pose, Size(1000, 800)) for i, pose in enumerate(poses)),
         (RoomPlane(np.array([0.0, 0, 1]), 4.0),),
     )
     points = rng.uniform((-1, -1, 3), (1, 1, 5), (80, 3))

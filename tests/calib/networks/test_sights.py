@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.geometry import Motion, rotation_about
+from calib.geometry import Motion, Size, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.placement import placed
 from calib.networks.sights import Sight
@@ -12,8 +12,8 @@ def test_the_jacobian_matches_the_prediction() -> None:
     rng = np.random.default_rng(0)
     lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
     at, light = (Motion(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
-    camera = Device(lens, at, np.array([0.1, -0.2, 0.15, -0.1]))
-    projector = Device(1.1 * lens, light, np.array([-0.1, 0.2, 0.1, 0.2]))
+    camera = Device(lens, at, Size(1000, 800), np.array([0.1, -0.2, 0.15, -0.1]))
+    projector = Device(1.1 * lens, light, Size(1000, 800), np.array([-0.1, 0.2, 0.1, 0.2]))
     plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
     network = Network((projector, camera), (RoomPlane(np.array([1.0, 0, 0]), -5.0), plane))
     pixels = rng.uniform((100, 100), (900, 700), (20, 2))
@@ -40,9 +40,9 @@ def test_a_device_is_placed_by_points_on_two_planes_and_not_by_one() -> None:
     pixels = 800 * before[:, :2] / before[:, 2:] + (320, 240)
     assert (before[:, 2] > 0).all() or (before[:, 2] < 0).all()
 
-    device = placed(points, pixels)
+    device = placed(points, pixels, Size(640, 480))
 
     assert device is not None
     np.testing.assert_allclose(device.lens[:3], [800, 320, 240], rtol=1e-5)
     np.testing.assert_allclose(device.pose.translation, pose.translation, rtol=1e-5)
-    assert placed(points[:30], pixels[:30]) is None
+    assert placed(points[:30], pixels[:30], Size(640, 480)) is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Matches, Motion, mapped
-from calib.networks import estimate_network, joined
+from calib.networks import Warps, estimate_network, joined
 from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
 from scanner.networks.captures import Captures
 from scanner.networks.solve import SolvedNetwork
@@ -69,6 +69,17 @@ def test_the_device_whose_picture_is_warped_is_named(name: str, remedy: str) -> 
     assert found, verdict
     assert 0.6 < float(found[1]) < 1.6
     assert verdict.advice.startswith(remedy)
+
+
+def test_a_camera_that_was_moved_between_its_captures_is_refused() -> None:
+    made = random_network(np.random.default_rng(3), 2, 1, RoomOptions(boxes=0, count=4_000))
+    sizes = {name: each.size for name, each in made.devices.items()}
+    estimate = replace(estimate_network(made.captures, sizes), warps=Warps(moved="camera2"))
+
+    verdict = verdict_on(SolvedNetwork(Captures({}, sizes), estimate, {}, 1.0, "baseline"))
+
+    assert verdict.grade == "refused"
+    assert verdict.headline == "camera2 was moved between its captures."
 
 
 def test_two_devices_in_one_place_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
