@@ -24,6 +24,11 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
 from scanner.errors import InputError
 
+# Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
+_INFORMATIVE = 0.3
+# Unrelated fringes reach no more than this share of the expected cosine, and differ by a quarter of a cycle in the
+# median; a rippled phase differs by 0.06. Fringe orders are right as long as the difference is below half a cycle.
+_UNRELATED = 0.2
 # Largest share of neighbours that are whole periods apart, and how nearly. At rest, occlusion edges cause 0.03 %; a
 # code that is a quarter of a period off its fringes causes 3 %.
 _MOST_SLIPS = 0.01
@@ -35,7 +40,7 @@ _MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.
 def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
     """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample.
 
-    Raises InputError if they do not follow the code at all.
+    Raises InputError if they do not agree at all.
     """
     axis = decoder.plan
     if not axis.fringes:
@@ -52,8 +57,8 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
-        if axis.codes and axis.cell < fringe.period and found < HALF * expected:
-            if found < FEW * expected:
+        if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < HALF * expected:
+            if found < _UNRELATED * expected:
                 raise InputError(
                     f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
                     f"some of these frames exchanged{_or_code(plan, axis)}?"
@@ -65,15 +70,19 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
     between_px = disagreements(measured.orders, interval, agreeing(measured)).between_px
     for (longer, shorter), distance in zip(pairwise(axis.fringes[: decoder.finest + 1]), between_px, strict=False):
         apart = float(np.median(distance))
-        # Unrelated periods differ by a quarter cycle in the median, a rippled phase by 0.06.
-        if apart > FEW * shorter.period:
-            frames = (*longer.frames, *shorter.frames)
-            yield Anomaly(
-                f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
-                f"other by {apart:.1f} px, as a projector's gamma and interreflection may bend them: "
-                f"{plan.names(frames)}",
-                frames,
+        if apart <= FEW * shorter.period:
+            continue
+        frames = (*longer.frames, *shorter.frames)
+        message = (
+            f"along {axis.axis} the fringes of period {longer.period:g} and {shorter.period:g} px contradict each "
+            f"other by {apart:.1f} px: {plan.names(frames)}"
+        )
+        if apart > _UNRELATED * shorter.period:
+            raise InputError(
+                f"{message}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
+                "interreflection bend the fringes so much that more shifts or shorter periods are needed?"
             )
+        yield Anomaly(message, frames)
 
 
 def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:
