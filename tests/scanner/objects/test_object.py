@@ -9,12 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.refusal import RefusalError
+from calib.rooms.alignment import composed, inverse
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
-from scanner.objects.surface import area_of, is_closed, volume_of
+from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
 from scanner.rooms.contents import RigStart
 from scanner.rooms.document import read_stations
+from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.ui import Terminal
 from scanner.viewing.result import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
@@ -140,6 +142,8 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     whole = read_finished_room(tmp_path)
     assert whole is not None
     assert len(whole.stations) == 5
+    blue = (surface.mesh.colours == [90, 140, 255]).all(axis=1)
+    assert 0.1 < np.count_nonzero(blue) / len(blue) < 0.8
     viewed = ViewedResult(tmp_path)
     assert viewed.names[0] == "The whole thing"
     shown = viewed.cloud("The whole thing")
@@ -156,6 +160,29 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
             printed: Any = trimesh.load(out, process=True)
             assert printed.is_watertight
             assert printed.area == pytest.approx(1e6 * surface.area[0], rel=1e-3)
+
+
+def test_the_surface_is_where_the_thing_is_and_ends_where_it_was_not_seen(
+    turned: tuple[list[ThingStation], SolvedObject],
+) -> None:
+    import open3d
+
+    stations, found = turned
+    cloud = cloud_of(found)
+    surface = surface_of(found, cloud, fill=False)
+    assert surface is not None
+    assert not surface.closed
+    assert surface.bridged == 0
+    to_solid = composed(stations[0].place, inverse(found.stations[0].place))
+    points = surface.mesh.points @ CAMERA_FROM_ROOM @ to_solid.rotation.T + to_solid.translation
+    solid, scene = stations[0].solid, open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        open3d.core.Tensor(solid.vertices.astype(np.float32)), open3d.core.Tensor(solid.triangles.astype(np.uint32))
+    )
+    off = scene.compute_distance(open3d.core.Tensor(points.astype(np.float32))).numpy()
+    assert 1e-6 < np.median(off) < 0.03 * cloud.grid
+    assert np.percentile(off, 95) < 0.3 * cloud.grid
+    assert off.max() < 3 * cloud.grid
 
 
 def test_the_volume_of_a_closed_surface_is_reported() -> None:
