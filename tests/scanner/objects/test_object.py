@@ -126,6 +126,20 @@ def test_stations_without_overlap_are_refused() -> None:
         solved([*one, *other])
 
 
+@pytest.mark.parametrize(("kept", "what"), [(2000, "measure the thing"), (300, "measure anything")])
+def test_a_thing_that_is_hardly_measured_is_not_said_to_be_turned_too_far(kept: int, what: str) -> None:
+    """With all of their matches, the two stations fit together."""
+    stations = thing_stations([0, 2], CAMERA, seed=2, background=False)
+    dark = [
+        replace(each, matches=each.matches[np.random.default_rng(0).permutation(len(each.matches))[:kept]])
+        for each in stations
+    ]
+    with pytest.raises(RefusalError, match=f"Station 1, Station 2: only {kept} of its pixels {what}") as refusal:
+        solved(dark)
+    assert "expose longer" in refusal.value.advice
+    assert "Turn the thing" not in refusal.value.advice
+
+
 def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], SolvedObject], tmp_path: Path) -> None:
     import trimesh
 
