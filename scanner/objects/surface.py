@@ -32,7 +32,8 @@ def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> Surfa
     """None if nothing hangs together. Its frame is the mesh's of rooms: a level camera's, y down."""
     mesh = _closed(cloud)
     apart, _ = cKDTree(cloud.points).query(mesh.points)
-    bridging: Bools = np.asarray(apart > _FAR * cloud.grid)[mesh.triangles].any(axis=1)
+    far: Bools = np.asarray(apart) > _FAR * cloud.grid
+    bridging = np.any(far[mesh.triangles], axis=1)
     mesh, bridged = _turned(mesh), 0.0
     if fill:
         mesh.colours[mesh.triangles[bridging]] = _BRIDGED_COLOUR

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.numerics.open3d_module import open3d
 from calib.refusal import RefusalError
 from calib.rooms.alignment import composed, inverse
 from scanner.objects.contents import SolvedObject
@@ -179,8 +180,7 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
 def test_the_surface_is_where_the_thing_is_and_ends_where_it_was_not_seen(
     turned: tuple[list[ThingStation], SolvedObject],
 ) -> None:
-    import open3d
-
+    o3d = open3d()
     stations, found = turned
     cloud = cloud_of(found)
     surface = surface_of(found, cloud, fill=False)
@@ -189,11 +189,11 @@ def test_the_surface_is_where_the_thing_is_and_ends_where_it_was_not_seen(
     assert surface.bridged == 0
     to_solid = composed(stations[0].place, inverse(found.stations[0].place))
     points = surface.mesh.points @ CAMERA_FROM_ROOM @ to_solid.rotation.T + to_solid.translation
-    solid, scene = stations[0].solid, open3d.t.geometry.RaycastingScene()
+    solid, scene = stations[0].solid, o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        open3d.core.Tensor(solid.vertices.astype(np.float32)), open3d.core.Tensor(solid.triangles.astype(np.uint32))
+        o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))
     )
-    off = scene.compute_distance(open3d.core.Tensor(points.astype(np.float32))).numpy()
+    off = scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()
     assert 1e-6 < np.median(off) < 0.03 * cloud.grid
     assert np.percentile(off, 95) < 0.3 * cloud.grid
     assert off.max() < 3 * cloud.grid
