@@ -6,10 +6,10 @@
 Simulated things of 100 mm (superquadrics with added waves) in front of a table and a wall. Matches come from rays, one
 per camera pixel, with noise in projector px; stations are in random order. The calibration is the true one and adds
 nothing to errors and sigmas. Errors are the largest of a thing's stations: rotation, and shift of the thing's middle,
-both relative to the first station; and the median distance of the cloud from the true surface, with the estimated and
-with the true poses. Error/sigma of shifts excludes those along a turntable's axis, which are zero by definition. The
-volume is that of the closed surface (`--fill`), if less than 15 % of it is bridged. A station is wrong if it is off by
-more than 1° without a warning. Seconds are of one processor, without casting rays.
+both relative to the first station; and the median distance of the mesh's vertices from the true surface, with the
+estimated and with the true poses. Error/sigma of shifts excludes those along a turntable's axis, which are zero by
+definition. The volume is that of the closed surface (`--fill`), if less than 20 % of it is bridged. A station is wrong
+if it is off by more than 1° without a warning. Seconds are of one processor, without casting rays.
 
 `--balls`: volumes of this many plain balls, placed twelve times by hand. The rotation of a ball is undetermined, so the
 true poses are used.
@@ -35,6 +35,7 @@ from scanner.objects.solve import solve_object
 from scanner.objects.surface import cloud_of, surface_of
 from scanner.objects.verdict import verdict_on
 from scanner.rooms.contents import RigStart
+from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -142,14 +143,17 @@ def _with_true(found: SolvedObject, places: list[Motion]) -> SolvedObject:
 
 
 def _from_surface(found: SolvedObject, solid: Solid, first: Motion) -> float:
-    """Median distance of the cloud's points from the true surface."""
+    """Median distance of the mesh's vertices from the true surface; NaN without a mesh."""
+    surface = surface_of(found, cloud_of(found), fill=False)
+    if surface is None:
+        return np.nan
     o3d = open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))
     )
     into = composed(first, inverse(found.stations[0].place))
-    points = cloud_of(found).points.astype(np.float64) @ into.rotation.T + into.translation
+    points = surface.mesh.points @ CAMERA_FROM_ROOM @ into.rotation.T + into.translation
     return float(np.median(scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()))
 
 

@@ -6,4 +6,4 @@ from calib.objects.background import in_planes, resting_depth, resting_planes, w
 from calib.objects.confirmation import confirmed
 from calib.objects.joint import JointEstimate, estimate_jointly
 from calib.objects.registration import Alternative, LeftOut, Registered, register_views
-from calib.objects.view import View, view_of
+from calib.objects.view import FEWEST_PIXELS, View, view_of

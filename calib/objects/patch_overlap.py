@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints, compiled
 from calib.objects.view import View
+from calib.rooms.alignment import inverse
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 
@@ -124,11 +125,8 @@ def tolerance(first: View, second: View) -> float:
 
 def evidence(first: View, second: View, pose: Motion, within: float, count: int | None = None) -> Evidence:
     """For X_first = R X_second + t."""
-    back = Motion(pose.rotation.T, -pose.rotation.T @ pose.translation)
-    there, here = (
-        overlapping_pixels(second, first, pose, within, count),
-        overlapping_pixels(first, second, back, within, count),
-    )
+    there = overlapping_pixels(second, first, pose, within, count)
+    here = overlapping_pixels(first, second, inverse(pose), within, count)
     both = np.concatenate([there, here])
     own, other = mark_pairs(first, second)
     apart = np.linalg.norm(

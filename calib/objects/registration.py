@@ -18,7 +18,7 @@ from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
 from calib.objects.patch_overlap import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
-from calib.objects.view import View
+from calib.objects.view import PATCHES, View
 from calib.rooms.alignment import composed, inverse
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
@@ -72,7 +72,7 @@ class LeftOut:
     """A view that belongs to none, and why."""
 
     view: int
-    cause: Literal["nothing seen", "no overlap", "does not fit"]
+    cause: Literal["nothing seen", "too small", "no overlap", "does not fit"]
     reason: str
 
 
@@ -94,8 +94,7 @@ def register_views(views: Sequence[View | None]) -> Registered:
         LeftOut(k, "nothing seen", "it shows only the static background") for k in range(len(views)) if k not in seen
     ]
     if not sure:
-        left_out += [LeftOut(k, "no overlap", "its surface fits that of no other station") for k in seen]
-        return Registered({}, (), tuple(left_out))
+        return Registered({}, (), (*left_out, *(_unplaced(k, seen, sure) for k in seen)))
     places, alternatives = _largest_group(seen, sure)
     if missing := [k for k in seen if k not in places]:
         for i, j in combinations(seen, 2):
@@ -103,15 +102,17 @@ def register_views(views: Sequence[View | None]) -> Registered:
                 sure[i, j] = found
         places, alternatives = _largest_group(seen, sure)
         missing = [k for k in seen if k not in places]
-    for k in missing:
-        any_edge = any(k in pair for pair in sure)
-        why = (
-            LeftOut(k, "does not fit", "wherever it fits one station, others see through or past its surface")
-            if any_edge
-            else LeftOut(k, "no overlap", "its surface fits that of no other station")
-        )
-        left_out.append(why)
+    left_out += [_unplaced(k, seen, sure) for k in missing]
     return Registered(dict(sorted(places.items())), tuple(alternatives), tuple(left_out))
+
+
+def _unplaced(k: int, views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]) -> LeftOut:
+    pixels = int(np.count_nonzero(np.isfinite(views[k].points[..., 2])))
+    if pixels < PATCHES:
+        return LeftOut(k, "too small", f"only {pixels} of its pixels measure the thing")
+    if any(k in pair for pair in edges):
+        return LeftOut(k, "does not fit", "wherever it fits one station, others see through or past its surface")
+    return LeftOut(k, "no overlap", "its surface fits that of no other station")
 
 
 def _largest_group(

@@ -13,12 +13,13 @@ from calib.rooms.drawings import logarithmic
 from calib.rooms.marks import Marks, no_marks
 from calib.rooms.segments import relative_noise
 
-_PATCHES = 3000
+PATCHES = 3000  # drawn from each view; with fewer pixels than that, it is seen too small or too dark
 STEEPEST = 0.35  # cosine of the slant beyond which a patch's area is unreliable
 _PARTS_ACROSS = 6
 PARTS = _PARTS_ACROSS**2
 _WINDOW = 7  # window of the normals in pixels; larger with noise
 _AROUND = 5  # uncertainty of the edges of things, in pixels
+FEWEST_PIXELS = _AROUND**4  # of a view
 _MARKS, _CONTRAST = 500, 0.015
 _OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and coarse alignment
 
@@ -123,7 +124,7 @@ def view_of(
         there &= ~(resting > 0)
         depth = np.maximum(depth, resting)
     there = without_small_pieces(there)
-    if np.count_nonzero(there) < _AROUND**4:
+    if np.count_nonzero(there) < FEWEST_PIXELS:
         return None
     own = np.where(there[..., None], points, np.float32(np.nan))
     turned = np.where(there[..., None], normals, np.float32(np.nan))
@@ -156,7 +157,7 @@ def _spread(points: NDArray[np.float32], normals: NDArray[np.float32]) -> Ints:
     there, seen, slant = there[slant > STEEPEST], seen[slant > STEEPEST], slant[slant > STEEPEST]
     area = np.cumsum(seen[:, 2] ** 2 / slant)
     rng = np.random.default_rng(0)
-    places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]
+    places = (np.arange(PATCHES) + rng.random(PATCHES)) / PATCHES * area[-1]
     chosen: Ints = there[np.unique(np.minimum(np.searchsorted(area, places), len(there) - 1))]
     return rng.permutation(chosen)
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats
 from calib.objects import (
+    FEWEST_PIXELS,
     FEWEST_TO_REST,
     JointEstimate,
     Registered,
@@ -98,7 +99,14 @@ def stations_outside(captures: Sequence[Decoded], calibration: Calibration) -> t
 
 
 def _outlier_stations(registered: Registered, captures: Sequence[Decoded]) -> tuple[OutlierStation, ...]:
-    return tuple(OutlierStation(captures[each.view].name, each.cause, each.reason) for each in registered.left_out)
+    found = []
+    for each in registered.left_out:
+        name, matches = captures[each.view].name, len(captures[each.view].matches)
+        if each.cause == "nothing seen" and matches < FEWEST_PIXELS:
+            found.append(OutlierStation(name, "too small", f"only {matches} of its pixels measure anything"))
+        else:
+            found.append(OutlierStation(name, each.cause, each.reason))
+    return tuple(found)
 
 
 def outside_text(outside: Sequence[OutlierStation]) -> str:
@@ -119,6 +127,11 @@ def advice_on(outside: Sequence[OutlierStation]) -> str:
     """Advice if no two stations fit together."""
     if all(each.cause == "nothing seen" for each in outside):
         return "Turn the thing between stations: what is the same in all of them is taken for background."
+    if any(each.cause == "too small" for each in outside):
+        return (
+            "Bring the rig nearer, so that the thing fills the picture, and expose longer or spray it if it is dark or "
+            "shiny."
+        )
     return "Turn the thing less between stations, so that each sees half of what the one before saw."
 
 

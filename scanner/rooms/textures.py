@@ -42,7 +42,7 @@ def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) 
     pictures = in_common_light(shown)
     pieces = []
     for number in np.unique(owner).tolist():
-        vertices, own = _part_of(mesh, owner == number)
+        vertices, own = part_of(mesh, owner == number)
         if number < 0:
             pieces.append(Piece(own))
             continue
@@ -51,7 +51,7 @@ def textured(stations: Sequence[Station], calibration: Calibration, mesh: Mesh) 
     return pieces
 
 
-def _part_of(mesh: Mesh, chosen: Bools) -> tuple[Ints, Mesh]:
+def part_of(mesh: Mesh, chosen: Bools) -> tuple[Ints, Mesh]:
     """Some triangles (T,) with their vertices, and which of the mesh's these are."""
     vertices, corners = np.unique(mesh.triangles[chosen], return_inverse=True)
     triangles = corners.reshape(-1, 3).astype(np.int64)

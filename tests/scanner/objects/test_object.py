@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.numerics.open3d_module import open3d
 from calib.refusal import RefusalError
+from calib.rooms.alignment import composed, inverse
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
-from scanner.objects.surface import area_of, is_closed, volume_of
+from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
 from scanner.rooms.contents import RigStart
 from scanner.rooms.document import read_stations
+from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.ui import Terminal
 from scanner.viewing.result import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
@@ -124,6 +127,20 @@ def test_stations_without_overlap_are_refused() -> None:
         solved([*one, *other])
 
 
+@pytest.mark.parametrize(("kept", "what"), [(2000, "measure the thing"), (300, "measure anything")])
+def test_a_thing_that_is_hardly_measured_is_not_said_to_be_turned_too_far(kept: int, what: str) -> None:
+    """With all of their matches, the two stations fit together."""
+    stations = thing_stations([0, 2], CAMERA, seed=2, background=False)
+    dark = [
+        replace(each, matches=each.matches[np.random.default_rng(0).permutation(len(each.matches))[:kept]])
+        for each in stations
+    ]
+    with pytest.raises(RefusalError, match=f"Station 1, Station 2: only {kept} of its pixels {what}") as refusal:
+        solved(dark)
+    assert "expose longer" in refusal.value.advice
+    assert "Turn the thing" not in refusal.value.advice
+
+
 def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], SolvedObject], tmp_path: Path) -> None:
     import trimesh
 
@@ -140,6 +157,8 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
     whole = read_finished_room(tmp_path)
     assert whole is not None
     assert len(whole.stations) == 5
+    blue = (surface.mesh.colours == [90, 140, 255]).all(axis=1)
+    assert 0.1 < np.count_nonzero(blue) / len(blue) < 0.8
     viewed = ViewedResult(tmp_path)
     assert viewed.names[0] == "The whole thing"
     shown = viewed.cloud("The whole thing")
@@ -156,6 +175,28 @@ def test_the_result_is_written_and_exported(turned: tuple[list[ThingStation], So
             printed: Any = trimesh.load(out, process=True)
             assert printed.is_watertight
             assert printed.area == pytest.approx(1e6 * surface.area[0], rel=1e-3)
+
+
+def test_the_surface_is_where_the_thing_is_and_ends_where_it_was_not_seen(
+    turned: tuple[list[ThingStation], SolvedObject],
+) -> None:
+    o3d = open3d()
+    stations, found = turned
+    cloud = cloud_of(found)
+    surface = surface_of(found, cloud, fill=False)
+    assert surface is not None
+    assert not surface.closed
+    assert surface.bridged == 0
+    to_solid = composed(stations[0].place, inverse(found.stations[0].place))
+    points = surface.mesh.points @ CAMERA_FROM_ROOM @ to_solid.rotation.T + to_solid.translation
+    solid, scene = stations[0].solid, o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))
+    )
+    off = scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()
+    assert 1e-6 < np.median(off) < 0.03 * cloud.grid
+    assert np.percentile(off, 95) < 0.3 * cloud.grid
+    assert off.max() < 3 * cloud.grid
 
 
 def test_the_volume_of_a_closed_surface_is_reported() -> None:

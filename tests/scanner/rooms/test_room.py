@@ -77,7 +77,11 @@ def test_cloud_and_mesh_are_on_the_surfaces(example: SolvedExample) -> None:
     assert isinstance(scene, trimesh.Trimesh)
     x, y, z = np.asarray(scene.vertices).T
     assert len(scene.faces) > 10_000
-    assert np.percentile(distances_to_surfaces(example, np.stack([x, -z, y], axis=1)[::50]), 90) < 2 * pixel
+    points = np.stack([x, -z, y], axis=1)
+    assert np.percentile(distances_to_surfaces(example, points[::50]), 90) < 2 * pixel
+    for plane in example.solved.planes[:3]:
+        off = np.abs(points @ plane.normal - plane.offset)
+        assert 0 < np.median(off[off < 2 * pixel]) < 0.2 * pixel
 
 
 def test_the_plan_has_the_walls_with_their_lengths(example: SolvedExample) -> None:
