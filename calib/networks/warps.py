@@ -75,7 +75,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         trapezoid = float(np.max(np.abs(device.warp[2:]) * grown.knowledge.sizes[name])) / float(device.lens[0])
         found.append(Warp(name, none.cost - alone.cost, device.warp, trapezoid))
     found.sort(key=lambda each: -each.gain)
-    several = none.cost - whole.cost - found[0].gain > chdtri(PER_WARP * (len(devices) - 1), _CHANCE)
+    several = none.cost - whole.cost - found[0].gain > float(chdtri(PER_WARP * (len(devices) - 1), _CHANCE))
     if several or found[0].gain < _BY_CHANCE:
         return Warps(several=several), none, weights
     likely = tuple(each for each in found if each.gain > found[0].gain - _AS_LIKELY)

@@ -53,7 +53,7 @@ class FrameShifts:
             return False
         shifts = self.shift_px.reshape(-1)
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
-        return squared > chdtri(shifts.size - 2, BY_CHANCE)
+        return squared > float(chdtri(shifts.size - 2, BY_CHANCE))
 
     @property
     def are_distinct_from_light(self) -> bool:
