@@ -98,13 +98,13 @@ def calibrate_boards(
     begun = starts(views, camera_size, projector_size, board.reach, prior)
     if not begun:
         raise no_rig(None)
-    found = _estimated(views, begun[0].state, prior, board)
+    found = estimated(views, begun[0].state, prior, board)
     names, of_all = [view.name for view in found.views], found.state
 
     def anew(some: Sequence[View]) -> Estimate:
         again = starts(some, camera_size, projector_size, board.reach, prior)
         start = again[0].state if again else of_all.of_views([names.index(view.name) for view in some])
-        return _estimated(some, start, prior, board)
+        return estimated(some, start, prior, board)
 
     sizes = camera_size, projector_size
     # Parameters that all boards together do not determine stay undetermined without one of them.
@@ -129,7 +129,8 @@ def calibrate_boards(
     )
 
 
-def _estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -> Estimate:
+def estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -> Estimate:
+    """From views of one board, oriented consistently, with the flex that they show."""
     rough = estimate(views, start, prior, rough_levels(views))
     if board.turns > 1:
         views, start = oriented_consistently(views, rough.state, prior, rough.levels, board.turns)

@@ -30,7 +30,7 @@ FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # columns of a dev
 # Columns of log focal length and principal point of camera and projector.
 INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
 
-_MEETING_STEPS = 4
+_MEETING_STEPS, _MET = 4, 1e-9  # Newton's next step would be that squared
 _SPARE = 3.0  # in units of the board's reach: farther out, a bend has no meaning
 
 
@@ -135,22 +135,25 @@ def intrinsics_of(device: Floats, size: tuple[int, int]) -> Intrinsics:
 def surface(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
     """Heights (N,) of a board's points (N, 2), their slopes (N, 2) and derivatives by the bend (N, 7)."""
     bend = state.bend_of(view)
-    a, b = (points / state.reach).T
-    zero = np.zeros_like(a)
-    aa, ab, bb = a * a, a * b, b * b
-    terms = np.stack([aa, ab, bb, aa * a, aa * b, ab * b, bb * b])
-    by_a = bend @ np.stack([2 * a, b, zero, 3 * aa, 2 * ab, bb, zero])
-    by_b = bend @ np.stack([zero, a, 2 * b, zero, aa, 2 * ab, 3 * bb])
-    return state.reach * (bend @ terms), np.stack([by_a, by_b], axis=1), state.reach * terms.T
+    rows = np.empty((9, len(points)))  # a, b, a², ab, b², a³, a²b, ab², b³
+    rows[:2] = points.T / state.reach
+    a, b = rows[:2]
+    rows[2:4], rows[4] = a * rows[:2], b * b
+    rows[5:8], rows[8] = a * rows[2:5], b * rows[4]
+    aa, ab, bb, aaa, aab, abb, bbb = bend
+    slopes = np.array([[2 * aa, ab, 3 * aaa, 2 * aab, abb], [ab, 2 * bb, aab, 2 * abb, 3 * bbb]]) @ rows[:5]
+    return state.reach * (bend @ rows[2:]), slopes.T, state.reach * rows[2:].T
 
 
 def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
     """Where a board's points (N, 2) are in the camera: pixels (N, 2), Jacobian (N, 2, 40), depths (N,)."""
     heights, _, by_bend = surface(state, points, view)
-    seen, by_columns = _placed(state, view, points, heights, by_bend)
+    board = state.boards[view]
+    turned = _turned(board, points, heights)
+    seen = turned + board.middle
     pixels, by_point, by_device = _project(state.camera, seen)
-    jacobian = by_point @ by_columns
-    jacobian[:, :, CAMERA] += by_device
+    jacobian = _by_board(board, by_point, turned, by_bend)
+    jacobian[:, :, CAMERA] = by_device
     return pixels, jacobian, seen[:, 2]
 
 
@@ -159,25 +162,22 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     rays, rays_by_camera = _unproject(state.camera, camera_px)
     met = meet(state, rays, view)
     heights, slopes, by_bend = surface(state, met, view)
-    seen, by_columns = _placed(state, view, met, heights, by_bend)
-    rotation = state.boards[view].rotation
-    along = rotation[:, :2] + slopes[:, None, :] * rotation[:, 2:]  # (N, 3, 2): how the point moves along the board
-    by_point = _by_point(seen)
-    # The point stays on its ray while the rest moves: d(X/Z) = dr.
-    off_ray = -by_point @ by_columns
-    off_ray[:, :, CAMERA] += rays_by_camera
-    by_columns = by_columns + along @ _solved(by_point @ along, off_ray)
-
-    motion = state.motion
+    board, motion = state.boards[view], state.motion
+    on_board = _turned(board, met, heights)
+    seen = on_board + board.middle
     turned = seen @ motion.rotation.T
     moved = turned + motion.translation
-    by_columns = motion.rotation @ by_columns
-    by_columns[:, :, ROTATION] -= _cross_matrices(turned)
-    by_columns[:, :, DIRECTION] += motion.length * tangent_basis(motion.translation / motion.length)
-    by_columns[:, :, LENGTH] += motion.translation
     pixels, by_moved, by_device = _project(state.projector, moved)
-    jacobian = by_moved @ by_columns
-    jacobian[:, :, PROJECTOR] += by_device
+    # The point stays on its ray while the rest moves, d(X/Z) = dr, because it also moves along the board.
+    along = board.rotation[:, :2] + slopes[:, None, :] * board.rotation[:, 2:]  # (N, 3, 2)
+    by_seen, off_ray = by_moved @ motion.rotation, _by_point(seen)
+    by_ray = _solved((off_ray @ along).transpose(0, 2, 1), (by_seen @ along).transpose(0, 2, 1)).transpose(0, 2, 1)
+    jacobian = _by_board(board, by_seen - by_ray @ off_ray, on_board, by_bend)
+    jacobian[:, :, CAMERA] = by_ray @ rays_by_camera
+    jacobian[:, :, ROTATION] = np.cross(turned[:, None], by_moved)
+    jacobian[:, :, DIRECTION] = by_moved @ (motion.length * tangent_basis(motion.translation / motion.length))
+    jacobian[:, :, LENGTH] = by_moved @ motion.translation
+    jacobian[:, :, PROJECTOR] = by_device
     return pixels, jacobian, np.stack([seen[:, 2], moved[:, 2]], axis=1)
 
 
@@ -196,7 +196,9 @@ def meet(state: State, rays: Floats, view: int) -> Floats:
         fixed = heights - np.sum(slopes * within, axis=1)
         falling = directions[:, 2] - np.sum(slopes * directions[:, :2], axis=1)
         t = (fixed + slopes @ start[:2] - start[2]) / falling
-        points = start[:2] + t[:, None] * directions[:, :2]
+        before, points = points, start[:2] + t[:, None] * directions[:, :2]
+        if np.abs(points - before).max(initial=0.0) < _MET * state.reach:
+            break
     return points
 
 
@@ -278,16 +280,21 @@ def _by_point(points: Floats) -> Floats:
     return by_point
 
 
-def _placed(state: State, view: int, points: Floats, heights: Floats, by_bend: Floats) -> tuple[Floats, Floats]:
-    """A board's points (N, 2) in the camera's frame (N, 3), and their derivatives (N, 3, 40)."""
-    board = state.boards[view]
-    turned = np.concatenate([points, heights[:, None]], axis=1) @ board.rotation.T
-    by_columns = np.zeros((len(points), 3, SHARED + PER_VIEW))
-    by_columns[:, :, BEND] = board.rotation[:, 2][:, None] * by_bend[:, None, :]
-    by_columns[:, :, SHARED : SHARED + 3] = -_cross_matrices(turned)
-    by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = np.linalg.norm(board.middle) * np.eye(3)
+def _turned(board: Placed, points: Floats, heights: Floats) -> Floats:
+    """A board's points (N, 2) in the camera's axes, from its middle, (N, 3)."""
+    return np.concatenate([points, heights[:, None]], axis=1) @ board.rotation.T
+
+
+def _by_board(board: Placed, by_point: Floats, turned: Floats, by_bend: Floats) -> Floats:
+    """Derivatives (N, 2, 40) by a board's columns, of pixels whose derivatives by its points are `by_point` (N, 2, 3);
+    zero for the devices' columns.
+    """
+    by_columns = np.zeros((len(by_point), 2, SHARED + PER_VIEW))
+    by_columns[:, :, BEND] = (by_point @ board.rotation[:, 2:]) * by_bend[:, None, :]
+    by_columns[:, :, SHARED : SHARED + 3] = np.cross(turned[:, None], by_point)
+    by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = np.linalg.norm(board.middle) * by_point
     by_columns[:, :, SHARED + PER_POSE :] = by_columns[:, :, BEND.start : BEND.start + PER_FLEX]
-    return turned + board.middle, by_columns
+    return by_columns
 
 
 def _cross_matrices(vectors: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """Tests whether captures of a corner and prior knowledge of the rig are consistent with one unchanged rig."""
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.numerics import Bools, Floats
 from calib.refinement import (
@@ -72,7 +72,7 @@ def _limit(refinement: Refinement, rig: KnownRig, systematic: Floats) -> float:
     white = (directions[:, both] / np.sqrt(reduction[both])).T @ inverse
     widths = np.linalg.eigvalsh(np.eye(int(both.sum())) + white @ systematic @ white.T)
     factor = float(np.sum(widths**2) / np.sum(widths))
-    return factor * float(chi2.ppf(_SIGNIFICANT, float(np.sum(widths)) ** 2 / float(np.sum(widths**2))))
+    return factor * float(chdtri(float(np.sum(widths)) ** 2 / float(np.sum(widths**2)), 1 - _SIGNIFICANT))
 
 
 def _differences(apart: Fit, free: Bools, rig: KnownRig) -> str:

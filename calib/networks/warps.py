@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
@@ -25,7 +25,7 @@ from calib.refinement import alternative
 from calib.rooms.likelihood import Fit
 
 _CHANCE = 1e-4
-_BY_CHANCE = float(chi2.isf(_CHANCE, PER_WARP))
+_BY_CHANCE = float(chdtri(PER_WARP, _CHANCE))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _CERTAIN = 20.0  # odds
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
@@ -90,7 +90,7 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
         alone = weights.fitted(grown, sights, start, columns, ROUGH)
         found.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
     found.sort(key=lambda each: -each.gain)
-    several = none.cost - whole.cost - found[0].gain > chi2.isf(_CHANCE, PER_WARP * (len(devices) - 1))
+    several = none.cost - whole.cost - found[0].gain > float(chdtri(PER_WARP * (len(devices) - 1), _CHANCE))
     if several or found[0].gain < _BY_CHANCE:
         return Warps(several=several), none, weights
     likely = tuple(each for each in found if each.gain > found[0].gain - _AS_LIKELY)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.geometry import Motion, rotation_about, tangent_basis
 from calib.numerics import Floats
@@ -78,7 +78,7 @@ def find_turntable(
     mean = float(np.trace(expected))
     freedom = mean**2 / float(np.sum(expected * expected.T))
     deviation = float(off @ weight @ off) / mean
-    if deviation > _CALM**2 * float(chi2.isf(_DOUBT, freedom)) / freedom:
+    if deviation > _CALM**2 * float(chdtri(freedom, _DOUBT)) / freedom:
         return None
     whole = np.zeros_like(covariance)
     by_places = slopes @ solver

@@ -10,7 +10,7 @@ from itertools import product
 from operator import attrgetter
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.geometry import FACES, leg_signs
 from calib.numerics import Floats
@@ -69,7 +69,7 @@ def tie(
     trials.sort(key=attrgetter("fit.cost"))
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
-    limit = float(chi2.ppf(_SIGNIFICANT, PER_CORNER * (len(captures) - 1)))
+    limit = float(chdtri(PER_CORNER * (len(captures) - 1), 1 - _SIGNIFICANT))
     # All cells may distinguish orders that a sample of them does not.
     close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
     whole = sorted(

@@ -102,6 +102,8 @@ def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Mot
     depth = moving.marks.points[own, 2]
     relative = np.linalg.norm(off, axis=1) / (tolerance * depth)
     near = relative < 1
+    if not near.any():
+        return np.zeros((6, 7))
     points, off = points[near], off[near]
     weight = ((1 - relative[near] ** 2) / depth[near]) ** 2
     by_twist = np.concatenate([-np.cross(points[:, None], np.eye(3)), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)

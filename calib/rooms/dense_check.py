@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.geometry import Matches
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
@@ -24,7 +24,7 @@ _ROUNDS = 5
 _TURNING, _SHIFTING = slice(0, 3), slice(3, 6)
 # Smooth errors of real decoders are known roughly, so sigmas are less reliable than for normal deviates.
 _CALM = 1.5
-_DOUBT = float(chi2.isf(1e-3, PER_PLACE))
+_DOUBT = float(chdtri(PER_PLACE, 1e-3))
 _FAR, _FAR_SHARE, _FULL_BLOCK = 5.0, 0.06, 20  # sigmas, and share of displaced blocks; points of a full block
 
 

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from calib.numerics import Floats
 
@@ -32,6 +31,8 @@ class ProjectorResponse:
     @cached_property
     def of_levels(self) -> Floats:
         """Light (256,) of all grey levels."""
+        from scipy.interpolate import PchipInterpolator  # slow to import and rarely needed
+
         sampled = np.linspace(0, LEVELS - 1, len(self.light))
         light: Floats = PchipInterpolator(sampled, self.light)(np.arange(LEVELS))
         return light

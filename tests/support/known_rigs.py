@@ -1,6 +1,7 @@
 """Boards and corners of one synthetic rig, for tests that combine them."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,11 +36,11 @@ class Before:
         return found
 
 
-def before(seed: int, *, zoom: float = 1.0, views: int = 5, **changes: Any) -> Before:
-    """`zoom`: factor on the projector's focal length between boards and corner."""
+@cache
+def before(seed: int, **changes: Any) -> Before:
     rng = np.random.default_rng(seed)
-    rig, found, known = from_boards(rng, views=views, matches=2000, **changes)
-    return Before(rig, found, known, corner_before(rng, rig, zoom))
+    rig, found, known = from_boards(rng, views=4, matches=2000, **changes)
+    return Before(rig, found, known, corner_before(rng, rig))
 
 
 def from_boards(
@@ -53,8 +54,8 @@ def from_boards(
     return rig, found, KnownCalibration(found.calibration, rig_uncertainty(found.estimate, sizes))
 
 
-def corner_before(rng: np.random.Generator, rig: Calibration, zoom: float) -> Matches:
-    """A capture of a corner by the rig, with its projector zoomed."""
+def corner_before(rng: np.random.Generator, rig: Calibration, zoom: float = 1.0) -> Matches:
+    """A capture of a corner by the rig, with its projector's focal length multiplied by `zoom`."""
     focal = zoom * rig.projector.focal_px[0]
     (capture,) = random_captures(
         rng,

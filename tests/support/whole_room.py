@@ -1,4 +1,4 @@
-"""A simulated whole room without light: the view of each station, by casting rays, in milliseconds."""
+"""Simulated rooms without light between surfaces: the view of each station, by casting rays, in milliseconds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -55,10 +55,12 @@ def stations(
     for pose in range(number):
         about = {"seed": seed, "room": "whole", "stations": number, "pose": pose, "walls_off_deg": 0.3, **settings}
         room = place_room(SimulatedRigSettings.model_validate(about), camera, PROJECTOR)
-        seen = _observed(room, np.random.default_rng([seed, pose]), noise_px)
+        seen = observed(room, np.random.default_rng([seed, pose]), noise_px)
         if pictures:
             texture = texture or paint(room.scene, np.random.default_rng([seed, _PAINT_STREAM]), None)
-            seen = replace(seen, picture=_picture(room, texture, np.random.default_rng([seed, _PICTURE_STREAM, pose])))
+            seen = replace(
+                seen, picture=lit_picture(room, texture, np.random.default_rng([seed, _PICTURE_STREAM, pose]))
+            )
         found.append(seen)
     return found
 
@@ -74,7 +76,8 @@ def with_turned_projector(station: TrueStation, turn_deg: Sequence[float] | Floa
     return replace(station, matches=replace(station.matches, projector_px=rig.projector.project(turned) + noise))
 
 
-def _observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStation:
+def observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStation:
+    """What the rig in a room sees at the centres of the camera's pixels that its projector lights."""
     optics = room.camera.optics
     x, y = np.meshgrid(np.arange(optics.width), np.arange(optics.height))
     camera_px = np.stack([x.ravel(), y.ravel()]).astype(np.float64)
@@ -98,8 +101,8 @@ def _observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStat
     )
 
 
-def _picture(room: Room, texture: Texture, rng: np.random.Generator) -> Image:
-    """An 8-bit picture with shot noise."""
+def lit_picture(room: Room, texture: Texture, rng: np.random.Generator) -> Image:
+    """An 8-bit picture in the projector's light, with shot noise."""
     optics, light = room.camera.optics, ProjectorLight(room.scene, room.projector)
     x, y = (each.ravel() for each in np.meshgrid(np.arange(optics.width), np.arange(optics.height)))
     mean = np.zeros(len(x))

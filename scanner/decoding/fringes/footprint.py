@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats
 from scanner.decoding.arrays import Floats32
@@ -109,7 +109,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     difference = apart @ covariance
     squared = float(difference @ np.linalg.solve(apart @ uncertain @ apart.T, difference))
     free = count - unknowns
-    by_chance = f.sf(squared * (free - 1) / (2 * free), 2, free - 1)
+    by_chance = fdtrc(2, free - 1, squared * (free - 1) / (2 * free))
     found = Footprint(*covariance.tolist())
     return found if by_chance < BY_CHANCE and found.largest_px2 < _LARGEST_PX2 else None
 

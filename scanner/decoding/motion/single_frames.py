@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.numerics import Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
@@ -50,7 +50,7 @@ class FrameShifts:
             return False
         shifts = self.shift_px.reshape(-1)
         squared = float(shifts @ np.linalg.solve(self.covariance + _OF_A_FRAME_PX**2 * np.eye(shifts.size), shifts))
-        return squared > chi2.isf(BY_CHANCE, shifts.size - 2)
+        return squared > float(chdtri(shifts.size - 2, BY_CHANCE))
 
     @property
     def are_distinct_from_light(self) -> bool:

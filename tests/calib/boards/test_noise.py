@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.boards import Board, View, calibrate_boards
+from calib.boards.calibrate import estimated
 from calib.boards.estimate import estimate
 from calib.boards.likelihood import Levels, Prior, device_prior
 from calib.boards.parameters import State
@@ -62,11 +63,12 @@ def test_the_noise_estimate_does_not_depend_on_the_start(
 def test_leaving_out_a_board_moves_the_estimate_as_predicted(
     four: tuple[SyntheticBoards, list[View], State, Prior],
 ) -> None:
-    boards, views, _, _ = four
+    boards, views, _, prior = four
     sizes = boards.calibration.camera.size, boards.calibration.projector.size
     board = Board(boards.reach, 1, "m")
     found = calibrate_boards(views, *sizes, board)
-    without = calibrate_boards(views[1:], *sizes, board)
-    moved = (without.estimate.state.additive() - found.estimate.state.additive())[_FOCALS]
+    start = starts(views[1:], *sizes, boards.reach, prior)[0].state
+    without = estimated(views[1:], start, prior, board)
+    moved = (without.state.additive() - found.estimate.state.additive())[_FOCALS]
     assert found.predictions[0].moved[_FOCALS] == pytest.approx(moved, abs=1e-9)
     assert np.abs(moved).max() > 1e-5

@@ -8,7 +8,7 @@ import pytest
 from calib.diagnostics import SystematicErrors, compare
 from tests.support.known_rigs import before, errors_of
 
-pytestmark = pytest.mark.xdist_group("comparison")  # what the module shares is made once
+pytestmark = pytest.mark.xdist_group("boards and corner")  # what they share is made once
 
 DEPTHS = np.array([0.8, 1.2])
 

@@ -41,6 +41,7 @@ def test_errors_are_within_the_stated_noise() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
+@pytest.mark.xdist_group("boards and corner")
 def test_the_scale_changes_with_the_calibration_as_predicted() -> None:
     case = before(1)
     rig, uncertainty = case.known.calibration, case.known.uncertainty

@@ -13,7 +13,7 @@ from calib.self_calibration import PrincipalPoint
 from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
 from calib.synthetic.rooms import random_waves
 
-OPTIONS = RoomOptions(boxes=1, count=15_000)
+OPTIONS = RoomOptions(boxes=1, count=6000)
 
 
 def sizes_of(network: SyntheticNetwork) -> dict[str, Size]:

@@ -1,4 +1,4 @@
-"""The order of the corner's legs, found from rendered rooms and compared with their truth."""
+"""The order of the corner's legs, found in simulated rooms and compared with their truth."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,7 +11,9 @@ from calib.geometry.corner import Corner
 from calib.pointcloud.corner_registration import find_order
 from calib.pointcloud.corner_view import View
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated.simulation import place_room
+from hw.simulated.texture import paint
+from tests.support.whole_room import lit_picture, observed
 
 CAMERA, PROJECTOR = (204, 171), (214, 120)
 
@@ -21,14 +23,13 @@ pytestmark = pytest.mark.xdist_group("alignment")
 @cache
 def seen(seed: int, pose: int, *, furniture: bool) -> View:
     """The lit part of a room; the corner's legs are the world's axes in order."""
-    settings = SimulatedRigSettings(seed=seed, pose=pose, furniture=furniture)
-    room = SimulatedRoom(settings, CAMERA, PROJECTOR)
-    truth, camera = room.ground_truth(), room.room.camera
-    lit = np.isfinite(truth.projector_px[..., 0])
-    points = np.where(lit[..., None], truth.points_m, np.nan).astype(np.float32)
-    picture = room.electrons(np.full(PROJECTOR[::-1], 255, np.uint8))
+    room = place_room(SimulatedRigSettings(seed=seed, pose=pose, furniture=furniture), CAMERA, PROJECTOR)
+    lit, camera = observed(room, np.random.default_rng(pose), 0.0), room.camera
+    points = np.full((CAMERA[0] * CAMERA[1], 3), np.nan, np.float32)
+    points[lit.pixel] = lit.points
+    picture = lit_picture(room, paint(room.scene, np.random.default_rng(seed), None), np.random.default_rng(pose))
     corner = Corner(-camera.rotation @ camera.centre, camera.rotation.T)
-    return View(points, np.asarray(picture, np.float32), room.calibration.camera, corner)
+    return View(points.reshape(*picture.shape, 3), picture.astype(np.float32), lit.calibration.camera, corner)
 
 
 def renumbered(view: View, turn: int) -> View:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from calib.refinement.focal_sweep import at_focal
 from calib.refinement.likelihood import Fit
@@ -68,7 +68,7 @@ def test_a_second_basin_widens_the_sigma_from_one_in_forty_on(case: Case, share:
     valley = Valley(np.array([state.camera[0] for state in states]), cost - cost.min(), states, np.zeros(len(states)))
     none = Fit(0.0, np.zeros(case.truth.size), np.eye(case.truth.size), case.truth, ())
     found = valley.covariance(none, np.arange(case.truth.size) == CAMERA.start)
-    low, high = np.interp([0.1587 / (1 - share), 0.8413 / (1 - share)], [norm.cdf(z) for z in _Z], _Z) * sigma
+    low, high = np.interp([0.1587 / (1 - share), 0.8413 / (1 - share)], ndtr(_Z), _Z) * sigma
     assert np.log(np.array(valley.interval_px) / case.truth.camera[0]) == pytest.approx([low, high], rel=0.02)
     assert np.sqrt(found[CAMERA.start, CAMERA.start]) == pytest.approx(sigmas * sigma, rel=0.04)
 

@@ -13,6 +13,8 @@ from calib.rooms.surfaces import Surfaces, surfaces_of
 from calib.synthetic.stations import moved_rig
 from tests.calib.rooms.test_registration import stations_in, view_of
 
+pytestmark = pytest.mark.xdist_group("registration")  # shares its stations
+
 Scene = tuple[dict[int, Surfaces], dict[int, Motion]]
 
 

@@ -1,5 +1,7 @@
 """Registration of stations of synthetic rooms, compared with their true poses."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ pytestmark = pytest.mark.xdist_group("registration")  # what the module shares i
 CAMERA = Intrinsics(306, 256, (225.0, 225.0), (154.0, 125.5), (-0.06, 0.01, 0.0, 0.0, 0.0))
 
 
+@cache
 def stations_in(seed: int, count: int, pieces: int = 8) -> tuple[Room, list[Station]]:
     rng = np.random.default_rng(seed)
     room = random_room(rng, pieces)
@@ -48,22 +51,22 @@ def views(scene: tuple[Room, list[Station]]) -> list[StationView]:
 
 @pytest.fixture(scope="module")
 def with_a_stranger(views: list[StationView]) -> Registration:
-    """Stations 3, 1, 0 and 2 of a room, and between them one of another room."""
+    """Stations 1, 0 and 2 of a room, and between them one of another room."""
     stranger = view_of(stations_in(5, 1)[1][0])
-    return register([views[3], views[1], stranger, views[0], views[2]])
+    return register([views[1], stranger, views[0], views[2]])
 
 
 def test_stations_are_registered_and_an_outlier_station_is_left_out(
     scene: tuple[Room, list[Station]], with_a_stranger: Registration
 ) -> None:
     (group,) = with_a_stranger.groups
-    assert group.stations == (0, 1, 3, 4)
+    assert group.stations == (0, 2, 3)
     assert not group.ambiguous
     (left,) = with_a_stranger.left_out
-    assert left.station == 2
+    assert left.station == 1
     assert "other" in left.reason
     assert left.cause in ("nothing shared", "too little shared", "free space")
-    stood = [scene[1][k].place for k in (3, 1, 0, 2)]
+    stood = [scene[1][k].place for k in (1, 0, 2)]
     for found, true in zip(group.places[1:], stood[1:], strict=True):
         degrees, metres = off(found, composed(inverse(stood[0]), true))
         # What the calibration is off bends the walls by some millimetres.
@@ -73,21 +76,21 @@ def test_stations_are_registered_and_an_outlier_station_is_left_out(
 
 def test_neighbouring_stations_overlap_by_a_stated_share(with_a_stranger: Registration) -> None:
     pairs = {(pair.first, pair.second): pair for pair in with_a_stranger.pairs}
-    for neighbours in ((1, 3), (1, 4), (0, 4)):  # stations 0–1, 1–2 and 2–3 of the room
+    for neighbours in ((0, 2), (0, 3)):  # stations 0–1 and 1–2 of the room
         pair = pairs[neighbours]
         assert 0.2 < pair.overlap < 0.7
         assert 0 <= pair.contradiction < 0.02
         assert 2e-4 < pair.residual < 4e-3
-    assert all(2 not in pair for pair in pairs)
+    assert all(1 not in pair for pair in pairs)
 
 
 def test_shared_walls_have_their_true_planes(scene: tuple[Room, list[Station]], with_a_stranger: Registration) -> None:
     room, stations = scene
     (group,) = with_a_stranger.groups
     seen_by = np.bincount([p for planes in group.plane_of for p in planes if p >= 0], minlength=len(group.planes))
-    floor = [plane for plane, count in zip(group.planes, seen_by, strict=True) if count == 4]
+    floor = [plane for plane, count in zip(group.planes, seen_by, strict=True) if count == 3]
     assert floor
-    stood = stations[3].place
+    stood = stations[1].place
 
     def apart(normal: Floats, height: float) -> tuple[float, float]:
         in_room = stood.rotation.T @ normal
@@ -115,13 +118,12 @@ def test_changed_extrinsics_are_named(scene: tuple[Room, list[Station]], views: 
 
 
 def test_a_bare_room_is_ambiguous() -> None:
-    _, stations = stations_in(3, 3, pieces=0)
-    found = register([view_of(station) for station in stations])
-    assert all(group.ambiguous for group in found.groups)
-    for group in found.groups:
-        assert group.ahead_nats < 7
-        for other in group.alternatives:
-            assert len(other.places) == len(group.stations)
+    _, stations = stations_in(3, 2, pieces=0)
+    (group,) = register([view_of(station) for station in stations]).groups
+    assert group.ambiguous
+    assert group.ahead_nats < 7
+    for other in group.alternatives:
+        assert len(other.places) == len(group.stations)
 
 
 def test_stations_without_points_have_no_overlap(views: list[StationView]) -> None:

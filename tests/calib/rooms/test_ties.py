@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.numerics import Bools, Floats
 from calib.rooms import Room
@@ -41,7 +41,7 @@ def fitted(case: Case, prior: RoomPrior, variances: list[Floats], free: Bools) -
 def test_plane_scores_are_chi_square_distributed(case: Case, prior: RoomPrior, flat: list[Floats], free: Bools) -> None:
     fit, patches = fitted(case, prior, flat, free), case.found.patches
     scores, freedom = plane_scores(patches, fit, flat, free, flat)
-    assert chi2.ppf(1e-4, freedom.sum()) < scores.sum() < chi2.ppf(0.9999, freedom.sum())
+    assert chdtri(freedom.sum(), 1 - 1e-4) < scores.sum() < chdtri(freedom.sum(), 1e-4)
     count = np.bincount([patch.plane for patch in patches], minlength=len(scores))
     assert np.all(freedom[count == 1] == 0)
     assert np.all(freedom[count > 1] <= 3 * (count[count > 1] - 1))

@@ -10,14 +10,14 @@ from calib.refinement import SHARED, KnownRig
 from calib.refusal import RefusalError
 from calib.self_calibration import self_calibrate_jointly
 from calib.synthetic.boards import BoardOptions
-from tests.support.known_rigs import Before, before, errors_of, intrinsics_and_length, sigmas
+from tests.support.known_rigs import Before, before, corner_before, errors_of, intrinsics_and_length, sigmas
 
-pytestmark = pytest.mark.xdist_group("with boards")  # what the module shares is made once
+pytestmark = pytest.mark.xdist_group("boards and corner")  # what they share is made once
 
 
 @pytest.fixture(scope="module")
 def some() -> list[Before]:
-    return [before(seed) for seed in (0, 1, 4)]
+    return [before(seed) for seed in (0, 1)]
 
 
 def metric(case: Before) -> Calibration:
@@ -47,9 +47,10 @@ def test_the_joint_sigmas_are_smaller_than_either_alone(some: list[Before]) -> N
     assert 0.3 < np.min(shares) < 0.97
 
 
-def test_a_zoom_between_boards_and_corner_is_named() -> None:
+def test_a_zoom_between_boards_and_corner_is_named(some: list[Before]) -> None:
+    zoomed = corner_before(np.random.default_rng(1), some[1].truth, 1.02)
     with pytest.raises(RefusalError, match="rig changed between") as refused:
-        before(1, zoom=1.02).joint()
+        replace(some[1], corner=zoomed).joint()
     assert "they differ in the " in refused.value.reason
     assert "the projector's " in refused.value.reason
 

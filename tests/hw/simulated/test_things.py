@@ -9,8 +9,13 @@ from hw.settings import SimulatedRigSettings, ThingSettings
 from hw.simulated.things import SimulatedThing
 from hw.simulated.things.solids import draw_solid
 
-pytest.importorskip("open3d", exc_type=ImportError)
 CAMERA, PROJECTOR = (153, 128), (427, 240)
+
+
+@pytest.fixture(autouse=True)
+def _with_open3d() -> None:
+    """Not where every test process collects this file: loading it takes a second."""
+    pytest.importorskip("open3d", exc_type=ImportError)
 
 
 def thing(pose: int = 0, **settings: object) -> SimulatedThing:

@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,27 +82,39 @@ def many_scans() -> bytes:
     return data[:last] + data[last:-2] * 20_000 + b"\xff\xd9"
 
 
-IMAGES: dict[str, tuple[bytes, str]] = {
-    "PNG that Pillow gives up": (unmeasured_png(), "32704 × 32704 pixels, which would take 3,209 MB"),
-    "TIFF of 32 bits": (tiff(14_999, 1, 32, 5, bytes(100)), "which would take 900 MB"),
-    "TIFF, shared strips": (tiff(500, 500, 8, 8, zlib.compress(bytes(5_000_000))), "unpack to more than an image has"),
-    "JPEG 2000": (resized("JPEG2000", b"\xff\x4f\xff\x51\0\x2f\0\0", ">II", no_jp2=True), "which would take 3,375 MB"),
-    "progressive JPEG": (resized("JPEG", b"\xff\xc2\0\x11\x08", ">HH", progressive=True), "would take 1,350 MB"),
-    "JPEG written over": (many_scans(), "its pixels are written 20,00. times over"),
-    "GIF": (resized("GIF", b"GIF87a", "<HH"), "14999 × 14999 pixels, which would take"),
-    "palette PNG": (palette_png(32704, 32704), "32704 × 32704 pixels, which would take 3,209 MB"),
-    "PGM header": (b"P5\n52000 52000\n255\n" + bytes(1000), "52000 × 52000 pixels"),
-    "16-bit PPM header": (b"P6\n14000 14000\n65535\n" + bytes(1000), "14000 × 14000 pixels"),
-    "BMP": (b"BM" + struct.pack("<IIIIiiHHIIiiII", 70, 0, 54, 40, 30000, 30000, 1, 24, *[0] * 6), "30000 × 30000"),
-    "long chunk": (long_chunk(), "truncated"),
+IMAGES: dict[str, tuple[Callable[[], bytes], str]] = {
+    "PNG that Pillow gives up": (unmeasured_png, "32704 × 32704 pixels, which would take 3,209 MB"),
+    "TIFF of 32 bits": (lambda: tiff(14_999, 1, 32, 5, bytes(100)), "which would take 900 MB"),
+    "TIFF, shared strips": (
+        lambda: tiff(500, 500, 8, 8, zlib.compress(bytes(5_000_000))),
+        "unpack to more than an image has",
+    ),
+    "JPEG 2000": (
+        lambda: resized("JPEG2000", b"\xff\x4f\xff\x51\0\x2f\0\0", ">II", no_jp2=True),
+        "which would take 3,375 MB",
+    ),
+    "progressive JPEG": (
+        lambda: resized("JPEG", b"\xff\xc2\0\x11\x08", ">HH", progressive=True),
+        "would take 1,350 MB",
+    ),
+    "JPEG written over": (many_scans, "its pixels are written 20,00. times over"),
+    "GIF": (lambda: resized("GIF", b"GIF87a", "<HH"), "14999 × 14999 pixels, which would take"),
+    "palette PNG": (lambda: palette_png(32704, 32704), "32704 × 32704 pixels, which would take 3,209 MB"),
+    "PGM header": (lambda: b"P5\n52000 52000\n255\n" + bytes(1000), "52000 × 52000 pixels"),
+    "16-bit PPM header": (lambda: b"P6\n14000 14000\n65535\n" + bytes(1000), "14000 × 14000 pixels"),
+    "BMP": (
+        lambda: b"BM" + struct.pack("<IIIIiiHHIIiiII", 70, 0, 54, 40, 30000, 30000, 1, 24, *[0] * 6),
+        "30000 × 30000",
+    ),
+    "long chunk": (long_chunk, "truncated"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", IMAGES)
 def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, name: str) -> None:
-    data, words = IMAGES[name]
+    content, words = IMAGES[name]
     path = tmp_path / "frame.png"
-    path.write_bytes(data)
+    path.write_bytes(content())
     with little_memory(), pytest.raises(InputError, match=words):
         read_image(path)
 
