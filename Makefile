@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
+# Container images often keep Python from writing bytecode: every process would compile all modules anew, for seconds.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: help setup scan room console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
 
 help:
