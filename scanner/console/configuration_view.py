@@ -17,7 +17,7 @@ class ConfigurationView:
     """Built into the container that is open when it is made."""
 
     def __init__(self, gui: viser.GuiApi, path: Path) -> None:
-        self._path, self._as_read = path, ""
+        self._path, self._as_read, self._saved = path, "", ""
         gui.add_markdown(f"`{path}` is read anew for each check and scan.")
         self._text = gui.add_text("", "", multiline=True)
         self._message = gui.add_markdown("")
@@ -42,6 +42,7 @@ class ConfigurationView:
             self.read()
 
     def _read(self) -> str:
+        self._saved = ""
         self._as_read = self._text.value = read_text(self._path)
         return ""
 
@@ -49,8 +50,10 @@ class ConfigurationView:
         self._save.disabled = not self._telling(self._checked)
 
     def _checked(self) -> str:
-        check_text(self._text.value, self._path)
-        return "✓ This can be saved."
+        text = self._text.value
+        check_text(text, self._path)
+        # A check of what was typed last may run after it was saved.
+        return self._saved if self._saved and text == self._as_read else "✓ This can be saved."
 
     def _write(self) -> None:
         self._telling(self._written)
@@ -58,8 +61,8 @@ class ConfigurationView:
     def _written(self) -> str:
         text = self._text.value
         backup = write_text(self._path, text)
-        self._as_read = text
-        return f"Saved. The original file is {escaped(str(backup))}."
+        self._as_read, self._saved = text, f"Saved. The original file is {escaped(str(backup))}."
+        return self._saved
 
     def _telling(self, action: Callable[[], str]) -> bool:
         """Do it, and say what came of it; False if it failed."""

@@ -4,6 +4,7 @@ They are estimated by robust least squares from the shares of the frames around 
 """
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,6 +20,7 @@ from scanner.recordings.tone_curve import ToneCurve
 
 _EXPOSURES_S = np.geomspace(1 / 1000, 1 / 24, 6)
 _READOUTS_S = np.linspace(-0.03, 0.03, 7)
+_SHIFTS = np.linspace(-0.5, 0.5, 5)  # of the loops, in frames
 _STARTS = 3
 _LONGEST_READOUT_S, _SHORTEST_EXPOSURE_S = 0.045, 1e-4
 _MOST_ROUNDS, _SETTLED = 4, 0.1
@@ -48,13 +50,14 @@ def fit_clocks(samples: VideoSamples, programme: Programme, loops: tuple[Loop, .
 
 
 def _starts(samples: VideoSamples, shares: Shares, clocks: Clocks) -> list[Clocks]:
-    """The likeliest few of a grid of exposures and readouts."""
+    """The likeliest few of a grid of exposures, readouts and times at which the loops begin."""
     height = samples.video.size.height
     tried = []
-    for exposure in [each for each in _EXPOSURES_S if each < 1.3 * samples.frame_interval_s]:
-        for readout in _READOUTS_S:
-            start = replace(clocks, exposure_s=float(exposure), line_s=float(readout / height))
-            tried.append((float(loss(misfit(samples, shares, start)).sum()), start))
+    exposures = [each for each in _EXPOSURES_S if each < 1.3 * samples.frame_interval_s]
+    for exposure, readout, shift in product(exposures, _READOUTS_S, _SHIFTS * samples.frame_interval_s):
+        loops = tuple(replace(loop, start_s=loop.start_s + float(shift)) for loop in clocks.loops)
+        start = replace(clocks, exposure_s=float(exposure), line_s=float(readout / height), loops=loops)
+        tried.append((float(loss(misfit(samples, shares, start)).sum()), start))
     return [start for _, start in sorted(tried, key=lambda each: each[0])[:_STARTS]]
 
 

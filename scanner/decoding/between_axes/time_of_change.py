@@ -6,8 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats, Image
-from scanner.decoding.significance import FEW, FEWEST_PIXELS
+from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.decoding.subsampling import MANY_PIXELS, evenly_spread
+
+# A picture with at least this share of the change, and of the rest, was taken during it. With less, a camera that
+# turned before the finest bits would have turned by a part of it during them.
+_PARTLY = 0.25
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,7 @@ def time_of_change(
     done = (levels - before) @ (after - before) / max(float((after - before) @ (after - before)), 1e-12)
     shares = (np.arange(count) >= best).astype(np.float64)
     at_change = np.array([number for number in (best - 1, best) if 0 < number < count - 1], np.int64)
-    # A picture that lacks more than a few of the change, and of the rest, was taken during it.
-    partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - FEW]
+    partly = at_change[np.abs(done[at_change] - 0.5) < 0.5 - _PARTLY]
     shares[partly] = done[partly]
     return TimeOfChange(shares, float(between[best - 1] / max(between[first - 1], 1e-12)))
 

@@ -15,22 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats, Image, median
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.lit_pixels import thinned, unclipped
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
+from scanner.decoding.significance import HALF, MAJORITY
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
 # the constraints relative to all pixels.
 _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
+_ROUNDS = 4  # of reweighting
 # Sums this many times farther off than the median, three standard deviations, are down-weighted: motion or flicker.
 _OUTLYING = 4.5
-_ROUNDS = 4  # of reweighting
 # Pixels of the fit, of which one of so many finds the time of an ambient light change: with every second or tenth, a
 # response like sRGB is taken for such a change in one room of `bench_conditions.py`.
-_MOST_PIXELS, _EVERY = 1000, 8
+_FEWEST_PIXELS, _MOST_PIXELS, _EVERY = 200, 1000, 8
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
@@ -38,8 +38,10 @@ _FINE_BITS, _GROUPS = 4, 16
 # right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
 # mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
+_MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
 # Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
 _FAINT = 0.025
+_RARE = 0.001  # share of pixels below which a level does not determine its slope
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
 _FULL_SCALE = 1023
@@ -77,7 +79,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     None if the sums are equal without it, or not equal with it.
     """
     lit = unclipped(levels, saturation)
-    if lit.shape[1] < FEWEST_PIXELS:
+    if lit.shape[1] < _FEWEST_PIXELS:
         return None
     seen = lit / np.float32(top)
     has_pairs = len(plan.complements) >= MAJORITY
@@ -100,7 +102,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
             return None
     slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
     count, _ = np.histogram(seen, _LINEAR)
-    if fit.after > _LEFT * fit.before or np.any(slopes[count > 0] < _LEAST_SLOPE):
+    if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
         return None
     light = np.concatenate([[0.0], np.cumsum(np.maximum(slopes, _LEAST_SLOPE))])
     return CameraResponse(light / light[-1], top, saturation)
@@ -186,5 +188,6 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
 
 def _unevenness(sums: Floats, swing: Floats) -> float:
     """Return the squared deviation of the sums (sums, P) from the median sum, in swings (P,): median pixel, summed."""
-    off = (sums - np.median(sums, axis=0)) / np.maximum(np.abs(swing), NEGLIGIBLE)
-    return float(np.sum(np.median(off**2, axis=1)))
+    with np.errstate(invalid="ignore", divide="ignore"):  # pixels without swing
+        off = (sums - np.median(sums, axis=0)) / swing
+    return float(np.sum(np.median(np.nan_to_num(off**2, posinf=_MOST_UNEVEN), axis=1)))

@@ -25,7 +25,10 @@ def shifted(number):
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Path:
+def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(
+        sys, "dont_write_bytecode", True
+    )  # of sources that are as long as before, and of the same moment
     file = tmp_path / "installed" / "loops.py"
     file.parent.mkdir()
     file.write_text(SOURCE.format(offset=1))

@@ -52,7 +52,8 @@ def test_two_cameras_and_a_projector(taken: tuple[SyntheticNetwork, list[Path]],
         apart = np.subtract(devices[one]["translation"], devices[other]["translation"])
         assert np.linalg.norm(apart) == pytest.approx(np.linalg.norm(true[one] - true[other]), rel=0.01)
     (disagreement,) = found["disagreements"]
-    assert 0.5 < disagreement["relative"] / disagreement["expected"] < 2.0
+    # A keystone that the captures do not exclude, and that is not there, is expected as well.
+    assert 0.2 < disagreement["relative"] / disagreement["expected"] < 2.0
     report = (tmp_path / "hall" / "report.html").read_text()
     assert "camera2" in report
     assert "Which camera sees whose light" in report
