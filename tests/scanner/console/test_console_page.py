@@ -149,8 +149,16 @@ def test_a_refused_capture_of_another_program_appears_with_its_reason(console: C
     assert Path(download.value.path()).read_bytes() == (folder / "report.html").read_bytes()
 
 
-def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
-    visit = console.visit
+@pytest.fixture
+def scanned(console: Console) -> Console:
+    """With a result, which earlier tests leave, or this one makes if it runs alone."""
+    room = console.folder / "scans" / "room"
+    assert room.exists() or main(["--config", str(console.config), "--out", str(room), "--quiet"]) == 0
+    return console
+
+
+def test_an_earlier_result_is_opened_by_keyboard(scanned: Console) -> None:
+    visit = scanned.visit
     visit.page.mouse.click(1000, 900)  # keys are the page's outside of its fields
     visit.page.keyboard.press("Shift+H")
     visit.choose("Result", "scans/room")
@@ -163,9 +171,9 @@ def test_an_earlier_result_is_opened_by_keyboard(console: Console) -> None:
     visit.wait_for("Result: room")
 
 
-def test_two_results_are_compared_side_by_side(console: Console) -> None:
-    visit, folder = console.visit, console.folder / "scans" / "other"
-    assert main(["--config", str(console.config), "--out", str(folder), "--quiet"]) == 0
+def test_two_results_are_compared_side_by_side(scanned: Console) -> None:
+    visit, folder = scanned.visit, scanned.folder / "scans" / "other"
+    assert main(["--config", str(scanned.config), "--out", str(folder), "--quiet"]) == 0
     visit.press("History")
     visit.wait_for("other")
     visit.choose("Result", "scans/room")
