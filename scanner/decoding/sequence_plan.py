@@ -92,12 +92,12 @@ class Fringe:
         angles = 2 * np.pi * np.array(self.shifts)
         return np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
 
-    @property
+    @cached_property
     def noise_gain(self) -> float:
         """Standard deviation of the fringe's two components per grey level of noise; √(2/N) for equal shifts."""
         return float(np.sqrt(np.mean(np.sum(self.weights[1:] ** 2, axis=1))))
 
-    @property
+    @cached_property
     def equal_steps(self) -> bool:
         """Whether the shifts divide the cycle evenly, so that only harmonics next to multiples of N
         distort the phase.
