@@ -25,6 +25,7 @@ _REACH_PX, _WINDOW_PX = 2, 5
 _PLANE_PX, _ROUNDS = 9, 8
 # Largest distance of a cell from the plane of its neighbours: half a cell for each of them, and as much for a bend.
 _NEAR_CELLS = 1.5
+_MOST_SPOILT = 2  # bits of a pixel: one that is hidden longer stays spoilt
 
 
 def repair_bits(fold: GrayFold, spoilt: Mapping[int, Bools], frames: Mapping[int, Image], resting: Bools) -> Bools:
@@ -61,35 +62,38 @@ def _decided_words(
     growth = _Growth.of(number, resting)
     if growth is None:
         return None
-    some, several = (np.sum(list(spoilt.values()), axis=0) > least for least in (0, 1))
-    decided = np.zeros_like(resting)
-    choices = [(words, some)]
+    times = np.zeros(resting.shape, np.uint8)
+    for where in spoilt.values():
+        times += where
+    few: Bools = (times > 0) & (times <= _MOST_SPOILT)
+    decided, flips = np.zeros_like(resting), [(0, few)]
     for bit, where in spoilt.items():
         place = fold.code.bits - 1 - bit
         mask = words.dtype.type(1 << place)
         unset, set_ = cell_numbers(words & ~mask), cell_numbers(words | mask)
-        grows, clear = growth.of_choice(unset, 2 << place, ~several & (where | ~some))
-        clear &= where & ~several
+        grows, clear = growth.of_choice(unset, 2 << place, (times == 0) | (times == 1) & where)
+        clear &= where & (times == 1)
         number[clear] = np.where(grows, unset, set_)[clear]
         decided |= clear
-        without = [(np.where(where, each & ~mask, each), possible) for each, possible in choices]
-        choices = without + [(each | mask, possible & where) for each, possible in choices]
-    numbers = [(cell_numbers(each).astype(np.float32), possible) for each, possible in choices]
+        more = ((mask | other, where & possible) for other, possible in flips if other.bit_count() < _MOST_SPOILT)
+        flips += [(int(both), possible) for both, possible in more if possible.any()]
     for _ in range(_ROUNDS):
-        decided = _nearest(numbers, _planes(number, resting | decided), number)
+        decided = _nearest(words, flips, _planes(number, resting | decided), number)
         decided &= ~growth.contradicts(number, resting | decided)
     found = number.astype(words.dtype)
     return decided, np.where(decided, found ^ found >> 1, words)
 
 
-def _nearest(numbers: Sequence[tuple[Floats32, Bools]], expected: Floats32, number: Floats32) -> Bools:
+def _nearest(words: Words, flips: Sequence[tuple[int, Bools]], expected: Floats32, number: Floats32) -> Bools:
     """Set `number` (h, w), in place, to the possible one that is nearest to the expected one; return where it is clear.
 
-    `numbers`: each with the pixels (h, w) at which it is possible. `expected` (h, w): NaN where unknown.
+    `flips`: bits of the `words` (h, w) that may be wrong, with the pixels (h, w) at which they may. `expected` (h, w):
+    NaN where unknown.
     """
     best, next_best = (np.full(number.shape, np.inf, np.float32) for _ in range(2))
     nearest = number.copy()
-    for each, possible in numbers:
+    for bits, possible in flips:
+        each = cell_numbers(words ^ words.dtype.type(bits)).astype(np.float32)
         error = np.where(possible, np.abs(each - expected), np.float32(np.inf))
         nearer = error < best
         next_best = np.where(nearer, best, np.minimum(next_best, error))

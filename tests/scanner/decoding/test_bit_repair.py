@@ -69,6 +69,15 @@ def test_nothing_is_decided_where_coordinates_grow_in_no_direction() -> None:
     assert not repair_bits(fold, spoilt, frames, ~spoilt[3]).any()
 
 
+@pytest.mark.parametrize(("bits", "least", "most"), [(2, 0.6, 1.0), (5, 0.0, 0.0)])
+def test_pixels_that_are_hidden_for_long_stay_spoilt(bits: int, least: float, most: float) -> None:
+    place = np.zeros(SHAPE, np.bool_)
+    place[10:110, 60:75] = True
+    spoilt = dict.fromkeys(range(1, 1 + bits), place)
+    fold, frames = folded(100 + 1.2 * np.indices(SHAPE)[1], spoilt, 0)
+    assert least <= np.mean(repair_bits(fold, spoilt, frames, ~place)[place]) <= most
+
+
 @pytest.mark.parametrize("first", [4, 8], ids=["coarse", "finer"])
 def test_somebody_who_goes_past_leaves_most_of_the_picture(first: int) -> None:
     """Three parts of the picture are hidden one after the other, each during the frames of one bit."""
