@@ -20,8 +20,6 @@ from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJO
 
 # Levels are alike up to this share of white minus black: a threshold and the one half-way, or white in several bits.
 _ALIKE = 0.05
-
-
 # Quantiles of a bit's levels in its dark and in its bright stripes: blurred edges and interreflection are in between.
 TAILS = (0.05, 0.95)
 

@@ -4,7 +4,7 @@ A corrupted frame violates the checks of light_arithmetic.py all over the pictur
 violates them in patches, outside of which all frames agree.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from typing import cast
@@ -67,8 +67,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
     if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
         return None
     groups = contradictions(plan, levels[:, lit], noise)
-    inconsistent = np.zeros(lit.shape, np.bool_)
-    inconsistent[lit] = np.any([each for _, each in groups], axis=0) if groups else False
+    inconsistent = _any_of((each for _, each in groups), lit)
     moved = patches(inconsistent, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
@@ -82,7 +81,7 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
         corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
         corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
-    resting = coarse.at_full_size(lit & ~moved & ~_grown(inconsistent))
+    resting = coarse.at_full_size(lit & ~moved & ~_grown(inconsistent, 3))
     return InconsistentPixels(
         coarse.at_full_size(moved),
         coarse.at_full_size(corrupted),
@@ -96,15 +95,24 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
 def _spoilt(
     coarse: CoarseFrames, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools
 ) -> Iterator[tuple[tuple[int, ...], Bools]]:
+    """Yield the frames of each group, with the pixels (H, W) at which they contradict the others and those between."""
     for frames, each in groups:
         if np.count_nonzero(each) >= SMALLEST_PATCH:
-            contradicting = np.zeros(lit.shape, np.bool_)
-            contradicting[lit] = each
+            contradicting = _any_of([each], lit)
             yield frames, coarse.at_full_size(contradicting | patches(contradicting, lit))
 
 
-def _grown(some: Bools) -> Bools:
-    return cast(Bools, cv2.dilate(some.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_))
+def _any_of(of_groups: Iterable[Bools], lit: Bools) -> Bools:
+    """Return the pixels (h, w) that are in any of some sets (P,) of the lit ones."""
+    found = np.zeros(lit.shape, np.bool_)
+    for each in of_groups:
+        found[lit] |= each
+    return found
+
+
+def _grown(some: Bools, side: int) -> Bools:
+    """Return the pixels (h, w) in whose window, a square of this side, are some of these."""
+    return cast(Bools, cv2.dilate(some.astype(np.uint8), np.ones((side, side), np.uint8)).astype(np.bool_))
 
 
 def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Bools) -> bool:
@@ -121,11 +129,8 @@ def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Boo
 
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
     """Return the patches (h, w) that changed during fine bits, where an error of a few cells looks plausible."""
-    fine, inconsistent = frames_of_fine_bits(plan), np.zeros(lit.shape, np.bool_)
-    for frames, each in groups:
-        if fine.intersection(frames):
-            inconsistent[lit] |= each
-    return patches(inconsistent, lit)
+    fine = frames_of_fine_bits(plan)
+    return patches(_any_of((each for frames, each in groups if fine.intersection(frames)), lit), lit)
 
 
 def _corrupted(
@@ -137,10 +142,8 @@ def _corrupted(
     harmless, or shows as a contradiction or a period slip. A lasting change may show in only some of the fringes.
     """
     fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
-    inconsistent = np.zeros(lit.shape, np.bool_)
-    inconsistent[lit] = broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])
-    near: Bools = cv2.dilate(moved.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
-    return inconsistent & near
+    inconsistent = _any_of([broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])], lit)
+    return inconsistent & _grown(moved, _WINDOW)
 
 
 def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
@@ -173,7 +176,7 @@ def patches(inconsistent: Bools, lit: Bools) -> Bools:
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(dense.astype(np.uint8), connectivity=8)
     large = statistics[:, cv2.CC_STAT_AREA] >= SMALLEST_PATCH
     large[0] = False
-    return _grown(large[labels])
+    return _grown(large[labels], 3)
 
 
 def _dense(inconsistent: Bools, lit: Bools) -> Bools:
