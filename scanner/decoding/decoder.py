@@ -201,21 +201,23 @@ class Decoder:
         if self._statistics is None or self._texture is None:
             raise RuntimeError("no frames were folded")
         whole, self._statistics = self._statistics, None
-        accumulators, sample = whole.accumulators, whole.sample
+        accumulators, samples = whole.accumulators, whole.samples
         if self._merger is not None:
             accumulators.log_exposure = self._merger.log_exposure
-        observed = observe(accumulators, sample, whole.tiles, whole.coarse, self._projector_size)
+        observed = observe(accumulators, samples, self._projector_size)
         alike = partial(frames_alike, accumulators, corrections, frames)
         del whole
         anomalies: list[Anomaly] = []
         with blaming_motion(lambda: observed.motion, observed.broken):
             with suspecting(anomalies):
-                calibrated = check_and_calibrate(accumulators, sample, observed, anomalies, as_taken=as_taken)
+                calibrated = check_and_calibrate(
+                    accumulators, samples.scattered, observed, anomalies, as_taken=as_taken
+                )
                 if isinstance(calibrated, AmbientLightChange):
                     return calibrated
                 maps, by_pixel = checked_maps(accumulators, alike, calibrated, observed, is_anomalous=bool(anomalies))
-                stripes = finest_stripes(accumulators, sample, maps)
-                del sample
+                stripes = finest_stripes(accumulators, samples.scattered, maps)
+                del samples
                 motion = observed.motion
                 if halves := halves_of(self._plan):
                     seen = accumulators.plan, maps.projector_px, self._projector_size

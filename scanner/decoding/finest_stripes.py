@@ -19,7 +19,7 @@ from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.light.noise_model import STRAY_PART
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HALF
 from scanner.decoding.subsampling import MANY_PIXELS, at_random

@@ -14,20 +14,17 @@ from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import find_ghost
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.motion import CoarseFrames, TileSample
-from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.samples import Samples
 from scanner.decoding.sequence_plan import SequencePlan
 
 
 class FrameStatistics:
-    """Full-size running images, and samples of all frames: single pixels, tiles, and coarse images."""
+    """Full-size running images, and samples of all frames."""
 
     def __init__(self, plan: SequencePlan, first: Image) -> None:
-        shape = first.shape[0], first.shape[1]
-        self.sample = Sample(shape, neighbours=needs_neighbours(plan))
-        pairs = PairEqualiser(plan, self.sample, shape)
-        self.accumulators = Accumulators(plan, first, pairs, self.sample.pixels)
-        self.tiles, self.coarse = TileSample(shape), CoarseFrames(shape)
+        self.samples = Samples.of((first.shape[0], first.shape[1]), neighbours=needs_neighbours(plan))
+        pairs = PairEqualiser(plan, self.samples.scattered)
+        self.accumulators = Accumulators(plan, first, pairs, self.samples.scattered.pixels)
         self._plan, self._count = plan, 0
         self._of_fringes = frozenset(frame for fringe in plan.fringes for frame in fringe.frames)
 
@@ -35,28 +32,27 @@ class FrameStatistics:
         """Fold in the next frame (H, W), which must not be modified afterwards."""
         number = self._plan.shown[self._count]
         if number in self._of_fringes:
-            self.tiles.add(self._count, grey)
+            self.samples.tiles.add(self._count, grey)
         # A repeated pattern is only used to detect changes since it was first shown.
         if number not in self._plan.shown[: self._count]:
-            self.sample.add(grey)
-            self.coarse.add(grey)
+            self.samples.scattered.add(number, grey)
+            self.samples.grid.add(number, grey)
             self.accumulators.add(number, grey)
         self._count += 1
 
     def corrections(self) -> FrameCorrections:
         """Estimate what affected all frames: a nonlinear response, and ghosting."""
-        levels, peak, top = self.sample.levels, self.accumulators.peak, self.accumulators.brightest.max()
+        pixels, peak, top = self.samples.scattered, self.accumulators.peak, self.accumulators.brightest.max()
         top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
+        levels = pixels.levels
         response = camera_response(self._plan, levels, saturation_level(peak), float(top))
         if response:
-            light = response.light_of(self.sample.as_taken)
-            levels, peak = light.astype(np.float32), response.light_of(peak)
-        rows = self.sample.pixels // peak.shape[1]
-        return FrameCorrections(response, find_ghost(self._plan, levels, rows, saturation_level(peak)))
+            levels, peak = response.light_of(pixels.as_taken).astype(np.float32), response.light_of(peak)
+        return FrameCorrections(response, find_ghost(self._plan, levels, pixels.rows, saturation_level(peak)))
 
     def noise(self) -> NoiseModel:
         """Measure the noise of the frames as they were taken."""
-        return measure_noise(self._plan, self.sample, saturation_level(self.accumulators.peak))
+        return measure_noise(self._plan, self.samples.scattered, saturation_level(self.accumulators.peak))
 
 
 def frame_statistics(plan: SequencePlan, frames: Iterable[Image]) -> FrameStatistics:

@@ -25,18 +25,16 @@ from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import (
-    CoarseFrames,
     CodeShift,
     InconsistentPixels,
     MotionFound,
-    TileSample,
     blaming_shifts,
     broken_between,
     find_inconsistent_pixels,
     measure_motion,
     shifts_of_codes,
 )
-from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.samples import Sample, Samples
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
@@ -78,17 +76,12 @@ class Observations:
         return self.measuring_motion.result()
 
 
-def observe(
-    accumulators: Accumulators,
-    sample: Sample,
-    tiles: TileSample,
-    coarse: CoarseFrames,
-    projector_size: tuple[int, int],
-) -> Observations:
+def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[int, int]) -> Observations:
     """Equalise the frames' brightness, drop unresolved fringes and bits, and measure noise, flicker and motion.
 
     The corrections are made in the accumulators and the samples, in place.
     """
+    sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
     notes = list(_finish(accumulators, sample))
     mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
     if mosaic is not None:
@@ -101,16 +94,16 @@ def observe(
     accumulators.forget_peaks(saturation)
     shown = accumulators.plan
     noise = measure_noise(shown, sample, saturation)
-    inconsistent = _inconsistent_pixels(shown, sample, coarse, noise)
-    flicker = _equalise(accumulators, sample, tiles, coarse, inconsistent)
-    if coarse.are_divided:
+    inconsistent = _inconsistent_pixels(shown, samples, noise)
+    flicker = _equalise(accumulators, samples, inconsistent)
+    if grid.is_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
     notes += drop_lost_fringes(accumulators, noise, sample.pixels)
     notes += resolve_bits(accumulators, noise, sample.pixels)
-    if coarse.are_divided or accumulators.plan != shown:
-        inconsistent = _inconsistent_pixels(accumulators.plan, sample, coarse, noise)
+    if grid.is_divided or accumulators.plan != shown:
+        inconsistent = _inconsistent_pixels(accumulators.plan, samples, noise)
     if inconsistent is not None:
-        rests = coarse.levels[:, coarse.of(inconsistent.resting)]
+        rests = grid.levels[:, grid.of(inconsistent.resting)]
         inconsistent = inconsistent if agree(accumulators.plan, rests, noise, saturation) else None
     if inconsistent is not None:
         tiles.leave_out(inconsistent.moved)
@@ -132,14 +125,12 @@ def observe(
     )
 
 
-def _inconsistent_pixels(
-    plan: SequencePlan, sample: Sample, coarse: CoarseFrames, noise: NoiseModel
-) -> InconsistentPixels | None:
+def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel) -> InconsistentPixels | None:
     """Find moving objects; None if too few static pixels remain, or if exchanged frames explain the finding."""
-    found = find_inconsistent_pixels(plan, coarse, noise)
-    if found is None or np.count_nonzero(coarse.of(found.resting)) < FEWEST_PIXELS:
+    found = find_inconsistent_pixels(plan, samples.grid, noise)
+    if found is None or np.count_nonzero(samples.grid.of(found.resting)) < FEWEST_PIXELS:
         return None
-    levels = sample.levels[:, found.moved.reshape(-1)[sample.pixels]]
+    levels = samples.scattered.levels[:, samples.scattered.of(found.moved)]
     return None if an_exchange_explains(plan, levels, found.frames) else found
 
 
@@ -154,7 +145,7 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
     number = accumulators.plan.white
     if white == 1 or number is None:
         return
-    seen, of_patterns = (image.reshape(-1)[sample.pixels] for image in (white_frame, accumulators.brightest))
+    seen, of_patterns = map(sample.of, (white_frame, accumulators.brightest))
     sample.divide(number, np.maximum(seen, 1) / np.maximum(of_patterns, 1))
     yield (
         f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account. "
@@ -162,30 +153,23 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
     )
 
 
-def _equalise(
-    accumulators: Accumulators,
-    sample: Sample,
-    tiles: TileSample,
-    coarse: CoarseFrames,
-    inconsistent: InconsistentPixels | None,
-) -> float | None:
+def _equalise(accumulators: Accumulators, samples: Samples, inconsistent: InconsistentPixels | None) -> float | None:
     """Equalise frames that differ in brightness, in the samples and in the fringes; return the flicker, None if
     unknown.
 
     `inconsistent`: where something moved; those pixels are ignored, because motion changes their brightness.
     """
-    plan, (height, width) = accumulators.plan, accumulators.brightest.shape
+    plan, sample = accumulators.plan, samples.scattered
     found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
     if inconsistent is not None:
-        resting = lit[inconsistent.resting.reshape(-1)[sample.pixels[lit]]]
+        resting = lit[sample.of(inconsistent.resting)[lit]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
-    lit_pixels = sample.pixels[lit]
     middle, brightest = (
-        image.reshape(-1)[lit_pixels].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
+        sample.of(image)[lit].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
     )
-    places = Places(lit_pixels // width, height)
+    places = Places(sample.rows[lit], sample.shape[0])
     swings = swings_of(plan, levels[:, lit], places)
     for fold in accumulators.fringes:
         if fold.fringe in swings:
@@ -195,16 +179,9 @@ def _equalise(
                 fold.correction = correction(fold.fringe, gains, places, common, middle, brightest)
     for frames, gains in found:
         if gains.are_harmful:
-            rows = sample.pixels // width
-            by_rows = (gains.at(each) for each in (rows, coarse.rows, tiles.rows))
-            for frame, of_frame, of_coarse, of_tiles in zip(frames, *by_rows, strict=True):
-                sample.divide(frame, of_frame)
-                coarse.divide(frame, of_coarse)
-                tiles.divide(plan.shown.index(frame), of_tiles)
+            samples.equalise(plan, frames, gains)
     for group, by in outlier_groups([(frames, gains.are_harmful) for frames, gains in found], sample):
-        for frame in group:
-            sample.divide(frame, np.array([by]))
-            coarse.divide(frame, np.array([by]))
+        samples.equalise(plan, group, Gains(np.full((len(group), 1), by)))
     return flicker_of([gains for _, gains in found])
 
 
@@ -225,13 +202,12 @@ def check_and_calibrate(
     Returns the ambient light change instead if there is a harmful one to be corrected, unless `as_taken` is set.
     """
     plan, levels, moved = accumulators.plan, sample.levels, observed.moved
-    if moved is not None:
-        sample.leave_out(moved.reshape(-1)[sample.pixels])
-    x, y = signals_of(accumulators, lambda image: image.reshape(1, -1)[:, sample.pixels])
+    resting = sample if moved is None else sample.without(moved)
+    x, y = signals_of(accumulators, lambda image: resting.of(image)[None])
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # Errors in the frames are reported before any error of the calibration.
-        calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, sample.levels)
+        calibrating = aside.submit(calibrated_decoders, plan, observed.noise, observed.saturation, thin, resting.levels)
         found, switch = check_frames(
             plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
         )

@@ -26,7 +26,7 @@ from scanner.decoding.light.brightness import (
 )
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.medians import medians
-from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import MAJORITY
 
@@ -39,10 +39,10 @@ class PairEqualiser:
     The first pair is the reference, unless white and black came first.
     """
 
-    def __init__(self, plan: SequencePlan, sample: Sample, shape: tuple[int, int]) -> None:
+    def __init__(self, plan: SequencePlan, sample: Sample) -> None:
         self.found: dict[tuple[int, int], Gains] = {}
         self._plan, self._sample = plan, sample
-        self._rows, self._height = sample.pixels // shape[1], shape[0]
+        self._rows, self._height = sample.rows, sample.shape[0]
         self._total, self._pairs = np.zeros(len(self._rows), np.float32), 0
         self._swing = np.zeros_like(self._total)
         self._lit = np.arange(0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.medians import medians, robust_sigmas
-from scanner.decoding.pixel_sample import Sample
+from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, MAJORITY
 from scanner.decoding.subsampling import SEED

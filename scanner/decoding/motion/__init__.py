@@ -1,7 +1,6 @@
 """Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
 from scanner.decoding.motion.broken_fringes import broken_between
-from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.device_motion import SUSPECTED_PX, MotionFound, moved_device
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
@@ -16,18 +15,15 @@ from scanner.decoding.motion.refusals import (
     remarks_on,
 )
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
-from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits
 
 __all__ = [
     "SUSPECTED_PX",
     "UNSEEN_MOTION",
-    "CoarseFrames",
     "CodeShift",
     "Fit",
     "InconsistentPixels",
     "MotionFound",
-    "TileSample",
     "blaming_motion",
     "blaming_shifts",
     "broken_between",

@@ -11,7 +11,7 @@ import numpy as np
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
+from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.decoding.slopes import LEVEL, SLOPE
@@ -56,7 +56,7 @@ def frame_equations(
     design = _design(of_fringe, angles, len(plan.fringes))
     if len(times) <= design.shape[1]:
         return None
-    images = tiles.levels(times.tolist(), np.arange(len(tiles.tile))).reshape(len(times), -1, TILE_PX, TILE_PX)
+    images = tiles.of_frames(times.tolist(), np.arange(len(tiles.tile))).reshape(len(times), -1, TILE_PX, TILE_PX)
     blurred, by_right, by_down = (_filtered(images, *taps) for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL)))
     pixels = _pixels(plan.fringes, blurred, design, noise, _resting(tiles, images, saturation))
     if len(pixels) < FEWEST_PIXELS:

@@ -16,8 +16,8 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.light_arithmetic import RESTING, broken_fringes, contradictions, frames_of_fine_bits
+from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 
@@ -57,9 +57,9 @@ class InconsistentPixels:
         )
 
 
-def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: NoiseModel) -> InconsistentPixels | None:
+def find_inconsistent_pixels(plan: SequencePlan, grid: GridSample, noise: NoiseModel) -> InconsistentPixels | None:
     """Return the pixels where something moved; None if nothing did, or nearly all of what is lit."""
-    levels = coarse.levels
+    levels = grid.levels
     swing = np.ptp(levels, axis=0)
     lit: Bools = swing > max(FEW * float(np.quantile(swing, BRIGHTEST)), 1e-6)
     some = np.zeros_like(lit)
@@ -81,25 +81,25 @@ def find_inconsistent_pixels(plan: SequencePlan, coarse: CoarseFrames, noise: No
         corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
         corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
-    resting = coarse.at_full_size(lit & ~moved & ~_grown(inconsistent, 3))
+    resting = grid.at_full_size(lit & ~moved & ~_grown(inconsistent, 3))
     return InconsistentPixels(
-        coarse.at_full_size(moved),
-        coarse.at_full_size(corrupted),
+        grid.at_full_size(moved),
+        grid.at_full_size(corrupted),
         resting,
         share,
         tuple(sorted(frames)),
-        {} if plan.fringes or not is_transient else dict(_spoilt(coarse, groups, lit)),
+        {} if plan.fringes or not is_transient else dict(_spoilt(grid, groups, lit)),
     )
 
 
 def _spoilt(
-    coarse: CoarseFrames, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools
+    grid: GridSample, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools
 ) -> Iterator[tuple[tuple[int, ...], Bools]]:
     """Yield the frames of each group, with the pixels (H, W) at which they contradict the others and those between."""
     for frames, each in groups:
         if np.count_nonzero(each) >= SMALLEST_PATCH:
             contradicting = _any_of([each], lit)
-            yield frames, coarse.at_full_size(contradicting | patches(contradicting, lit))
+            yield frames, grid.at_full_size(contradicting | patches(contradicting, lit))
 
 
 def _any_of(of_groups: Iterable[Bools], lit: Bools) -> Bools:

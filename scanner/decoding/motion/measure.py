@@ -16,8 +16,8 @@ from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
-from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import MotionObserver, Trajectory, fits_of
+from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
 

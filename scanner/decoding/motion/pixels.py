@@ -10,7 +10,7 @@ from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.rigid import COLUMNS
-from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
+from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
 from scanner.decoding.subsampling import evenly_spread

@@ -17,8 +17,8 @@ from scanner.decoding.motion.frame_equations import FrameEquations, frame_equati
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, PRIOR_PX
 from scanner.decoding.motion.robust_fit import robust_fit
-from scanner.decoding.motion.tile_sample import TileSample
 from scanner.decoding.motion.trajectories import Trajectory
+from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, BY_CHANCE, HALF
 

@@ -9,7 +9,7 @@ import numpy as np
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import Pixels
-from scanner.decoding.motion.tile_sample import TileSample
+from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 
 # Successive fringes observe a motion between them if their responses to it differ by at least this.
@@ -58,7 +58,7 @@ def fits_of(plan: SequencePlan, tiles: TileSample, pixels: Pixels) -> FringeFits
 
     def of(fringe: Fringe) -> FringeFit:
         times, shifts = plan.times_of(fringe)
-        levels = tiles.levels(times.tolist(), pixels.number).astype(np.float64)
+        levels = tiles.of_frames(times.tolist(), pixels.number).astype(np.float64)
         return FringeFit(levels, shifts, fringe.period, pixels.noise, times)
 
     x, y = (tuple(map(of, axis.fringes)) for axis in plan.axes)

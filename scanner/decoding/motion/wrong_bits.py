@@ -9,10 +9,10 @@ from calib.numerics import Bools, median
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
-from scanner.decoding.motion.coarse_frames import CoarseFrames
 from scanner.decoding.motion.cycles import in_wrong_cycles
 from scanner.decoding.motion.inconsistent_pixels import patches
 from scanner.decoding.motion.light_arithmetic import RESTING
+from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 
 # Neighbours on a surface are not farther apart than this many cells, nor this many times the usual distance.
@@ -34,24 +34,24 @@ def mask_wrong_bits(plan: SequencePlan, maps: Maps, moved: Bools | None) -> None
 
 
 def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
-    coarse = CoarseFrames((maps.reason.shape[0], maps.reason.shape[1]))
-    reason = coarse.of(maps.reason)
-    broken = np.isin(reason, BROKEN) | _jumps(plan, coarse, maps)
+    grid = GridSample((maps.reason.shape[0], maps.reason.shape[1]))
+    reason = grid.of(maps.reason)
+    broken = np.isin(reason, BROKEN) | _jumps(plan, grid, maps)
     lit = broken | (reason == MaskReason.KEPT)
     found = patches(broken, lit)
     if np.count_nonzero(lit & ~found) < RESTING * np.count_nonzero(lit):
         return np.zeros_like(maps.reason, np.bool_)
-    return coarse.at_full_size(found)
+    return grid.at_full_size(found)
 
 
-def _jumps(plan: SequencePlan, coarse: CoarseFrames, maps: Maps) -> Bools:
+def _jumps(plan: SequencePlan, grid: GridSample, maps: Maps) -> Bools:
     """Return pixels of the grid (h, w) that are farther from their neighbour than cells explain.
 
     Pixels on a steep surface are not counted, whose steps are all alike.
     """
-    found = np.zeros(coarse.of(maps.reason).shape, np.bool_)
+    found = np.zeros(grid.of(maps.reason).shape, np.bool_)
     for number, axis in enumerate(plan.axes):
-        value = cast(Floats32, coarse.of(maps.projector_px[..., number]))
+        value = cast(Floats32, grid.of(maps.projector_px[..., number]))
         for jumps, at in ((found, value), (found.T, value.T)):
             steps = np.diff(at, axis=0)
             far = _is_far(np.abs(steps), axis.cell) & _is_far(_step_change(steps), axis.cell)

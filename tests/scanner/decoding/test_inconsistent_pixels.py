@@ -11,11 +11,12 @@ from scanner.decoding import Decoding
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion import CoarseFrames, find_inconsistent_pixels
+from scanner.decoding.motion import find_inconsistent_pixels
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
 from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained
+from scanner.decoding.samples import GridSample
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
 from tests.support.synthetic_capture import Scene, decode
@@ -111,7 +112,7 @@ def test_a_displaced_object_is_masked_at_its_old_and_new_place() -> None:
     assert wrong(decoding) < 0.005
 
 
-@pytest.mark.parametrize("first_from_end", [6, 10], ids=["only fine bits after it", "coarse ones as well"])
+@pytest.mark.parametrize("first_from_end", [6, 10], ids=["only fine bits after it", "grid ones as well"])
 def test_a_large_object_is_masked_in_codes_without_fringes(first_from_end: int) -> None:
     patterns = sequence_for(SCENE.projector, cell=2, shifts=0)
     large, lit = np.s_[20:205, 60:240], SCENE.well_lit()
@@ -192,26 +193,26 @@ def test_flicker_is_measured_even_if_all_lit_pixels_seem_to_move(
 @pytest.mark.parametrize("knocked_px", [6, 14])
 def test_a_bumped_camera_is_not_taken_for_a_moving_object(preset: PresetName, knocked_px: int) -> None:
     patterns = PRESETS[preset].patterns(SCENE.projector)
-    plan, coarse = plan_sequence(patterns, SCENE.projector), CoarseFrames(SCENE.camera[::-1])
+    plan, grid = plan_sequence(patterns, SCENE.projector), GridSample(SCENE.camera[::-1])
     first = next(number for number, pattern in enumerate(patterns) if isinstance(pattern, Phase))
     frames = [
         np.roll(frame, knocked_px, axis=1) if number >= first else frame
         for number, frame in enumerate(SCENE.frames(patterns))
     ]
     for number in range(len(plan.patterns)):
-        coarse.add(frames[plan.shown.index(number)])
-    assert find_inconsistent_pixels(plan, coarse, NoiseModel(at_black=1.0, gain=1 / 30)) is None
+        grid.add(number, frames[plan.shown.index(number)])
+    assert find_inconsistent_pixels(plan, grid, NoiseModel(at_black=1.0, gain=1 / 30)) is None
 
 
 @pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
 def test_a_grid_mask_is_enlarged_to_the_pixels_it_was_taken_from(shape: tuple[int, int]) -> None:
-    coarse = CoarseFrames(shape)
+    grid = GridSample(shape)
     row, column = np.mgrid[: shape[0], : shape[1]]
-    chosen = np.asarray(coarse.of(column), np.float64) > shape[1] / 2
-    assert np.array_equal(coarse.of(coarse.at_full_size(chosen)), chosen)
-    beside = np.abs(column - shape[1] / 2) > coarse.step
-    assert np.array_equal(coarse.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
-    assert np.array_equal(coarse.rows, coarse.of(row)[:, 0])
+    chosen = np.asarray(grid.of(column), np.float64) > shape[1] / 2
+    assert np.array_equal(grid.of(grid.at_full_size(chosen)), chosen)
+    beside = np.abs(column - shape[1] / 2) > grid.step
+    assert np.array_equal(grid.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
+    assert np.array_equal(grid.rows, grid.of(row))
 
 
 @pytest.mark.parametrize(("first_moved", "is_explained"), [(2, False), (3, False), (5, True), (9, True), (11, False)])

@@ -7,7 +7,7 @@ from calib.numerics import SIGMA_PER_MEDIAN
 from scanner.decoding.motion.fringe_fit import FringeFit
 from scanner.decoding.motion.pixels import _planes
 from scanner.decoding.motion.rigid import COLUMNS, fit_motion
-from scanner.decoding.motion.tile_sample import TILE_PX, TileSample
+from scanner.decoding.samples import TILE_PX, TileSample
 
 PERIOD, SHIFTS = 8.0, np.arange(6) / 6
 # The completed share of the motion in each frame.

@@ -1,0 +1,176 @@
+"""Samples of the frames, from which everything but the coordinates is measured: pixels at random, tiles, and a grid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Bools, Floats, Image, Ints
+from scanner.decoding.arrays import Floats32
+from scanner.decoding.light.brightness import Gains
+from scanner.decoding.light.mosaic import BAYER_PX
+from scanner.decoding.sequence_plan import SequencePlan
+from scanner.decoding.subsampling import at_random
+
+_MOST_PIXELS = 16384  # at random, so that a hundred are left in 1 % of the picture
+TILE_PX, MOST_ALONG = 10, 24  # size of a tile; largest number of tiles along each side of the image
+_MOST_OF_GRID = 224  # pixels along the longer side: smaller objects affect few matches
+
+
+class Sample:
+    """Grey levels of some pixels in the frames of a capture, each frame under a number.
+
+    `pixels` (...): flat indices into an image of `shape` (H, W); everything per pixel has their shape. `beside`:
+    samples of pixels next to these. `is_divided`: whether frames were scaled.
+    """
+
+    def __init__(self, shape: tuple[int, int], pixels: Ints, beside: Sequence["Sample"] = ()) -> None:
+        self.shape, self.pixels, self.beside = shape, pixels, tuple(beside)
+        self.rows: Ints = pixels // shape[1]
+        self.is_divided = False
+        self._frames: dict[int, NDArray[Any]] = {}
+
+    @classmethod
+    def at_random(cls, shape: tuple[int, int], *, neighbours: bool) -> Self:
+        """Sample random pixels (P,), since a regular grid could beat with the fringes.
+
+        With `neighbours` each pixel comes with one on its left and one on its right, of the same colour in a mosaic.
+        """
+        height, width = shape
+        margin = BAYER_PX if neighbours and width > 2 * BAYER_PX else 0
+        inner = width - 2 * margin
+        row, column = np.divmod(at_random(height * inner, _MOST_PIXELS), inner)
+        pixels = row * width + column + margin
+        return cls(shape, pixels, [cls(shape, pixels + by) for by in (-margin, margin) if by])
+
+    def of(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return the pixels (...) of an image (H, W)."""
+        return image.reshape(-1).take(self.pixels, mode="clip")  # all are inside; clip mode skips the bounds check
+
+    def add(self, frame: int, grey: Image) -> None:
+        """Sample a frame (H, W)."""
+        self._frames[frame] = self.of(grey)
+        for sample in self.beside:
+            sample.add(frame, grey)
+
+    def has(self, *frames: int) -> bool:
+        """Whether these frames have been added."""
+        return self._frames.keys() >= {*frames}
+
+    def level(self, frame: int) -> NDArray[Any]:
+        """Return the grey levels (...) of a frame that has been added."""
+        return self._frames[frame]
+
+    def divide(self, frame: int, by: Floats) -> None:
+        """Divide the grey levels of a frame by a factor of each pixel (...), or of all."""
+        self._frames[frame] = (self._frames[frame] / by).astype(np.float32)
+        self.is_divided = True
+        for sample in self.beside:
+            sample.divide(frame, by)
+
+    def without(self, chosen: Bools) -> "Sample":
+        """Return a sample without the chosen pixels (H, W)."""
+        kept = ~self.of(chosen)
+        found = Sample(self.shape, self.pixels[kept], [sample.without(chosen) for sample in self.beside])
+        found._frames = {frame: levels[kept] for frame, levels in self._frames.items()}
+        return found
+
+    @property
+    def as_taken(self) -> Image:
+        """(frames, ...): grey levels as the camera gave them, as long as none is divided."""
+        return np.stack([*self._frames.values()])
+
+    @property
+    def levels(self) -> Floats32:
+        """(frames, ...): grey levels."""
+        return np.stack([*self._frames.values()], dtype=np.float32)
+
+    @property
+    def curvature(self) -> Floats32 | None:
+        """(frames, ...): left − 2 · centre + right, or None without neighbours."""
+        if not self.beside:
+            return None
+        left, right = (sample.levels for sample in self.beside)
+        return left - 2 * self.levels + right
+
+
+class TileSample(Sample):
+    """Square tiles on a regular grid over the image, tile by tile (P,)."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        (top, down, rows), (left, right, columns) = map(_tiles_along, shape)
+        y = top + np.arange(rows)[:, None, None, None] * down + np.arange(TILE_PX)[:, None]
+        x = left + np.arange(columns)[:, None, None] * right + np.arange(TILE_PX)
+        super().__init__(shape, (y * shape[1] + x).reshape(-1))
+        self.count = rows * columns
+        self.resting: Bools = np.ones(self.pixels.shape, np.bool_)
+
+    def leave_out(self, moved: Bools) -> None:
+        """Exclude the pixels of the image (H, W) where objects moved from the `resting` ones (P,)."""
+        self.resting = ~cast(Bools, self.of(moved))
+
+    @property
+    def camera_px(self) -> Floats:
+        """(P, 2): camera coordinates of the pixels."""
+        return np.stack([self.pixels - self.rows * self.shape[1], self.rows], axis=1).astype(np.float64)
+
+    @property
+    def tile(self) -> Ints:
+        """(P,): the tile number of each pixel."""
+        return np.repeat(np.arange(self.count), TILE_PX**2)
+
+    def of_frames(self, frames: Sequence[int], pixels: Ints) -> Floats32:
+        """(frames, pixels): grey levels of some of the pixels."""
+        return np.stack([self.level(frame)[pixels] for frame in frames], dtype=np.float32)
+
+
+def _tiles_along(size: int) -> tuple[int, int, int]:
+    """Return the start of the first tile along a side, their spacing, and their number; no tile fits a short side."""
+    count = min(MOST_ALONG, size // TILE_PX)
+    step = size // max(count, 1)
+    return (size - count * step) // 2, step, count
+
+
+class GridSample(Sample):
+    """The image on a regular grid (h, w), to find where something moved and how large it is."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.step = max(1, -(-max(shape) // _MOST_OF_GRID))
+        row, column = (np.arange(self.step // 2, size, self.step) for size in shape)
+        super().__init__(shape, row[:, None] * shape[1] + column)
+
+    def at_full_size(self, chosen: Bools) -> Bools:
+        """Enlarge a mask of the grid (h, w) to the image (H, W), by nearest neighbour."""
+        row, column = (
+            np.minimum(np.arange(size) // self.step, count - 1)
+            for size, count in zip(self.shape, chosen.shape, strict=True)
+        )
+        enlarged: Bools = chosen[row][:, column]
+        return enlarged
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Random pixels, `scattered` over the image, `tiles` of the frames of fringes, and a `grid`.
+
+    Frames of tiles are numbered in the order in which they were taken, with repeats; the others as in the plan.
+    """
+
+    scattered: Sample
+    tiles: TileSample
+    grid: GridSample
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], *, neighbours: bool) -> Self:
+        """Return samples of images (H, W), without frames; with `neighbours` as in `Sample.at_random`."""
+        return cls(Sample.at_random(shape, neighbours=neighbours), TileSample(shape), GridSample(shape))
+
+    def equalise(self, plan: SequencePlan, frames: Sequence[int], gains: Gains) -> None:
+        """Divide some frames by their gains."""
+        for sample in (self.scattered, self.tiles, self.grid):
+            for frame, gain in zip(frames, gains.at(sample.rows), strict=True):
+                number = plan.shown.index(frame) if sample is self.tiles else frame
+                if sample.has(number):
+                    sample.divide(number, gain)
