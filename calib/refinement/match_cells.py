@@ -18,7 +18,6 @@ from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, mon
 
 _CELLS_PER_PLANE = 200
 _SAMPLE = 10_000
-_TYPICAL_SAMPLE = 100_000
 _SMALL_SAMPLE = 1_000
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
@@ -129,7 +128,7 @@ def _typical_sigma(matches: Matches, chosen: Bools) -> float:
     """Return the sigma of a match of weight 1: the median of (a sample of) the stated sigmas, 1 if none is stated."""
     if matches.sigma_px is None:
         return 1.0
-    return float(np.median(matches.sigma_px[evenly(chosen, _TYPICAL_SAMPLE)]))
+    return float(np.median(matches.sigma_px[evenly(chosen, _SAMPLE)]))
 
 
 @dataclass(frozen=True)
