@@ -128,9 +128,9 @@ def _wave(samples: Samples, steps: tuple[tuple[float, int], ...]) -> _Wave:
     angles = 2 * np.pi * np.array([shift for shift, _ in steps])
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
     levels = samples.levels[[index for _, index in steps]]
-    fitted = np.tensordot(np.linalg.pinv(design), levels, 1)
+    mean, cosine, sine = fitted = np.tensordot(np.linalg.pinv(design), levels, 1)
     worst = np.abs(levels - np.tensordot(design, fitted, 1)).max(axis=0)
-    return _Wave(*fitted, float(np.median(worst[samples.lit] / samples.swing[samples.lit])))
+    return _Wave(mean, cosine, sine, float(np.median(worst[samples.lit] / samples.swing[samples.lit])))
 
 
 def _misfit(samples: Samples, waves: Sequence[_Wave]) -> str | None:
