@@ -29,13 +29,11 @@ _MOST_PIXELS = 1000  # of the fit
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
-# Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter. The
-# right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
-# mean slope.
+# Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter, and the
+# right curve leaves a quarter of them at most, and a tenth of those before. No other cause leaves so little with a
+# curve that rises everywhere by this share of its mean slope.
 _NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
 _MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
-# Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
-_FAINT = 0.025
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
 _FULL_SCALE = 1023
@@ -81,9 +79,9 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     if found is None:
         return None
     fit = _fit_in_one_light(*found) if has_pairs else _fit([found[0]], found[1])
-    if fit.before < _NOTABLE:  # a change of ambient light explains everything
-        return None
-    if fit.after > _LEFT * fit.before or (has_pairs and fit.after > _FAINT**2 * len(found[0])):
+    notable = _NOTABLE if has_pairs else _NOTABLE_OF_BITS
+    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much.
+    if fit.before < notable or fit.after > min(notable, _LEFT * fit.before):
         return None
     return CameraResponse(fit.light / fit.light[-1], top, saturation)
 
