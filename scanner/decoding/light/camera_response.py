@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
-from scanner.decoding.light.lit_pixels import thinned, unclipped
+from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
 from scanner.patterns import Xor
@@ -66,14 +66,13 @@ class CameraResponse:
 
 
 def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top: float) -> CameraResponse | None:
-    """Estimate the response from a sample `levels` (frames, P) of all frames, up to level `top`.
+    """Estimate the response from the levels (frames, P) of lit pixels below `saturation`, in all frames, up to `top`.
 
     None if the sums are equal without it, or not equal with it.
     """
-    lit = unclipped(levels, saturation)
-    if lit.shape[1] < FEWEST_PIXELS:
+    if levels.shape[1] < FEWEST_PIXELS:
         return None
-    seen = lit / np.float32(top)
+    seen = levels / np.float32(top)
     has_pairs = len(plan.complements) >= MAJORITY
     found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
