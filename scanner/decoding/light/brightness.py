@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median, reweighted
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
@@ -84,6 +84,15 @@ class Gains:
         factors = of_rows.min(axis=0) / of_rows[frame]
         result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
         return result
+
+
+def left_by_gains(levels: Floats32, common: Floats32) -> Floats:
+    """Return what is left of the `common` light (P,) without frames (N, P), each of the brightness that leaves least.
+
+    By least squares relative to the light.
+    """
+    frames = (levels / np.maximum(common, NEGLIGIBLE)).astype(np.float64)
+    return common * _without(frames, np.ones(len(common)))
 
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:

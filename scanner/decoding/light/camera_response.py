@@ -9,6 +9,7 @@ g(I).
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import exp
 from typing import cast
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
@@ -32,7 +34,7 @@ _FINE_BITS, _GROUPS = 4, 16
 # Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter, and the
 # right curve leaves a quarter of them at most, and a tenth of those before. No other cause leaves so little with a
 # curve that rises everywhere by this share of its mean slope.
-_NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
+_NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.15, 0.03
 _MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
@@ -79,8 +81,10 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
         return None
     fit = _fit_in_one_light(*found) if has_pairs else _fit([found[0]], found[1])
     notable = _NOTABLE if has_pairs else _NOTABLE_OF_BITS
-    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much.
-    if fit.before < notable or fit.after > min(notable, _LEFT * fit.before):
+    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
+    # of the frames is likelier if it leaves less.
+    left = min(notable, _LEFT * fit.before, _left_by_gains(plan, seen) if has_pairs else notable)
+    if fit.before < notable or fit.after > left:
         return None
     return CameraResponse(fit.light / fit.light[-1], top, saturation)
 
@@ -95,10 +99,17 @@ class _Fit:
 
 
 def _fit(groups: list[Floats], swing: Floats) -> _Fit:
-    """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal."""
+    """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal.
+
+    A curve that is flat where the levels are would level anything. What it leaves is therefore divided by the square of
+    the geometric mean of its slopes there, relative to its swing, as the likelihood of a transformation is (Box and
+    Cox, JRSS B 26, 1964).
+    """
     light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
-    return _Fit(light, before, after)
+    seen = np.concatenate(groups).mean(axis=(0, 1))
+    slopes = np.gradient(light) / np.gradient(_LINEAR) * np.mean(swing @ _LINEAR) / np.mean(swing @ light)
+    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(slopes)) / float(seen.sum())))
 
 
 def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
@@ -132,6 +143,14 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | Non
         return None
     swing = _interpolation(brightest) - _interpolation(darkest)
     return _interpolation(some[first]) + _interpolation(some[second]), swing
+
+
+def _left_by_gains(plan: SequencePlan, seen: Floats32) -> float:
+    """Return how uneven the sums of pairs are, at pixels `seen` (frames, P), once all frames are equally bright."""
+    some = thinned(seen, _MOST_PIXELS)
+    pairs = np.array(plan.complements)
+    usual = some[pairs].sum(axis=1).mean(axis=0)
+    return _unevenness(np.stack([left_by_gains(some[pair], usual) for pair in pairs]), np.ptp(some, axis=0))
 
 
 def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:

@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.bits_without_inverse import TAILS
+from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
@@ -97,12 +98,7 @@ def _off_common(frames: tuple[int, ...], common: Floats32) -> Off:
 
 def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
     """Return what is left of the contradiction with optimal gains of the frames."""
-    if len(frames) == 1:
-        return np.inf
-    light = np.mean(seen, axis=0)
-    design = (seen[list(frames)] / light).T.astype(np.float64)
-    gains = np.linalg.lstsq(design, np.ones(len(design)), rcond=None)[0]
-    return float(np.mean((light * (design @ gains - 1)) ** 2))
+    return np.inf if len(frames) == 1 else float(np.mean(left_by_gains(seen[list(frames)], np.mean(seen, axis=0)) ** 2))
 
 
 def _off_two_levels(white: int, black: int, bit: int) -> Off:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.medians import robust_sigmas
+from scanner.decoding.medians import medians, robust_sigmas
 from scanner.decoding.pixel_sample import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, MAJORITY
@@ -70,7 +70,7 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
         rows = zip(levels, curvature, strict=True)
         repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
     means, differences = (np.stack(parts)[:, unsaturated] for parts in zip(*repeats, strict=True))
-    noise = _fit(*_variance_by_level(means.mean(axis=0), differences))
+    noise = _fit(*_variance_by_level(medians(means, axis=0), differences))
     return replace(noise, stray=min(max(_ROUNDING, STRAY_PART * contrast), _MOST_STRAY))
 
 
