@@ -9,7 +9,7 @@ g(I).
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp
+from math import exp, inf
 from typing import cast
 
 import numpy as np
@@ -20,14 +20,14 @@ from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
+from scanner.decoding.subsampling import TRIAL_PIXELS
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
 # the constraints relative to all pixels.
 _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
-_MOST_PIXELS = 1000  # of the fit
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
@@ -83,10 +83,9 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     notable = _NOTABLE if has_pairs else _NOTABLE_OF_BITS
     # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
     # of the frames is likelier if it leaves less.
-    left = min(notable, _LEFT * fit.before, _left_by_gains(plan, seen) if has_pairs else notable)
-    if fit.before < notable or fit.after > left:
-        return None
-    return CameraResponse(fit.light / fit.light[-1], top, saturation)
+    most = min(notable, _LEFT * fit.before, _left_by_gains(plan, seen) if has_pairs else notable)
+    is_likely = fit.before >= notable and fit.after <= most
+    return CameraResponse(fit.light / fit.light[-1], top, saturation) if is_likely else None
 
 
 @dataclass(frozen=True)
@@ -103,13 +102,16 @@ def _fit(groups: list[Floats], swing: Floats) -> _Fit:
 
     A curve that is flat where the levels are would level anything. What it leaves is therefore divided by the square of
     the geometric mean of its slopes there, relative to its swing, as the likelihood of a transformation is (Box and
-    Cox, JRSS B 26, 1964).
+    Cox, JRSS B 26, 1964). No camera is as flat as that over much of its range.
     """
     light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
     seen = np.concatenate(groups).mean(axis=(0, 1))
+    seen /= seen.sum()
     slopes = np.gradient(light) / np.gradient(_LINEAR) * np.mean(swing @ _LINEAR) / np.mean(swing @ light)
-    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(slopes)) / float(seen.sum())))
+    if seen @ (slopes < FEW) > FEW:
+        after = inf
+    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(slopes))))
 
 
 def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
@@ -136,7 +138,7 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | Non
 
     Sums (pairs, P, _LEVELS) and swings (P, _LEVELS) are linear in the values of g.
     """
-    some = thinned(seen, _MOST_PIXELS)
+    some = thinned(seen, TRIAL_PIXELS)
     first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
     darkest, brightest = some.min(axis=0), some.max(axis=0)
     if _unevenness(some[first] + some[second], brightest - darkest) < _NOTABLE:
@@ -147,7 +149,7 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | Non
 
 def _left_by_gains(plan: SequencePlan, seen: Floats32) -> float:
     """Return how uneven the sums of pairs are, at pixels `seen` (frames, P), once all frames are equally bright."""
-    some = thinned(seen, _MOST_PIXELS)
+    some = thinned(seen, TRIAL_PIXELS)
     pairs = np.array(plan.complements)
     usual = some[pairs].sum(axis=1).mean(axis=0)
     return _unevenness(np.stack([left_by_gains(some[pair], usual) for pair in pairs]), np.ptp(some, axis=0))
