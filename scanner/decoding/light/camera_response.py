@@ -20,7 +20,7 @@ from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
 from scanner.decoding.subsampling import TRIAL_PIXELS
 from scanner.patterns import Xor
 
@@ -118,7 +118,8 @@ def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
     """Fit g to all sums (sums, P, _LEVELS) or, if ambient light changed, to those before and to those after it.
 
     A change adds an unknown light to each pixel, so the evidence for it is weighed by Schwarz's criterion (BIC): −2 log
-    likelihood is the number of sums times the logarithm of what is left of them.
+    likelihood is the number of sums times the logarithm of what is left of them. As pixels are not independent, half of
+    that must go at least.
     """
     best = alike = _fit([sums], swing)
     for light in (_LINEAR, alike.light):
@@ -129,7 +130,7 @@ def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
         ]
         place = 1 + int(np.argmin(left))
         best = min(best, _fit([sums[:place], sums[place:]], swing), key=lambda fit: fit.after)
-    is_changed = best.after < alike.after * (len(sums) * len(swing)) ** (-1 / len(sums))
+    is_changed = best.after < alike.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
     return best if is_changed else alike
 
 
