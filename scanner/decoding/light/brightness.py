@@ -19,7 +19,6 @@ from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
-from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 
 # Smaller differences invert hardly any bit, and change a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
@@ -112,17 +111,13 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     groups = [order[first :: count // size] for first in range(count // size)]
     back = np.argsort(np.concatenate(groups))
     ties = _ties(size)
-    few = evenly_spread(np.arange(len(common)), TRIAL_PIXELS)
-    nothing = np.zeros((1, len(few)), np.float32)
+    nothing = np.zeros((1, len(common)), np.float32)
     # Phases and variety can only be judged on equalised frames.
-    found = Gains(np.ones((count, 1)))
+    found, alike = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
-        alike = (levels[:, few] / found.of_rows[back]).astype(np.float32)
-        guesses = [
-            (_weights(alike[group], common[few], places, nothing, ties, is_guess=True)[0], 0.0) for group in groups
-        ]
+        guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
         found = _gains(guesses, before=found)
-    alike = (levels / found.of_rows[back]).astype(np.float32)
+        alike = (levels / found.of_rows[back]).astype(np.float32)
     # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
     for _ in range(PASSES):
         cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
