@@ -110,8 +110,8 @@ def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:
 def _apart(coordinate: Floats32, px: float, period: float) -> float:
     """Return the share of neighbours along some lines of an image (H, W) that are about `px` apart."""
     steps = np.concatenate([np.abs(np.diff(lines_of(image), axis=1)).ravel() for image in (coordinate, coordinate.T)])
-    apart = np.count_nonzero(np.abs(steps - np.float32(px)) < _NEARLY * period)  # NaN is not
-    return apart / max(np.count_nonzero(np.isfinite(steps)), 1)
+    apart = int(np.count_nonzero(np.abs(steps - np.float32(px)) < _NEARLY * period))  # NaN is not
+    return apart / max(int(np.count_nonzero(np.isfinite(steps))), 1)
 
 
 class MirroredError(InputError):

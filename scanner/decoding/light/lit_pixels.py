@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import quantile
+from calib.numerics import Bools, quantile
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.significance import BRIGHTEST
 from scanner.decoding.subsampling import evenly_spread
@@ -24,7 +24,8 @@ def unclipped(levels: NDArray[Any], saturation: float) -> NDArray[np.intp]:
     """Return ascending indices of some lit pixels that stay below `saturation` in all frames, levels (frames, P)."""
     swing = np.ptp(levels, axis=0).astype(np.float32)
     lit = lit_by(swing)
-    return lit[(swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)]
+    usable: Bools = (swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)
+    return lit[usable]
 
 
 def thinned(levels: Floats32, most: int) -> Floats32:
