@@ -54,7 +54,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         lit &= power > FEW**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
-    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
+    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.wrapped(signals).positions, strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < HALF * expected:

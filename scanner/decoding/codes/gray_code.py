@@ -6,23 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.arrays import Floats32, Reasons, Words
+from scanner.decoding.mask_reasons import Against
 from scanner.decoding.sequence_plan import AxisPlan
 
-_HALF, _ONE = np.float32(0.5), np.float32(1)
+_HALF, _ONE, _NOTHING = np.float32(0.5), np.float32(1), np.uint8(0)
 
 
 @dataclass(frozen=True)
 class Interval:
     """The interval of each pixel by its Gray codes, `low` to `high` in projector pixels; arrays (P,).
 
-    `outside`: the code belongs to no projector pixel. `contradictory`: the intervals of two codes do not overlap.
+    `against`: flags of `Against`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two
+    codes do not overlap.
     """
 
     low: Floats32
     high: Floats32
-    outside: Bools
-    contradictory: Bools
+    against: Reasons
 
     @property
     def centre(self) -> Floats32:
@@ -38,7 +39,14 @@ class Interval:
     @property
     def possible(self) -> Bools:
         """True where the codes are neither outside nor contradictory."""
-        return ~(self.outside | self.contradictory)
+        possible: Bools = self.against == 0
+        return possible
+
+    @property
+    def contradictory(self) -> Bools:
+        """True where the intervals of two codes do not overlap."""
+        contradictory: Bools = self.against & np.uint8(Against.CONTRADICTORY) != 0
+        return contradictory
 
 
 def interval_of(
@@ -50,7 +58,7 @@ def interval_of(
     """
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
     low, high = np.full(pixels, first), np.full(pixels, last)
-    outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
+    against = np.empty(pixels, np.uint8)
     for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
         cell, before = np.float32(code.cell), np.float32(code.offset + 0.5)
         if undecided and number in undecided:
@@ -61,8 +69,9 @@ def interval_of(
         else:
             _narrow_to_cell(of_code, cell, before, low, high)
     # Blurred edges may leave a small gap between two codes' intervals.
-    _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
-    return Interval(low, high, outside, contradictory)
+    flags = np.uint8(Against.OUTSIDE), np.uint8(Against.CONTRADICTORY)
+    _settle(first, last, np.float32(plan.cell / 2), *flags, low, high, against)
+    return Interval(low, high, against)
 
 
 def cell_numbers(words: Words) -> Words:
@@ -124,17 +133,18 @@ def _settle(
     first: np.float32,
     last: np.float32,
     slack: np.float32,
+    outside: np.uint8,
+    contradictory: np.uint8,
     low: Floats32,
     high: Floats32,
-    outside: Bools,
-    contradictory: Bools,
+    against: Reasons,
 ) -> None:
     """Flag intervals outside `first` to `last`, and contradictory ones, which end before they
     begin; sort their ends.
     """
     for i in range(len(low)):
         start, end = low[i], high[i]
-        outside[i] = (start >= last) | (end <= first)
-        contradictory[i] = start - end > slack
+        beyond = outside if (start >= last) | (end <= first) else _NOTHING
+        against[i] = beyond | (contradictory if start - end > slack else _NOTHING)
         low[i] = min(start, end)
         high[i] = max(start, end)

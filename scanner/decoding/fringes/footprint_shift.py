@@ -19,6 +19,7 @@ from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, sha
 
 # Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.
 _REACH = 2
+_STRETCH = 64  # pixels of a row that are searched at once
 REACH_PX = 2 * _REACH
 # Largest second difference of a surface's coordinates; more is a step between surfaces, which fringe orders are not.
 MOST_BEND_PX = 1.0
@@ -114,19 +115,18 @@ def _take_out_as_around(
     In rows from `top` to `bottom`, columns from `left` to `right`.
     """
     for row in range(top, bottom):
-        of_surface, of_shift = surface[row, left:right], shift[row, left:right]
-        # Most rows have none: their column range is found by a vectorised loop.
-        first, last = np.int32(len(of_shift)), np.int32(-1)
-        for i in range(len(of_shift)):
-            is_unknown = of_surface[i] & (of_shift[i] != of_shift[i])
-            first = min(first, np.int32(i)) if is_unknown else first
-            last = max(last, np.int32(i)) if is_unknown else last
-        for i in range(left + first, left + last + 1):
-            if surface[row, i] and shift[row, i] != shift[row, i]:
-                mean = _mean_around(shift, surface, row, i)
-                value[row, i] -= mean
-                # At the rim of a surface the shift is larger than at the neighbours.
-                variance[row, i] += mean * mean
+        for start in range(left, right, _STRETCH):
+            stop = min(start + _STRETCH, right)
+            # Most stretches have none, which a vectorised loop finds out.
+            of_surface, of_shift, unknown = surface[row, start:stop], shift[row, start:stop], np.uint8(0)
+            for i in range(len(of_shift)):
+                unknown |= np.uint8(of_surface[i] & (of_shift[i] != of_shift[i]))
+            for i in range(start, stop if unknown else start):
+                if surface[row, i] and shift[row, i] != shift[row, i]:
+                    mean = _mean_around(shift, surface, row, i)
+                    value[row, i] -= mean
+                    # At the rim of a surface the shift is larger than at the neighbours.
+                    variance[row, i] += mean * mean
 
 
 @compiled
