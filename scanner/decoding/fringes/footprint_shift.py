@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
+from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift, surrounded
 
 # Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.
 _REACH = 2
@@ -25,7 +25,7 @@ REACH_PX = 2 * _REACH
 MOST_BEND_PX = 1.0
 # Share of a shift that stays uncertain: finite differences at sharp edges, and neglected higher orders.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
-_ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
+_ZERO, _AS_IT_IS, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.nan)
 
 
 def correct_shading_shift(
@@ -35,8 +35,7 @@ def correct_shading_shift(
 
     Returns the shift, NaN beside unusable pixels, where it is unknown.
     """
-    shift = shading_shift(value, log_amplitude, usable, footprint)
-    _forget(shift.ravel(), surrounded(usable, CROSS).ravel(), _ANY)
+    shift = shading_shift(value, log_amplitude, usable, footprint, np.nan)
     _take_out(shift.ravel(), value.ravel(), variance.ravel(), _AS_IT_IS)
     return shift
 
