@@ -61,13 +61,13 @@ def interval_of(
     against = np.empty(pixels, np.uint8)
     for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
         cell, before = np.float32(code.cell), np.float32(code.offset + 0.5)
-        if undecided and number in undecided:
-            numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
-            ends = numbers + 1
-            _widen(of_code, undecided[number], numbers, ends)
-            _narrow(numbers, ends, cell, before, low, high)
-        else:
-            _narrow_to_cell(of_code, cell, before, low, high)
+        where = np.flatnonzero(undecided[number] if undecided and number in undecided else ())
+        earlier = low[where], high[where]
+        _narrow(of_code, cell, before, low, high)
+        if undecided and len(where):
+            start, end = _widened(of_code[where], undecided[number][where])
+            low[where] = np.maximum(earlier[0], start * cell - before)
+            high[where] = np.minimum(earlier[1], end * cell - before)
     # Blurred edges may leave a small gap between two codes' intervals.
     flags = np.uint8(Against.OUTSIDE), np.uint8(Against.CONTRADICTORY)
     _settle(first, last, np.float32(plan.cell / 2), *flags, low, high, against)
@@ -86,35 +86,25 @@ def cell_numbers(words: Words) -> Words:
     return numbers
 
 
-def _widen(words: Words, undecided: Words, numbers: Floats32, ends: Floats32) -> None:
-    """Extend the cell range where bits of the word are undecided; all (P,), in place.
+def _widened(words: Words, undecided: Words) -> tuple[Floats32, Floats32]:
+    """Return the first cell of each word (P,), and the one after the last, if some of its bits are undecided.
 
     A single undecided bit that separates two neighbouring cells leaves both. Otherwise the stripes of the bit are not
     resolved, and all cells that share the coarser bits are possible.
     """
-    where = np.flatnonzero(undecided)
-    word, bits, number = words[where].astype(np.uint32), undecided[where].astype(np.uint32), numbers[where]
-    other = cell_numbers(word ^ bits).astype(np.float32)
+    word, bits = words.astype(np.uint32), undecided.astype(np.uint32)
+    number, other = (cell_numbers(each).astype(np.float32) for each in (word, word ^ bits))
     is_edge = (bits & (bits - np.uint32(1)) == 0) & (np.abs(other - number) == 1)
     size = np.exp2(np.floor(np.log2(bits)) + 1).astype(np.float32)
     start = np.where(is_edge, np.minimum(number, other), np.floor(number / size) * size)
-    numbers[where], ends[where] = start, start + np.where(is_edge, np.float32(2), size)
+    return start, start + np.where(is_edge, np.float32(2), size)
 
 
 @compiled
-def _narrow(
-    numbers: Floats32, ends: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32
-) -> None:
-    """Intersect the intervals with the cells `numbers` to `ends`; the code begins `before` pixels before pixel 0."""
-    for i in range(len(numbers)):
-        start, end, first, last = numbers[i] * cell - before, ends[i] * cell - before, low[i], high[i]
-        low[i] = max(first, start)
-        high[i] = min(last, end)
-
-
-@compiled
-def _narrow_to_cell(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
-    """Intersect the intervals with the cell of each of the `words` (P,), decoded as in `cell_numbers`."""
+def _narrow(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """Intersect the intervals with the cell of each of the `words` (P,), decoded as in `cell_numbers`; the code begins
+    `before` pixels before pixel 0.
+    """
     for i in range(len(words)):
         number = np.uint32(words[i])
         number ^= number >> np.uint32(1)
