@@ -1,8 +1,9 @@
 """Calibrate the decoders of both axes on a sample of the capture: tolerances, blur, response."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -20,6 +21,15 @@ from scanner.decoding.significance import ENDS, NEARLY_ALL
 from scanner.decoding.subsampling import evenly_spread
 
 
+@dataclass(frozen=True)
+class _Phases:
+    """Raw phases (P,) of a fringe in radians, with any whole cycles, and over how many cycles the pixels are spread."""
+
+    fringe: Fringe
+    phases: Floats32
+    cycles: float
+
+
 def calibrated_decoders(
     plan: SequencePlan, noise: NoiseModel, saturation: float, signals: tuple[Signals, Signals], levels: Floats32
 ) -> tuple[AxisDecoder, AxisDecoder]:
@@ -29,17 +39,15 @@ def calibrated_decoders(
     raw = [
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
-    seen = [decoder.measure(part) if decoder.plan.fringes else None for decoder, part in zip(raw, signals, strict=True)]
-    found = [*map(_with_tolerances, raw, signals, seen)]
-    ripples = _ripples(raw, signals, seen)
+    plain, phases = zip(*map(_with_tolerances, raw, signals), strict=True)
+    found, ripples = [*plain], _ripples(chain(*phases))
     if ripples:
-        rippled = [replace(each, ripple=tuple(map(ripples.get, each.plan.fringes))) for each in raw]
-        seen = [each.measure(part) if each.plan.fringes else None for each, part in zip(rippled, signals, strict=True)]
-        straightened = [*map(_with_tolerances, rippled, signals, seen)]
+        rippled = [replace(decoder, ripple=tuple(map(ripples.get, decoder.plan.fringes))) for decoder in raw]
+        straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, signals)]
         # Periods are rippled at different places, so that a right correction reduces their disagreement.
         worse = any(
             sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
-            for new, old in zip(straightened, found, strict=True)
+            for new, old in zip(straightened, plain, strict=True)
         )
         found = found if worse else straightened
     x, y = _with_response(found, signals, levels)
@@ -65,9 +73,11 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
-def _with_tolerances(decoder: AxisDecoder, signals: Signals, measured: Measured | None) -> AxisDecoder:
-    if measured is None:
-        return decoder
+def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> tuple[AxisDecoder, Iterable[_Phases]]:
+    """Return the decoder with the tolerances that it finds, and the phases that it sees."""
+    if not decoder.plan.fringes:
+        return decoder, ()
+    measured = decoder.measure(signals)
     chosen = agreeing(measured)
     variances = np.compress(chosen, measured.variances, axis=1)
     found = disagreements(measured.orders, measured.interval, chosen)
@@ -75,7 +85,8 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals, measured: Measured 
     lit, finest = measured.well_lit, _finest_seen(decoder.plan, variances)
     least = signals.least[:, lit].min(axis=0) if len(signals.least) else np.empty(0, np.float32)
     blurred = weakened(decoder.plan, least, np.sqrt(measured.power(0)[lit]))
-    return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred)
+    phases = _phases(decoder, signals, measured)
+    return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred), phases
 
 
 def _with_response(
@@ -113,28 +124,16 @@ def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     return seen
 
 
-@dataclass(frozen=True)
-class _Phases:
-    """Raw phases (P,) of a fringe in radians, with any whole cycles, and over how many cycles the pixels are spread."""
-
-    fringe: Fringe
-    phases: Floats32
-    cycles: float
-
-
-def _ripples(
-    decoders: list[AxisDecoder], signals: tuple[Signals, Signals], seen: list[Measured | None]
-) -> dict[Fringe, Floats32]:
+def _ripples(seen: Iterable[_Phases]) -> dict[Fringe, Floats32]:
     """Return the phase correction of each fringe.
 
     Fringes of equal shifts and period share it on both axes and are measured together. If the pixels see too few cycles
     of a period, or too unevenly, the correction of the next shorter period is used.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
-    for decoder, part, measured in zip(decoders, signals, seen, strict=True):
-        for phases in _phases(decoder, part, measured) if measured else ():
-            steps = len(phases.fringe.shifts)
-            groups[steps, round(phases.fringe.shifts[0] * steps % 1, 6) % 1].append(phases)
+    for phases in seen:
+        steps = len(phases.fringe.shifts)
+        groups[steps, round(phases.fringe.shifts[0] * steps % 1, 6) % 1].append(phases)
     found = {}
     for group in groups.values():
         table = None

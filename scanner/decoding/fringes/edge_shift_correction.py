@@ -64,8 +64,8 @@ def shading_shift(
 ) -> Floats32:
     """Return ∇x · V ∇ ln A (H, W), by central differences; `unknown` along the border and beside unusable pixels."""
     shift = np.full_like(value, unknown)
-    covariance = [np.float32(v / 4) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2)]
-    _multiply_slopes(value, log_amplitude, surrounded(usable, CROSS), *covariance, shift)
+    across, down, mixed = (np.float32(v / 4) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2))
+    _multiply_slopes(value, log_amplitude, surrounded(usable, CROSS), across, down, mixed, shift)
     return shift
 
 
