@@ -88,11 +88,10 @@ def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
         return fit
     motion = step.motion
     for blur_px in _COARSE_TO_FINE_PX[1:]:
-        seen = _observe_beside(scales.blurred, edges, motion, blur_px)
-        step = _least_squares(seen, expected_px)
+        step = _least_squares(_observe_beside(scales.blurred, edges, motion, blur_px), expected_px)
         motion = motion + step.motion
     # Without texture it finds spurious motion, which explains little of the differences at edges.
-    if np.abs(step.motion).max() < _SMALL_PX and seen.differ < HALF * scales.at_rest.differ:
+    if np.abs(step.motion).max() < _SMALL_PX and _explained(scales.blurred(0.0), edges, motion) > HALF:
         return replace(step, motion=motion)
     if largest_px < _SMALL_PX:
         return fit
@@ -125,6 +124,13 @@ def _observe_beside(
     """
     reach_px = REACH_PX + _REACH_OF_BLUR * blur_px if blur_px else _REACH_PX
     return _observe(blurred(blur_px), edges, edges.beside(motion, reach_px), motion, anywhere=blur_px > 0)
+
+
+def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
+    """Return the share of the squared difference of the pictures (H, W) at edges that a motion (8,) explains."""
+    shown = edges.beside(motion, _REACH_PX)
+    left, differ = (_observe(pictures, edges, shown, of).differ for of in (motion, _AT_REST))
+    return 1 - left / max(differ, 1e-12)
 
 
 def _observe(
