@@ -34,7 +34,7 @@ _BOTH = np.eye(COLUMNS)  # devices
 
 @dataclass(frozen=True)
 class Measured:
-    """The `motion` of one event, whether the fringes `contradict` rest, even if no single event explains it, and the
+    """The `motion` of one event, whether the fringes `contradicted` rest, even if no single event explains it, and the
     share `by_event` of what independent motion of all frames explains that the event explains.
     """
 
@@ -88,7 +88,7 @@ class MotionMeter:
             linear=linear,
             undecided=is_significant and (undecided or not linear),
         )
-        return Measured(found, contradicted, self._by_event(max(gained)))
+        return Measured(found, contradicted, self._by_event(max(gained)) if contradicted else 1.0)
 
     def _by_event(self, gained: float) -> float:
         """Return the share that an event explains of what independent pans and tilts of the camera explain."""
@@ -171,9 +171,9 @@ def measure_motion(
     pixels = choose_pixels(plan, tiles, signals, noise, saturation, projector_size)
     if pixels is None:
         return None
-    frames = fringe_frames(plan)
-    model = FringeModel(frames, tiles.levels(frames.times.tolist(), pixels.number).astype(np.float64))
-    measured = MotionMeter(model, pixels, (tiles.shape[::-1], projector_size), plan.repeats).measure()
+    frames, some = fringe_frames(plan), pixels.every_other
+    model = FringeModel(frames, tiles.levels(frames.times.tolist(), some.number).astype(np.float64))
+    measured = MotionMeter(model, some, (tiles.shape[::-1], projector_size), plan.repeats).measure()
     found = measured.motion
     if not measured.contradicted:
         return found

@@ -1,6 +1,6 @@
 """Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from math import sqrt
 
@@ -44,8 +44,10 @@ class Pixels:
         """(8, 2, P): the same in single precision, parts first."""
         return np.ascontiguousarray(self.by_motion.transpose(2, 1, 0), np.float32)
 
-    def __len__(self) -> int:
-        return len(self.number)
+    @property
+    def every_other(self) -> "Pixels":
+        """Half of the pixels."""
+        return Pixels(*(getattr(self, field.name)[::2] for field in fields(self)))
 
 
 def choose_pixels(
