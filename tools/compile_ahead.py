@@ -37,6 +37,8 @@ _CONFIG = Config.model_validate(
         "corner": {"squareness_deg": 0, "same": True},
     }
 )
+# Light between surfaces takes seconds to solve, and nothing compiled depends on it.
+_ROOMS = [SimulatedRigSettings(pose=pose, interreflection=False, ambient=0, furniture=False) for pose in range(2)]
 _ERROR_PX = 0.05
 _QUIET = Terminal(quiet=True)
 
@@ -75,7 +77,7 @@ def _counted(work: Callable[[], None]) -> int:
 
 def _from_frames() -> None:
     """Decode every preset, and codes without fringes, for which the calibration has to be known."""
-    with open_rig(SimulatedRigSettings(pose=1), _CAMERA_SIZE, _PROJECTOR_SIZE) as opened:
+    with open_rig(_ROOMS[1], _CAMERA_SIZE, _PROJECTOR_SIZE) as opened:
         for preset in PRESETS.values():
             matches = decode(capture(opened.rig, preset.patterns(_PROJECTOR_SIZE)), _QUIET, "Decoding").matches
         planes_at(matches.camera_px, matches.camera_px, np.zeros(len(matches.camera_px), np.int32))  # as keystone asks
@@ -89,16 +91,16 @@ def _from_matches() -> None:
     with TemporaryDirectory(prefix="roomscan-") as scratch:
         out = Path(scratch) / "result"
         with new_result(out, _CONFIG, overwrite=False, tell=_QUIET.note) as folder:
-            reconstruct([_true_matches(pose) for pose in range(2)], _CONFIG, folder, _QUIET)
+            reconstruct([_true_matches(room) for room in _ROOMS], _CONFIG, folder, _QUIET)
         FORMATS["mesh"].write(Request(out, out.with_suffix(".ply"), False))
 
 
-def _true_matches(pose: int) -> Decoded:
+def _true_matches(settings: SimulatedRigSettings) -> Decoded:
     """What is to be decoded, with noise, in the types in which the decoder gives it."""
-    room = SimulatedRoom(SimulatedRigSettings(pose=pose), _CAMERA_SIZE, _PROJECTOR_SIZE)
+    room = SimulatedRoom(settings, _CAMERA_SIZE, _PROJECTOR_SIZE)
     pixels = room.ground_truth().projector_px
     rows, columns = np.nonzero(np.isfinite(pixels).all(axis=2))
-    noise = np.random.default_rng(pose).normal(0, _ERROR_PX, (len(rows), 2))
+    noise = np.random.default_rng(settings.pose).normal(0, _ERROR_PX, (len(rows), 2))
     matches = Matches(
         np.stack([columns, rows], axis=1).astype(np.float32),
         (pixels[rows, columns] + noise).astype(np.float32),
@@ -108,7 +110,7 @@ def _true_matches(pose: int) -> Decoded:
     white = room.renderer.render(np.full((height, width), 255, np.uint8))
     photograph = np.clip(255 / white.max() * white, 0, 255).astype(np.uint8)
     metadata = CaptureMetadata(_CAMERA_SIZE, _PROJECTOR_SIZE, PRESETS["standard"].patterns(_PROJECTOR_SIZE))
-    return Decoded(metadata, matches, GivenMatches(photograph), f"Capture {pose + 1}")
+    return Decoded(metadata, matches, GivenMatches(photograph), f"Capture {settings.pose + 1}")
 
 
 if __name__ == "__main__":

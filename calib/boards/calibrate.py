@@ -27,10 +27,11 @@ from calib.boards.parameters import (
     LENS,
     PROJECTOR,
     ROTATION,
+    Placed,
     State,
     intrinsics_of,
 )
-from calib.boards.starts import rough_levels, starts
+from calib.boards.starts import best_first, rough_levels, starts
 from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES, LensPrior
 from calib.refusal import RefusalError
@@ -99,17 +100,24 @@ def calibrate_boards(
     if not begun:
         raise no_rig(None)
     found = estimated(views, begun[0].state, prior, board)
-    names, of_all = [view.name for view in found.views], found.state
+    names = [view.name for view in found.views]
+    rigid = replace(found.state, boards=tuple(Placed(each.rotation, each.middle) for each in found.state.boards))
+    minima = rigid, *(fit.state for fit in begun[1:])
 
     def anew(some: Sequence[View]) -> Estimate:
         again = starts(some, camera_size, projector_size, board.reach, prior)
-        start = again[0].state if again else of_all.of_views([names.index(view.name) for view in some])
-        return estimated(some, start, prior, board)
+        return estimated(some, again[0].state, prior, board) if again else nearby(some)
+
+    def nearby(some: Sequence[View]) -> Estimate:
+        """From the best of the minima of all views."""
+        chosen = [names.index(view.name) for view in some]
+        fits = best_first(some, [state.of_views(chosen) for state in minima], prior)
+        return estimated(some, fits[0].state, prior, board)
 
     sizes = camera_size, projector_size
     # Parameters that all boards together do not determine stay undetermined without one of them.
     refuse_untrustworthy(found, (), coverage_of(found.views, found.state, *sizes), sizes)
-    found, predictions, left_out = _without_outliers(found, anew)
+    found, predictions, left_out = _without_outliers(found, anew, nearby)
     coverage = coverage_of(found.views, found.state, *sizes)
     surprise = float(np.sqrt(np.mean([each.sigmas**2 for each in predictions])))
     enlarged = straightness(found) * (surprise if surprise > _SURPRISING else 1.0)
@@ -140,13 +148,13 @@ def estimated(views: Sequence[View], start: State, prior: Prior, board: Board) -
 
 
 def _without_outliers(
-    found: Estimate, anew: Callable[[Sequence[View]], Estimate]
+    found: Estimate, anew: Callable[[Sequence[View]], Estimate], nearby: Callable[[Sequence[View]], Estimate]
 ) -> tuple[Estimate, tuple[Prediction, ...], tuple[OutlierView, ...]]:
     """The estimate without views that the others predict badly: a board that moved, or another board."""
     left_out: list[OutlierView] = []
     most = int(_MOST_OUTLIERS * len(found.views))
     while True:
-        predictions = leave_one_out(found, anew)
+        predictions = leave_one_out(found, nearby)
         errors = np.array([prediction.error_px for prediction in predictions])
         worst = int(np.argmax(errors))
         usual = float(np.median(np.delete(errors, worst)))

@@ -65,15 +65,15 @@ class Halves:
         return float(np.sqrt(np.mean((self.difference / self.sigma) ** 2)))
 
 
-def leave_one_out(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
+def leave_one_out(found: Estimate, again: Callable[[Sequence[View]], Estimate]) -> tuple[Prediction, ...]:
     """Each view predicted by the others; empty for fewer than three.
 
-    `anew`: estimates from some of the views, from the starts on.
+    `again`: estimates from some of the views.
     """
     count = len(found.views)
     if count < 3:
         return ()
-    return tuple(_predicted(found, i, anew([*found.views[:i], *found.views[i + 1 :]])) for i in range(count))
+    return tuple(_predicted(found, i, again([*found.views[:i], *found.views[i + 1 :]])) for i in range(count))
 
 
 def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
@@ -124,7 +124,7 @@ def _variance(jacobian: Floats, covariance: Floats) -> Floats:
 
 
 def halves(found: Estimate, anew: Callable[[Sequence[View]], Estimate]) -> Halves | None:
-    """Every second view compared with the others, each half estimated `anew` as in `leave_one_out`.
+    """Every second view compared with the others, each half estimated `anew`, from the starts on.
 
     None if a half has too few views, or determines nothing.
     """

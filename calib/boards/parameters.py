@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.geometry import Intrinsics, Motion, rotation_about, tangent_basis
+from calib.geometry import Intrinsics, Motion, cross, rotation_about, tangent_basis
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Ints
 
@@ -174,7 +174,7 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     by_ray = _solved((off_ray @ along).transpose(0, 2, 1), (by_seen @ along).transpose(0, 2, 1)).transpose(0, 2, 1)
     jacobian = _by_board(board, by_seen - by_ray @ off_ray, on_board, by_bend)
     jacobian[:, :, CAMERA] = by_ray @ rays_by_camera
-    jacobian[:, :, ROTATION] = np.cross(turned[:, None], by_moved)
+    jacobian[:, :, ROTATION] = cross(turned[:, None], by_moved)
     jacobian[:, :, DIRECTION] = by_moved @ (motion.length * tangent_basis(motion.translation / motion.length))
     jacobian[:, :, LENGTH] = by_moved @ motion.translation
     jacobian[:, :, PROJECTOR] = by_device
@@ -291,7 +291,7 @@ def _by_board(board: Placed, by_point: Floats, turned: Floats, by_bend: Floats) 
     """
     by_columns = np.zeros((len(by_point), 2, SHARED + PER_VIEW))
     by_columns[:, :, BEND] = (by_point @ board.rotation[:, 2:]) * by_bend[:, None, :]
-    by_columns[:, :, SHARED : SHARED + 3] = np.cross(turned[:, None], by_point)
+    by_columns[:, :, SHARED : SHARED + 3] = cross(turned[:, None], by_point)
     by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = np.linalg.norm(board.middle) * by_point
     by_columns[:, :, SHARED + PER_POSE :] = by_columns[:, :, BEND.start : BEND.start + PER_FLEX]
     return by_columns

@@ -43,20 +43,25 @@ def starts(
     """Rough fits of the views with different focals, best first."""
     levels = rough_levels(views)
     rough = prior.knowing(_all_but(CAMERA.start + LENS.start, PROJECTOR.start + LENS.start))
-    fits = []
-    for state in _cameras(views, camera_size, reach, rough, levels):
-        candidates = [
-            minimise(views, with_projector, rough, levels, tolerance=_ROUGH, steps=_STEPS)
-            for with_projector in _projectors(views, state, projector_size)
-        ]
-        fits += [fit for fit in candidates if np.isfinite(fit.cost)]
-    return _distinct(fits)
+    states = [
+        with_projector
+        for state in _cameras(views, camera_size, reach, rough, levels)
+        for with_projector in _projectors(views, state, projector_size)
+    ]
+    return _distinct([fit for fit in best_first(views, states, rough) if np.isfinite(fit.cost)])
+
+
+def best_first(views: Sequence[View], states: Sequence[State], prior: Prior) -> list[Fit]:
+    """The rough fits that the states lead to."""
+    levels = rough_levels(views)
+    fits = [minimise(views, state, prior, levels, tolerance=_ROUGH, steps=_STEPS) for state in states]
+    return sorted(fits, key=lambda fit: fit.cost)
 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
-    """Those with other focals than better ones, best first."""
+    """Those with other focals than better ones before them."""
     distinct: list[Fit] = []
-    for fit in sorted(fits, key=lambda fit: fit.cost):
+    for fit in fits:
         focals = np.log([fit.state.camera[0], fit.state.projector[0]])
         others = (np.log([other.state.camera[0], other.state.projector[0]]) for other in distinct)
         if all(np.abs(focals - other).max() > _DIFFERENT for other in others):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from calib.numerics import Floats, Ints, biweight, influence_on, robust_covariance
 from calib.pointcloud import Plane
@@ -32,7 +33,7 @@ class PlaneForm:
 def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
     """The form of the points that a plane was fitted to, at pixels (N, 2); errors correlate in a `cluster` (N,)."""
     terms = monomials(camera_px)[:, _LINEAR:CUBIC]
-    basis, _ = np.linalg.qr(np.column_stack([plane.jacobian, terms]))
+    basis, _ = qr(np.concatenate([plane.jacobian.T, terms.T]).T, mode="economic", check_finite=False)
     # Plane and form are fitted together: under the points' weights they are not quite orthogonal.
     modes = np.sqrt(len(camera_px)) * basis
     weighted = biweight(plane.residual)[:, None] * modes

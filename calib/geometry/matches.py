@@ -1,6 +1,7 @@
 """Matches between camera and projector pixels."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -69,7 +70,7 @@ class Matches:
             raise ValueError("these matches have no face labels")
         return self.face
 
-    @property
+    @cached_property
     def on_each_face(self) -> Ints:
         """Number of matches (3,) on each face of the corner; zero without labels."""
         face = np.full(0, NO_FACE) if self.face is None else self.face

@@ -7,7 +7,7 @@ from calib.geometry.corner import Corner, depths_on_planes, leg_signs
 from calib.geometry.matches import Matches
 from calib.numerics import MEDIAN_LENGTH, Floats, evenly
 
-_SAMPLE = 50_000
+_SAMPLE = 10_000  # the median of so many lengths is known to 0.7 %
 
 
 def before_the_matches(corner: Corner, calibration: Calibration, matches: Matches) -> tuple[Corner, float]:

@@ -15,7 +15,7 @@ from calib.plane_segmentation.affine_ransac import MOST_PER_CELL, fit_cells
 _MATCHES_PER_CELL = (20, 40)  # few where there are few matches at all
 _WANTED_CELLS = 3000
 _FEWEST_PER_CELL = 8
-_MOST_CELLS = 9000
+_MOST_CELLS = 6000
 _TRIALS = 10
 _SAMPLE = 100_000
 _FEWEST_INLIERS = 0.6

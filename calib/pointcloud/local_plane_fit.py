@@ -66,7 +66,7 @@ def _fit_tile(
     window, width = 2 * half + 1, right - left
     terms = np.zeros((window + 1, 4, width + 2 * half))  # of as many rows, in turn; the last stays zero
     sums, totals = np.zeros((10, width + 2 * half)), np.empty((10, width))
-    normal, rough = np.empty((3, width)), np.empty(width)
+    normal = np.empty((3, width))
     for row in range(top - half, bottom + half):
         place = row % window
         entering = terms[place]
@@ -79,26 +79,24 @@ def _fit_tile(
         if y >= top:
             _add_along(sums, totals, window)
             centre = terms[y % window]
-            _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal, rough)
-            for axis in range(3):
-                for i in range(width):
-                    normals[y, left + i, axis] = normal[axis, i]
-            for i in range(width):
-                roughness[y, left + i] = rough[i]
-            for i in range(width):
-                count[y, left + i] = np.uint8(totals[0, i] * centre[0, half + i] + 0.5)
+            here = slice(left, right)
+            _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal, roughness[y, here], count[y, here])
+            _interleave(normal, normals[y, here])
 
 
 @compiled
 def _see(row: Floats32, left: int, focal_px: float, terms: Floats) -> None:
     """Compute 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero for missing points."""
-    for i in range(max(0, -left), min(terms.shape[1], len(row) - left)):
-        inverse = 1.0 / np.float64(row[left + i, 2])
+    # Parts are taken out of the arrays before the loop: offsets inside it kept the compiler from vectorising.
+    begin, end = max(0, -left), min(terms.shape[1], len(row) - left)
+    points, (ones, x, y, w) = row[left + begin : left + end], terms[:, begin:end]
+    for i in range(len(points)):
+        inverse = 1.0 / np.float64(points[i, 2])
         there = np.abs(inverse) < np.inf
-        terms[0, i] = 1.0 if there else 0.0
-        terms[1, i] = focal_px * row[left + i, 0] * inverse if there else 0.0
-        terms[2, i] = focal_px * row[left + i, 1] * inverse if there else 0.0
-        terms[3, i] = inverse if there else 0.0
+        ones[i] = 1.0 if there else 0.0
+        x[i] = focal_px * points[i, 0] * inverse if there else 0.0
+        y[i] = focal_px * points[i, 1] * inverse if there else 0.0
+        w[i] = inverse if there else 0.0
 
 
 @compiled
@@ -116,26 +114,32 @@ def _slide(sums: Floats, entering: Floats, leaving: Floats) -> None:
 @compiled
 def _add_along(sums: Floats, totals: Floats, window: int) -> None:
     """Running sums over `window` neighbours: (10, N + window − 1) → (10, N)."""
-    for number in range(0, len(sums), 2):  # two at a time, because each addition depends on the previous one
-        one, other = sums[number], sums[number + 1]
-        total, another = 0.0, 0.0
+    for number in range(0, len(sums), 5):  # five at a time, because each addition depends on the previous one
+        a, b, c, d, e = sums[number], sums[number + 1], sums[number + 2], sums[number + 3], sums[number + 4]
+        ta, tb, tc, td, te = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(window - 1):
-            total += one[i]
-            another += other[i]
+            ta, tb, tc, td, te = ta + a[i], tb + b[i], tc + c[i], td + d[i], te + e[i]
         for i in range(totals.shape[1]):
-            total += one[i + window - 1]
-            another += other[i + window - 1]
-            totals[number, i] = total
-            totals[number + 1, i] = another
-            total -= one[i]
-            another -= other[i]
+            j = i + window - 1
+            ta, tb, tc, td, te = ta + a[j], tb + b[j], tc + c[j], td + d[j], te + e[j]
+            totals[number, i], totals[number + 1, i], totals[number + 2, i] = ta, tb, tc
+            totals[number + 3, i], totals[number + 4, i] = td, te
+            ta, tb, tc, td, te = ta - a[i], tb - b[i], tc - c[i], td - d[i], te - e[i]
 
 
 @compiled
 def _solve(
-    totals: Floats, there: Floats, inverse_depth: Floats, focal_px: float, normal: Floats, roughness: Floats
+    totals: Floats,
+    there: Floats,
+    inverse_depth: Floats,
+    focal_px: float,
+    normal: Floats,
+    roughness: Floats32,
+    count: NDArray[np.uint8],
 ) -> None:
-    """Normals (3, N) and roughness (N,) of planes from windows' sums (10, N); `there` (N,): pixels with a point."""
+    """Normals (3, N), roughness and counts (N,) of planes from windows' sums (10, N); `there` (N,): pixels with a
+    point.
+    """
     normal_x, normal_y, normal_z = normal[0], normal[1], normal[2]
     sum_1, sum_x, sum_y, sum_w, sum_xx = totals[0], totals[1], totals[2], totals[3], totals[4]
     sum_xy, sum_xw, sum_yy, sum_yw, sum_ww = totals[5], totals[6], totals[7], totals[8], totals[9]
@@ -147,8 +151,9 @@ def _solve(
         scale = 1.0 / (xx * yy - xy * xy)
         a, b = (yy * xw - xy * yw) * scale, (xx * yw - xy * xw) * scale
         c = w - a * x - b * y
-        narrow = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
-        fits = (there[i] > 0.0) & (sum_1[i] > FEWEST_NEIGHBOURS + 0.5) & (narrow > _NARROWEST)
+        # The smaller eigenvalue is larger than this.
+        wide = (xx > _NARROWEST) & ((xx - _NARROWEST) * (yy - _NARROWEST) > xy * xy)
+        fits = (there[i] > 0.0) & (sum_1[i] > FEWEST_NEIGHBOURS + 0.5) & wide
         length = np.sqrt((a * a + b * b) * focal_px * focal_px + c * c)
         facing = -1.0 / length if fits else np.nan
         normal_x[i] = a * focal_px * facing
@@ -157,3 +162,12 @@ def _solve(
         # A depth error of one footprint, z / f, changes 1/z by 1 / (f z).
         rough = np.sqrt(max(ww - a * xw - b * yw, 0.0)) * focal_px / inverse_depth[i]
         roughness[i] = rough if fits else np.nan
+        count[i] = np.uint8(np.int32(sum_1[i] * there[i] + 0.5))
+
+
+@compiled
+def _interleave(columns: Floats, rows: Floats32) -> None:
+    """Store (3, N) as (N, 3)."""
+    x, y, z = columns[0], columns[1], columns[2]
+    for i in range(len(rows)):
+        rows[i, 0], rows[i, 1], rows[i, 2] = x[i], y[i], z[i]

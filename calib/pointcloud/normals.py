@@ -24,7 +24,7 @@ _NEIGHBOURS = 12
 # A surface seen at more than 85° from its normal cannot be distinguished from an occlusion edge.
 _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
-_SAMPLE = 200_000
+_SAMPLE = 20_000
 
 
 @dataclass(frozen=True)
@@ -41,24 +41,25 @@ class Surface:
 def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
     """Normals of points (H, W, 3) on the camera's grid, NaN where there is none; `focal_px` is the camera's."""
     planes, window = window_planes(points, focal_px, _SMALLEST_WINDOW), _SMALLEST_WINDOW
-    there = planes.count > 0
-    isolated = np.zeros(there.shape, dtype=np.bool_)
-    if not there.any():
+    isolated = np.zeros(planes.count.shape, dtype=np.bool_)
+    if not planes.count.any():
         return Surface(planes.normals, isolated)
     noise, filled = _typical(planes)
     wider = _window_for(noise, filled)
     if wider > window:
         planes, window = window_planes(points, focal_px, wider), wider
         noise, filled = _typical(planes)
-    normals = planes.normals
-    hard = np.flatnonzero(there & ~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise)))
+    normals, there = planes.normals, planes.count.ravel() > 0
+    hard = np.flatnonzero(~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise)))
+    hard = hard[there[hard]]
     if len(hard):
         spacing, cloud = max(1.0, window / float(np.sqrt(filled))), points.reshape(-1, 3)
         reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * cloud[hard, 2].astype(np.float64) / focal_px
-        marked = np.zeros(there.shape, np.uint8)
+        marked = np.zeros(isolated.shape, np.uint8)
         marked.flat[hard] = 1
         nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
-        around = np.flatnonzero(there & (nearby > 0))
+        around = np.flatnonzero(nearby)
+        around = around[there[around]]
         normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
     return Surface(normals, isolated)
 

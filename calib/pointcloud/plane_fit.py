@@ -42,20 +42,22 @@ def fit_plane(points: Floats, cluster: Ints) -> Plane:
     """
     if len(points) < 3:
         raise ValueError(f"a plane needs three points, found {len(points)}")
-    weight, normal = np.ones(len(points)), np.zeros(3)
+    middle, weight, normal = points.mean(axis=0), np.ones(len(points)), np.zeros(3)
+    rows = np.ascontiguousarray((points - middle).T)  # (3, N): several times as fast as (N, 3)
     for _ in range(_STEPS):
-        centre = np.average(points, axis=0, weights=weight)
-        from_centre = points - centre
-        spread, axes = np.linalg.eigh((weight[:, None] * from_centre).T @ from_centre)
+        centre = rows @ weight / weight.sum()
+        from_centre = rows - centre[:, None]
+        spread, axes = np.linalg.eigh((weight * from_centre) @ from_centre.T)
         if not spread[1] > 1e-12 * spread[2]:
             raise ValueError("the points are in a line, which many planes go through")
         previous, normal = normal, axes[:, 0]
-        residual = from_centre @ normal
+        residual = normal @ from_centre
         weight = biweight(residual)
         if 1 - abs(previous @ normal) < _CONVERGED**2:
             break
     # In the plane's own axes the height changes by a tilt about either of them, or by a shift.
-    jacobian = np.column_stack([from_centre @ axes[:, 1:], np.ones(len(points))])
+    jacobian = np.concatenate([axes[:, 1:].T @ from_centre, np.ones((1, len(points)))]).T
+    centre += middle
     covariance = robust_covariance(jacobian, residual, cluster)
     offset = float(normal @ centre)
     sign = -1.0 if offset > 0 else 1.0

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.geometry import FACES, Matches, nearest_depths, unproject
-from calib.numerics import Floats, Ints, compiled
+from calib.numerics import Floats, Ints, compiled, in_pieces
 from calib.refinement.likelihood import Fit
 from calib.refinement.match_cells import Cells, into_cells, joined
 from calib.refinement.parameters import FurtherPlane, State
@@ -97,8 +97,14 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
 
 def _candidates(matches: Matches, plane: Ints) -> list[int]:
     """Return planes with enough matches of which none is on a face."""
-    counts = np.zeros((max(int(plane.max(initial=-1)), 0) + 1, 2), np.int64)
-    _count(np.ascontiguousarray(plane, np.int32), np.ascontiguousarray(matches.labels, np.int32), counts)
+    size = max(int(plane.max(initial=-1)), 0) + 1
+
+    def counted(at: slice) -> Ints:
+        counts = np.zeros((size, 2), np.int64)
+        _count(np.ascontiguousarray(plane[at], np.int32), np.ascontiguousarray(matches.labels[at], np.int32), counts)
+        return counts
+
+    counts = np.sum(in_pieces(len(plane), counted), axis=0)
     return [int(label) for label in np.flatnonzero((counts[:, 0] >= _LEAST_MATCHES) & (counts[:, 1] == 0))]
 
 

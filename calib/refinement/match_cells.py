@@ -17,8 +17,7 @@ from calib.refinement.cell_sums import Raster, Reference, slots, sums_over_cells
 from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, monomials
 
 _CELLS_PER_PLANE = 200
-_SAMPLE = 10_000
-_TYPICAL_SAMPLE = 100_000
+_SAMPLE = 5_000  # the median of so many deviations is known to 1 %
 _SMALL_SAMPLE = 1_000
 _SPARSE = 0.2
 _OUTLIER_SIGMAS = 4.0
@@ -129,7 +128,7 @@ def _typical_sigma(matches: Matches, chosen: Bools) -> float:
     """Return the sigma of a match of weight 1: the median of (a sample of) the stated sigmas, 1 if none is stated."""
     if matches.sigma_px is None:
         return 1.0
-    return float(np.median(matches.sigma_px[evenly(chosen, _TYPICAL_SAMPLE)]))
+    return float(np.median(matches.sigma_px[evenly(chosen, _SAMPLE)]))
 
 
 @dataclass(frozen=True)

@@ -89,10 +89,17 @@ class Gatherer:
             sparse_matrix(
                 node[lit], texels[lit, None], (reflected * irradiance)[lit, None], (count, self.picture.texel_count)
             ),
-            sparse_matrix(node, nodes, weights * reflected[:, None], (count, self.mesh.solving_count)),
+            self._between_nodes(node, nodes, weights * reflected[:, None], count),
             np.bincount(node, share * (met == CEILING), count).astype(np.float32),
             exposed,
         )
+
+    def _between_nodes(self, node: Indices, nodes: Indices, weights: Floats, count: int) -> sparse.csr_array:
+        """Like `sparse_matrix`, by way of a full one: the rays of a node meet most solving nodes many times."""
+        solving = self.mesh.solving_count
+        place = node[:, None] * solving + nodes
+        full = np.bincount(place.ravel(), weights.ravel(), count * solving).astype(np.float32)
+        return sparse.csr_array(full.reshape(count, solving))
 
     def _rays(self, surface: Ints, support: Floats, shifts: Floats, rays: int) -> tuple[Floats, Floats]:
         """Origins and unit directions (3, nodes · rays), node by node."""

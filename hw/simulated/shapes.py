@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, compiled
 
 
 @dataclass(frozen=True)
@@ -53,42 +53,69 @@ class Block:
 
     def enter(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints]:
         """Where rays from outside enter: t (n,), infinite for a miss, and the face (n,), 0 for a miss."""
-        steps, near, far = self._slabs(origins, directions)
-        t = near.max(axis=0)
-        missed = ~((t < far.min(axis=0)) & (t > 0))
-        face = np.zeros(t.shape, np.int32)
-        struck = np.flatnonzero(~missed)
-        axis = near[:, struck].argmax(axis=0)
-        face[struck] = axis + 3 * (steps[axis, struck] < 0)
-        t[missed] = np.inf
+        t, face, far, _ = self._passage(origins, directions)
+        missed = ~((t < far) & (t > 0))
+        t[missed], face[missed] = np.inf, 0
         return t, face
 
     def leave(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints]:
         """Where rays from inside leave: t (n,) and the face (n,)."""
-        steps, _, far = self._slabs(origins, directions)
-        axis = far.argmin(axis=0)
-        rays = np.arange(axis.size)
-        face = axis + 3 * (steps[axis, rays] > 0)
-        return far[axis, rays], face.astype(np.int32)
+        _, _, t, face = self._passage(origins, directions)
+        return t, face
 
     def obstructs(self, origins: Floats, directions: Floats, start: float, end: float) -> Bools:
         """Whether each ray passes through the block between t = start and t = end, (n,)."""
-        _, near, far = self._slabs(origins, directions)
-        blocked: Bools = np.maximum(near.max(axis=0), start) < np.minimum(far.min(axis=0), end)
+        near, _, far, _ = self._passage(origins, directions)
+        blocked: Bools = np.maximum(near, start) < np.minimum(far, end)
         return blocked
 
-    def _slabs(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats, Floats]:
-        """Directions (3, n) in (a, b, c), and where each ray enters and leaves each pair of faces, (3, n) and (3, n).
+    def _passage(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints, Floats, Ints]:
+        """Where each ray enters and leaves, if it does: t (n,) and the face (n,), each."""
+        count = directions.shape[1]
+        near, far = np.empty(count), np.empty(count)
+        entered, left = np.empty(count, np.int32), np.empty(count, np.int32)
+        rays = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
+        _cross_slabs(self.inverse, self.origin, *rays, near, entered, far, left)
+        return near, entered, far, left
 
-        The slab method of Kay and Kajiya (1986).
-        """
-        local = self.coordinates(origins)
-        steps = self.inverse @ directions
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse_steps = 1.0 / steps
-            low = -local * inverse_steps
-            high = (1.0 - local) * inverse_steps
-        return steps, np.minimum(low, high), np.maximum(low, high)
+
+@compiled
+def _cross_slabs(
+    inverse: Floats,
+    origin: Floats,
+    origins: Floats,
+    directions: Floats,
+    near: Floats,
+    entered: Ints,
+    far: Floats,
+    left: Ints,
+) -> None:
+    """`_passage` by the slab method of Kay and Kajiya (1986)."""
+    from_one = origins.shape[1] == 1
+    for ray in range(directions.shape[1]):
+        start = 0 if from_one else ray
+        first, last = -np.inf, np.inf
+        into, out = 0, 0
+        for axis in range(3):
+            place = 0.0
+            step = 0.0
+            for k in range(3):
+                place += inverse[axis, k] * (origins[k, start] - origin[k])
+                step += inverse[axis, k] * directions[k, ray]
+            low = -place / step
+            high = (1.0 - place) / step
+            if low > high:
+                low, high = high, low
+            if low > first:
+                first = low
+                into = axis if step > 0 else axis + 3
+            if high < last:
+                last = high
+                out = axis + 3 if step > 0 else axis
+            if np.isnan(low):  # along a face
+                first = np.inf
+        near[ray], entered[ray] = first, into
+        far[ray], left[ray] = last, out
 
 
 @dataclass(frozen=True)

@@ -98,10 +98,8 @@ def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_si
     spread = np.maximum(np.median(np.abs(changed - np.median(changed, axis=0)), axis=0), 1e-3)
     precision = np.broadcast_to(1 / spread**2, changed.shape)
     _, group = np.unique(place[0] // _TILE_PX * width + place[1] // _TILE_PX, return_inverse=True)
-    rows = np.arange(design.shape[0] * design.shape[1])
-    return fit_motion(
-        design.reshape(len(rows), -1), changed.reshape(-1), precision.reshape(-1), rows, np.repeat(group.reshape(-1), 2)
-    )
+    rows = design.reshape(-1, design.shape[2])
+    return fit_motion(rows, changed.reshape(-1), precision.reshape(-1), np.repeat(group.reshape(-1), 2))
 
 
 def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -> Floats:

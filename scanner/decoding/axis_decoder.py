@@ -1,16 +1,15 @@
 """Decode one projector coordinate from code words and fringe components: coordinate, variance, mask reason."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from math import pi, sqrt
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32, Reasons, Words
+from scanner.decoding.arrays import Component, Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -24,12 +23,9 @@ from scanner.decoding.mask_reasons import (
     UNCERTAIN,
     Against,
     MaskReason,
-    note_codes,
     note_contrast,
-    note_indirect,
     note_inverted_bits,
     note_light,
-    note_orders,
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
@@ -39,6 +35,15 @@ from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 _CERTAIN_BIT = 1.5
 # Noise may carry a coordinate this far beyond the projector's pixels.
 EDGE_PX = 0.5
+# Coefficients of odd powers.
+_ARCTAN_1, _ARCTAN_3, _ARCTAN_5, _ARCTAN_7 = (
+    np.float32(c) for c in (0.9997878412794807, -0.3258083974640975, 0.1555786518463281, -0.04432655554792128)
+)
+_QUARTER_TURN, _HALF_TURN, _WHOLE_TURN = (np.float32(angle) for angle in (pi / 2, pi, 2 * pi))
+_FAINTEST, _ZERO = np.float32(1e-6), np.float32(0)
+
+# Variance at black, and per grey level.
+Unit = tuple[np.float32, np.float32]
 
 
 @dataclass(frozen=True)
@@ -58,20 +63,22 @@ class Coordinate:
 class Measured:
     """Code interval and unwrapped fringes of one axis at P pixels.
 
-    `variances` (fringes, P): of the coordinates, from noise. `against` (P,): flags of `Against`. `units_px2`: maps a
-    fringe's number to the variance (P,) of its coordinate at an amplitude of 1.
+    `level` (P,): as `Signals.middle`. `units_px2`: per fringe, the variance of its coordinate at an amplitude of 1: at
+    black, and per grey level. `variances` (fringes, P): of the coordinates, from noise. `against` (P,): flags of
+    `Against`.
     """
 
     interval: Interval
-    units_px2: Callable[[int], Floats32]
+    level: Floats32
+    units_px2: Sequence[Unit]
     variances: Floats32
     orders: Orders
     against: Reasons
 
     def power(self, number: int) -> Floats32:
         """Return the squared amplitude of a fringe, (P,), recovered from its variance."""
-        power = self.units_px2(number)
-        power /= self.variances[number]
+        power = np.empty_like(self.level)
+        _divide(self.level, *self.units_px2[number], self.variances[number], power)
         return power
 
     @property
@@ -106,12 +113,10 @@ class AxisDecoder:
     unchecked: Unchecked | None = None
 
     @cached_property
-    def _units_px2(self) -> list[float]:
-        """Per fringe, the variance of its coordinate where noise and amplitude are equal.
-
-        σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts.
-        """
-        return [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
+    def _units_px2(self) -> list[Unit]:
+        """As in `Measured`: σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts."""
+        units = [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
+        return [(np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)) for unit in units]
 
     @cached_property
     def _darkest_px2(self) -> np.float32:
@@ -125,52 +130,33 @@ class AxisDecoder:
     def measure(self, signals: Signals) -> Measured:
         """Unwrap the fringes at every pixel; for an axis with fringes."""
         interval = interval_of(self.plan, signals.words, len(signals.middle))
-        shape = len(self.plan.fringes), len(signals.middle)
-        variances, positions = (np.empty(shape, np.float32) for _ in range(2))
-        for k, unit in enumerate(self._units_px2):
-            cosine, sine = signals.fringe(k)
-            at_black, per_level = np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)
-            _variance(cosine, sine, signals.middle, at_black, per_level, np.float32(NEGLIGIBLE), variances[k])
-            self._position(k, cosine, sine, positions[k])
-            del cosine, sine
-        wrapped = Wrapped(positions, variances)
-        orders = unwrap(self.plan, interval, wrapped, self.tolerances, in_place=not self.plan.corrects_bits)
+        wrapped = self.wrapped(signals)
+        orders = unwrap(self.plan, interval, wrapped, self.tolerances)
         if self.plan.corrects_bits:
             resolve_contradictory_codes(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
-        del wrapped, positions
-        against = np.empty(len(signals.middle), np.uint8)
-        note_codes(interval.outside, interval.contradictory, against)
-        note_orders(orders.agree, orders.unique, against)
-        measured = Measured(interval, partial(self._unit_px2, signals.middle), variances, orders, against)
-        direct = measured.power(0)
-        direct *= np.float32(self.blurred**2)
-        note_indirect(direct, signals.brightest, signals.middle, against)
-        note_light(variances[0], self._darkest_px2, self._saturated(signals), against)
+        variances, against = wrapped.variances, interval.against | orders.against
+        del wrapped
+        at_black, per_level = (np.float32(self.blurred**2) * unit for unit in self._units_px2[0])
+        seen = variances[0], at_black, per_level, signals.brightest, signals.middle
+        note_light(*seen, signals.peak, self._darkest_px2, np.float32(self.saturation), against)
         if self.blurred > 1:
             against[self._faintly_seen(variances[0], signals)] &= np.uint8(~Against.DARK & 255)
         # Without a second period, nothing contradicts a bit that interreflection has inverted.
         for least in () if self.plan.corrects_bits else signals.least:
-            note_inverted_bits(least, direct, signals.brightest, signals.middle, against)
-        return measured
+            note_inverted_bits(*seen, least, against)
+        return Measured(interval, signals.middle, self._units_px2, variances, orders, against)
 
-    def _unit_px2(self, level: Floats32, number: int) -> Floats32:
-        """Return the variance of a fringe's coordinate at amplitude 1, from the noise at each grey level (P,)."""
-        unit = self._units_px2[number]
-        return np.float32(unit * self.noise.at_black) + np.float32(unit * self.noise.gain) * level
-
-    def positions(self, signals: Signals) -> Floats32:
-        """Return each fringe's position within its period, in projector pixels, (fringes, P)."""
-        found = np.empty((len(self.plan.fringes), len(signals.middle)), np.float32)
-        for k, position in enumerate(found):
-            self._position(k, *signals.fringe(k), position)
-        return found
-
-    def _position(self, number: int, cosine: Floats32, sine: Floats32, position: Floats32) -> None:
-        cv2.phase(cosine[None], sine[None], position[None])
-        ripple = self.ripple[number]
-        if ripple is not None:
-            _straighten(position, ripple)
-        position *= np.float32(self.plan.fringes[number].period / (2 * pi))
+    def wrapped(self, signals: Signals) -> Wrapped:
+        """Return each fringe's position within its period, and its variance."""
+        shape = len(self.plan.fringes), len(signals.middle)
+        positions, variances = (np.empty(shape, np.float32) for _ in range(2))
+        for k, (fringe, ripple) in enumerate(zip(self.plan.fringes, self.ripple, strict=True)):
+            px_per_radian = np.float32(fringe.period / (2 * pi))
+            noise = signals.middle, *self._units_px2[k]
+            _measure(*signals.corrected(k), *noise, px_per_radian, variances[k], positions[k])
+            if ripple is not None:
+                _straighten(positions[k], px_per_radian * ripple, np.float32(len(ripple) / fringe.period))
+        return Wrapped(positions, variances)
 
     def _faintly_seen(self, variance: Floats32, signals: Signals) -> Bools:
         """(P,): stripes are resolved, and the longest fringe is a little above the noise."""
@@ -179,14 +165,6 @@ class AxisDecoder:
         # The stripes show that the pixel is lit, so that fewer standard deviations suffice.
         seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
         return seen
-
-    def _saturated(self, signals: Signals) -> Bools:
-        # Compare in the image's own type: comparing bytes with a float would convert all of them.
-        peak = signals.peak
-        if self.saturation > np.iinfo(peak.dtype).max:
-            return np.zeros(peak.shape, np.bool_)
-        saturated: Bools = peak >= peak.dtype.type(self.saturation)
-        return saturated
 
     def _from_fringes(self, signals: Signals) -> Coordinate:
         measured = self.measure(signals)
@@ -202,7 +180,7 @@ class AxisDecoder:
             correct_systematic(periods, coordinates, variances, usable, signals.shape)
         elif self.unchecked is not None:
             self.unchecked.add_to(variances[0], coordinates[0])
-        value, variance = coordinates[0].copy(), variances[0].copy()
+        value, variance = coordinates[0], variances[0]
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
         centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + EDGE_PX)
@@ -222,13 +200,11 @@ class AxisDecoder:
             if fine
         }
         interval = interval_of(self.plan, signals.words, len(signals.middle), undecided)
-        against = np.empty(len(signals.middle), np.uint8)
-        note_codes(interval.outside, interval.contradictory, against)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
-            note_contrast(least, least_certain, contrast, least_seen, against)
-        variance = interval.variance(self.plan.cell)
+            note_contrast(least, least_certain, contrast, least_seen, interval.against)
+        variance, reason = interval.variance(self.plan.cell), reasons_of(interval.against)
         shape = signals.shape
-        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reasons_of(against).reshape(shape))
+        return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reason.reshape(shape))
 
 
 def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats32) -> Words:
@@ -261,27 +237,51 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 
 @compiled
-def _variance(
-    cosine: Floats32,
-    sine: Floats32,
+def _measure(
+    cosine: Component,
+    sine: Component,
+    scale: np.float32,
     level: Floats32,
     at_black: np.float32,
     per_level: np.float32,
-    faintest: np.float32,
+    px_per_radian: np.float32,
     variance: Floats32,
+    position: Floats32,
 ) -> None:
-    """Compute the variance (P,) of a fringe's coordinate from noise that grows with the grey level."""
-    for i in range(len(cosine)):
-        power = max(cosine[i] * cosine[i] + sine[i] * sine[i], faintest)
-        variance[i] = (at_black + per_level * level[i]) / power
+    """Compute a fringe's position (P,) within its period from its components (H, W), and its variance (P,) from noise
+    that grows with the grey level.
+
+    The polynomial gives the arc tangent of 0 to 1 to 1.7e-4 (that of `cv2.phase`).
+    """
+    height, width = cosine.shape
+    for row in range(height):
+        of_cosine, of_sine, part = cosine[row], sine[row], slice(row * width, (row + 1) * width)
+        of_level, of_variance, of_position = level[part], variance[part], position[part]
+        for i in range(width):
+            across, up = scale * np.float32(of_cosine[i]), scale * np.float32(of_sine[i])
+            of_variance[i] = (at_black + per_level * of_level[i]) / max(across * across + up * up, _FAINTEST)
+            larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
+            ratio = smaller / max(larger, _FAINTEST)
+            square = ratio * ratio
+            angle = (((_ARCTAN_7 * square + _ARCTAN_5) * square + _ARCTAN_3) * square + _ARCTAN_1) * ratio
+            angle = _QUARTER_TURN - angle if abs(up) > abs(across) else angle
+            angle = _HALF_TURN - angle if across < _ZERO else angle
+            of_position[i] = px_per_radian * (_WHOLE_TURN - angle if up < _ZERO else angle)
 
 
 @compiled
-def _straighten(phase: Floats32, ripple: Floats32) -> None:
-    """Add a correction table over one cycle, whose length is a power of two, to the phase (P,)."""
-    last, steps_per_radian = np.int32(len(ripple) - 1), np.float32(len(ripple) / (2 * pi))
-    for i in range(len(phase)):
-        phase[i] += ripple[np.int32(phase[i] * steps_per_radian) & last]
+def _straighten(position: Floats32, ripple: Floats32, steps_per_px: np.float32) -> None:
+    """Add a correction table over one period, whose length is a power of two, to the positions (P,)."""
+    last = np.int32(len(ripple) - 1)
+    for i in range(len(position)):
+        position[i] += ripple[np.int32(position[i] * steps_per_px) & last]
+
+
+@compiled
+def _divide(level: Floats32, at_black: np.float32, per_level: np.float32, variance: Floats32, power: Floats32) -> None:
+    """Divide the variance at an amplitude of 1 by the actual one; (P,)."""
+    for i in range(len(power)):
+        power[i] = (at_black + per_level * level[i]) / variance[i]
 
 
 @compiled

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, compiled
+from calib.numerics import Image
 from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Component, Floats32, Words
 from scanner.decoding.light.equalise import Correction
@@ -42,14 +42,19 @@ class Signals:
 
     def fringe(self, number: int) -> tuple[Floats32, Floats32]:
         """Return the components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
-        levels = np.empty((2, *self.shape), np.float32)
-        for of_component, component in zip(levels, self.components[number], strict=True):
-            _in_levels(component, np.float32(self.scales[number]), of_component)
-        cosine, sine = levels.reshape(2, -1)
+        scale = np.float32(self.scales[number])
+        cosine, sine = ((scale * part.astype(np.float32)).reshape(-1) for part in self.components[number])
         correction = self.corrections[number]
         if correction is None:
             return cosine, sine
         return correction.apply(cosine, sine, self.middle, self.brightest, self.rows)
+
+    def corrected(self, number: int) -> tuple[Component, Component, np.float32]:
+        """Return the components of a fringe, (H, W) each, and the factor by which they are in grey levels."""
+        if self.corrections[number] is None:
+            return *self.components[number], np.float32(self.scales[number])
+        cosine, sine = self.fringe(number)
+        return cosine.reshape(self.shape), sine.reshape(self.shape), np.float32(1)
 
 
 def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
@@ -78,7 +83,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             rows,
             brightest,
             half_lit,
-            peak.reshape(-1),
+            np.ascontiguousarray(peak).reshape(-1),
             exposure,
         )
 
@@ -91,13 +96,3 @@ def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:
     for row, image in zip(stack, images, strict=True):
         row[:] = image
     return stack.reshape(len(images), shape[0] * shape[1])
-
-
-@compiled
-def _in_levels(component: Component, scale: np.float32, levels: Floats32) -> None:
-    """Multiply a component (H, W) by its scale."""
-    height, width = component.shape
-    for row in range(height):
-        of_row, into = component[row], levels[row]
-        for i in range(width):
-            into[i] = scale * np.float32(of_row[i])

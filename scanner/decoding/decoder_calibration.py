@@ -1,11 +1,10 @@
 """Calibrate the decoders of both axes on a sample of the capture: tolerances, blur, response."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import cast
+from itertools import chain
 
-import cv2
 import numpy as np
 
 from calib.numerics import Bools, median
@@ -19,6 +18,16 @@ from scanner.decoding.fringes.single_fringe import FringeSample, Unchecked, is_u
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 from scanner.decoding.significance import ENDS, NEARLY_ALL
+from scanner.decoding.subsampling import evenly_spread
+
+
+@dataclass(frozen=True)
+class _Phases:
+    """Raw phases (P,) of a fringe in radians, with any whole cycles, and over how many cycles the pixels are spread."""
+
+    fringe: Fringe
+    phases: Floats32
+    cycles: float
 
 
 def calibrated_decoders(
@@ -30,18 +39,18 @@ def calibrated_decoders(
     raw = [
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
-    plain = [_with_tolerances(decoder, part) for decoder, part in zip(raw, signals, strict=True)]
-    ripples = _ripples(plain, signals)
-    straightened = [
-        _with_tolerances(replace(decoder, ripple=tuple(ripples.get(fringe) for fringe in decoder.plan.fringes)), part)
-        for decoder, part in zip(raw, signals, strict=True)
-    ]
-    # Periods are rippled at different places, so that a right correction reduces their disagreement.
-    worse = any(
-        sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
-        for new, old in zip(straightened, plain, strict=True)
-    )
-    x, y = _with_response(plain if worse else straightened, signals, levels)
+    plain, phases = zip(*map(_with_tolerances, raw, signals), strict=True)
+    found, ripples = [*plain], _ripples(chain(*phases))
+    if ripples:
+        rippled = [replace(decoder, ripple=tuple(map(ripples.get, decoder.plan.fringes))) for decoder in raw]
+        straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, signals)]
+        # Periods are rippled at different places, so that a right correction reduces their disagreement.
+        worse = any(
+            sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
+            for new, old in zip(straightened, plain, strict=True)
+        )
+        found = found if worse else straightened
+    x, y = _with_response(found, signals, levels)
     return x, y
 
 
@@ -64,18 +73,20 @@ def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
-def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> AxisDecoder:
+def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> tuple[AxisDecoder, Iterable[_Phases]]:
+    """Return the decoder with the tolerances that it finds, and the phases that it sees."""
     if not decoder.plan.fringes:
-        return decoder
+        return decoder, ()
     measured = decoder.measure(signals)
     chosen = agreeing(measured)
-    variances = measured.variances[:, chosen]
+    variances = np.compress(chosen, measured.variances, axis=1)
     found = disagreements(measured.orders, measured.interval, chosen)
     tolerances = measured_tolerances(decoder.plan, found, variances)
     lit, finest = measured.well_lit, _finest_seen(decoder.plan, variances)
     least = signals.least[:, lit].min(axis=0) if len(signals.least) else np.empty(0, np.float32)
     blurred = weakened(decoder.plan, least, np.sqrt(measured.power(0)[lit]))
-    return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred)
+    phases = _phases(decoder, signals, measured)
+    return replace(decoder, tolerances=tolerances, finest=finest, blurred=blurred), phases
 
 
 def _with_response(
@@ -108,54 +119,40 @@ def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """Return the index of the shortest fringe that is resolved at nearly all sample pixels."""
     seen = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
-        if variance.size and np.quantile(variance, NEARLY_ALL) <= largest_variance(fringe):
+        if variance.size and np.mean(variance <= np.float32(largest_variance(fringe))) >= NEARLY_ALL:
             seen = number
     return seen
 
 
-@dataclass(frozen=True)
-class _Phases:
-    """Raw phases (P,) of a fringe in radians, and the number of cycles over which the pixels are spread."""
-
-    fringe: Fringe
-    phases: Floats32
-    cycles: float
-
-
-def _ripples(decoders: list[AxisDecoder], signals: tuple[Signals, Signals]) -> dict[Fringe, Floats32]:
+def _ripples(seen: Iterable[_Phases]) -> dict[Fringe, Floats32]:
     """Return the phase correction of each fringe.
 
     Fringes of equal shifts and period share it on both axes and are measured together. If the pixels see too few cycles
     of a period, or too unevenly, the correction of the next shorter period is used.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
-    for decoder, part in zip(decoders, signals, strict=True):
-        for seen in _phases(decoder, part):
-            steps = len(seen.fringe.shifts)
-            groups[steps, round(seen.fringe.shifts[0] * steps % 1, 6) % 1].append(seen)
+    for phases in seen:
+        steps = len(phases.fringe.shifts)
+        groups[steps, round(phases.fringe.shifts[0] * steps % 1, 6) % 1].append(phases)
     found = {}
     for group in groups.values():
         table = None
-        for period in sorted({seen.fringe.period for seen in group}):
-            alike = [seen for seen in group if seen.fringe.period == period]
-            if sum(seen.cycles for seen in alike) >= ENOUGH_CYCLES:
-                own = straightening(alike[0].fringe, [seen.phases for seen in alike])
+        for period in sorted({phases.fringe.period for phases in group}):
+            alike = [phases for phases in group if phases.fringe.period == period]
+            if sum(each.cycles for each in alike) >= ENOUGH_CYCLES:
+                own = straightening(alike[0].fringe, [each.phases for each in alike])
                 table = table if own is None else own
             if table is not None:
-                found.update({seen.fringe: table for seen in alike})
+                found.update({each.fringe: table for each in alike})
     return found
 
 
-def _phases(decoder: AxisDecoder, signals: Signals) -> Iterator[_Phases]:
-    if not decoder.plan.fringes:
-        return
-    measured = decoder.measure(signals)
+def _phases(decoder: AxisDecoder, signals: Signals, measured: Measured) -> Iterator[_Phases]:
     # Judged by the fringes themselves, saturation would depend on the phase.
     lit = measured.well_lit & (signals.brightest < decoder.saturation)
-    coordinates = measured.orders.coordinates[:, agreeing(measured)]
-    for number, (fringe, coordinate) in enumerate(zip(decoder.plan.fringes, coordinates, strict=True)):
-        if can_ripple(fringe) and len(coordinate):
-            cosine, sine = signals.fringe(number)
-            first, last = np.quantile(coordinate, ENDS)
-            phases = cast(Floats32, cv2.phase(cosine[None], sine[None])[0])
-            yield _Phases(fringe, phases[lit], float(last - first) / fringe.period)
+    agrees = agreeing(measured)
+    for fringe, coordinate in zip(decoder.plan.fringes, measured.orders.coordinates, strict=True):
+        if can_ripple(fringe) and agrees.any():
+            first, last = np.quantile(evenly_spread(coordinate[agrees]), ENDS)
+            phases = np.float32(2 * np.pi / fringe.period) * coordinate[lit]
+            yield _Phases(fringe, phases, float(last - first) / fringe.period)

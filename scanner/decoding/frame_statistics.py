@@ -12,6 +12,7 @@ from scanner.decoding.frame_corrections import FrameCorrections
 from scanner.decoding.light.camera_response import camera_response
 from scanner.decoding.light.equalise import PairEqualiser
 from scanner.decoding.light.ghost import find_ghost
+from scanner.decoding.light.lit_pixels import unclipped
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.samples import Samples
@@ -43,12 +44,13 @@ class FrameStatistics:
     def corrections(self) -> FrameCorrections:
         """Estimate what affected all frames: a nonlinear response, and ghosting."""
         pixels, peak, top = self.samples.scattered, self.accumulators.peak, self.accumulators.brightest.max()
+        taken, saturation = pixels.as_taken, saturation_level(peak)
+        lit = unclipped(taken, saturation)
+        seen = taken[:, lit]
         top = np.iinfo(np.uint8).max if top.dtype == np.uint8 else top
-        levels = pixels.levels
-        response = camera_response(self._plan, levels, saturation_level(peak), float(top))
-        if response:
-            levels, peak = response.light_of(pixels.as_taken).astype(np.float32), response.light_of(peak)
-        return FrameCorrections(response, find_ghost(self._plan, levels, pixels.rows, saturation_level(peak)))
+        response = camera_response(self._plan, seen.astype(np.float32), saturation, float(top))
+        light = response.light_of(seen) if response else seen
+        return FrameCorrections(response, find_ghost(self._plan, light.astype(np.float32), pixels.rows[lit]))
 
     def noise(self) -> NoiseModel:
         """Measure the noise of the frames as they were taken."""

@@ -10,7 +10,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Ints, compiled
+from calib.numerics import Image, Ints, compiled
 from scanner.decoding.arrays import Floats32, Reasons
 
 
@@ -73,7 +73,7 @@ _TABLE = np.array(
 UNCERTAIN = Against.DISAGREES | Against.AMBIGUOUS
 NOT_LIT = Against.DARK | Against.SATURATED
 
-_DARK, _SATURATED, _UNDECIDED, _INDIRECT, _OUTSIDE, _DISAGREES, _AMBIGUOUS, _CONTRADICTORY = map(np.uint8, Against)
+_DARK, _SATURATED, _UNDECIDED, _INDIRECT, *_ = map(np.uint8, Against)
 _NOTHING, _DOUBTFUL = map(np.uint8, (Against(0), UNCERTAIN | Against.CONTRADICTORY))
 _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 
@@ -92,49 +92,48 @@ def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints
 
 
 @compiled
-def note_codes(outside: Bools, contradictory: Bools, against: Reasons) -> None:
-    """Initialise the flags from the codes; all (P,)."""
-    for i in range(len(against)):
-        against[i] = (_OUTSIDE if outside[i] else _NOTHING) | (_CONTRADICTORY if contradictory[i] else _NOTHING)
+def note_light(
+    variance: Floats32,
+    at_black: np.float32,
+    per_level: np.float32,
+    brightest: Floats32,
+    middle: Floats32,
+    peak: Image,
+    darkest: np.float32,
+    saturation: np.float32,
+    against: Reasons,
+) -> None:
+    """Flag pixels where the longest fringe is not seen, or a fringe is clipped, and doubtful ones where direct light
+    (twice the amplitude) is less than half of all light.
 
-
-@compiled
-def note_orders(agree: Bools, unique: Bools, against: Reasons) -> None:
-    """Flag pixels where no fringe order agrees, or more than one."""
-    for i in range(len(against)):
-        against[i] |= (_NOTHING if agree[i] else _DISAGREES) | (_NOTHING if unique[i] else _AMBIGUOUS)
-
-
-@compiled
-def note_light(variance: Floats32, darkest: np.float32, saturated: Bools, against: Reasons) -> None:
-    """Flag pixels where the longest fringe is not seen, or a fringe is clipped."""
-    for i in range(len(against)):
-        against[i] |= (_DARK if variance[i] > darkest else _NOTHING) | (_SATURATED if saturated[i] else _NOTHING)
-
-
-@compiled
-def note_indirect(power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons) -> None:
-    """Flag doubtful pixels where direct light (twice the amplitude) is less than half of all light.
-
-    `power` (P,): squared amplitude of fringes too short for interreflection to transport, which separate direct from
-    global light (Nayar et al., SIGGRAPH 2006).
+    The amplitude is that of fringes too short for interreflection to transport, which separate direct from global light
+    (Nayar et al., SIGGRAPH 2006). Its square divides their variance: `at_black` and `per_level` are those of an
+    amplitude of 1.
     """
     for i in range(len(against)):
-        half_of_all = brightest[i] - middle[i]
-        indirect = (half_of_all * half_of_all > _FOUR * power[i]) & (against[i] & _DOUBTFUL != 0)
-        against[i] |= _INDIRECT if indirect else _NOTHING
+        half_of_all, power = brightest[i] - middle[i], (at_black + per_level * middle[i]) / variance[i]
+        indirect = (half_of_all * half_of_all > _FOUR * power) & (against[i] & _DOUBTFUL != 0)
+        saturated = _SATURATED if np.float32(peak[i]) >= saturation else _NOTHING
+        against[i] |= saturated | (_DARK if variance[i] > darkest else _NOTHING) | (_INDIRECT if indirect else _NOTHING)
 
 
 @compiled
 def note_inverted_bits(
-    least: Floats32, power: Floats32, brightest: Floats32, middle: Floats32, against: Reasons
+    variance: Floats32,
+    at_black: np.float32,
+    per_level: np.float32,
+    brightest: Floats32,
+    middle: Floats32,
+    least: Floats32,
+    against: Reasons,
 ) -> None:
     """Flag pixels where global light exceeds direct light by at least a bit's contrast, and may have inverted the bit.
 
     `least` (P,): smallest contrast of a code's bits (Xu and Aliaga, 2007).
     """
     for i in range(len(against)):
-        excess = _TWO * (brightest[i] - middle[i]) - _FOUR * np.sqrt(power[i])
+        power = (at_black + per_level * middle[i]) / variance[i]
+        excess = _TWO * (brightest[i] - middle[i]) - _FOUR * np.sqrt(power)
         against[i] |= _INDIRECT if (excess > _ZERO) & (least[i] <= excess) else _NOTHING
 
 

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ _ENDS, _FAINT, _NEITHER = (0.1, 0.9), 0.5, 0.45
 _LEAST_OF_EACH = 0.02
 _SMOOTHED = (5, 5)
 _STEPS_OF_CYCLE = 128  # steps per cycle; gamma shifts fringes of three steps by hundredths of a cycle
+_KEPT = 64  # results of the last orders: most orders differ from another one along one axis only
 
 
 @dataclass(frozen=True)
@@ -44,18 +46,27 @@ def coordinates(samples: Samples, patterns: Sequence[Pattern], axis: Axis) -> Co
 
     Returns None if the axis has neither, or a problem in words.
     """
+    ours = ((i, p) for i, p in enumerate(patterns) if isinstance(p, White | Black) or p.axis == axis)
+    return _coordinates(samples, tuple(ours), axis)
+
+
+_Shown = tuple[tuple[int, Pattern], ...]  # frames by their numbers
+
+
+@lru_cache(_KEPT)
+def _coordinates(samples: Samples, shown: _Shown, axis: Axis) -> Coordinates | str | None:
+    """`coordinates` from the frames of the axis, white and black."""
     fringes: dict[float, list[tuple[float, int]]] = defaultdict(list)
-    for index, pattern in enumerate(patterns):
-        if isinstance(pattern, Phase) and pattern.axis == axis:
+    for index, pattern in shown:
+        if isinstance(pattern, Phase):
             fringes[pattern.period].append((pattern.shift, index))
-    waves = {period: _Wave(samples, shown) for period, shown in fringes.items()}
+    waves = {period: _wave(samples, tuple(steps)) for period, steps in fringes.items()}
     wrong = _misfit(samples, list(waves.values()))
     if wrong:
         return f"the fringes of {axis} {wrong}"
-    bits = [pattern for pattern in patterns if isinstance(pattern, Gray) and pattern.axis == axis]
     codes: dict[tuple[int, int], Coordinates] = {}
-    for numbering in dict.fromkeys((bit.cell, bit.offset) for bit in bits):
-        code = _code(samples, patterns, axis, numbering)
+    for numbering in dict.fromkeys((bit.cell, bit.offset) for _, bit in shown if isinstance(bit, Gray)):
+        code = _code(samples, shown, axis, numbering)
         if isinstance(code, str):
             return code
         codes[numbering] = code
@@ -93,15 +104,17 @@ def _runs_back(cycles: Floats, middle: Floats, certain: Bools) -> bool:
     return both < 0
 
 
+@dataclass(frozen=True)
 class _Wave:
-    """Of a period: mean level (H, W), cosine and sine of the phase times the amplitude, and the residual."""
+    """Of a period: mean level (H, W), cosine and sine of the phase times the amplitude.
 
-    def __init__(self, samples: Samples, shown: Sequence[tuple[float, int]]) -> None:
-        angles = 2 * np.pi * np.array([shift for shift, _ in shown])
-        design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-        levels = samples.levels[[index for _, index in shown]]
-        self.mean, self.cosine, self.sine = np.tensordot(np.linalg.pinv(design), levels, 1)
-        self.rest = levels - np.tensordot(design, np.stack([self.mean, self.cosine, self.sine]), 1)
+    `misfit`: the median of the largest residuals of lit pixels, relative to their swing.
+    """
+
+    mean: Floats
+    cosine: Floats
+    sine: Floats
+    misfit: float
 
     def cycles(self) -> Floats:
         """The phase (H, W)."""
@@ -109,10 +122,21 @@ class _Wave:
         return cycles
 
 
+@lru_cache(_KEPT)
+def _wave(samples: Samples, steps: tuple[tuple[float, int], ...]) -> _Wave:
+    """The wave of a fringe's steps: shift and number of the frame."""
+    angles = 2 * np.pi * np.array([shift for shift, _ in steps])
+    design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+    levels = samples.levels[[index for _, index in steps]]
+    mean, cosine, sine = fitted = np.tensordot(np.linalg.pinv(design), levels, 1)
+    worst = np.abs(levels - np.tensordot(design, fitted, 1)).max(axis=0)
+    return _Wave(mean, cosine, sine, float(np.median(worst[samples.lit] / samples.swing[samples.lit])))
+
+
 def _misfit(samples: Samples, waves: Sequence[_Wave]) -> str | None:
     lit, swing = samples.lit, samples.swing
     for wave in waves:
-        if np.median(np.abs(wave.rest).max(axis=0)[lit] / swing[lit]) > _MOST_MISFIT:
+        if wave.misfit > _MOST_MISFIT:
             return "are no fringes"
         if np.median(np.abs(wave.mean - waves[0].mean)[lit] / swing[lit]) > _MOST_MISFIT:
             return "differ in their mean brightness"
@@ -149,21 +173,17 @@ def _unwrapped(samples: Samples, waves: dict[float, _Wave], whole: float, axis: 
     return Coordinates(values, certain, found.step, found.misfit)
 
 
-def _code(samples: Samples, patterns: Sequence[Pattern], axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
+def _code(samples: Samples, shown: _Shown, axis: Axis, numbering: tuple[int, int]) -> Coordinates | str:
     """The code of an axis with its cell and offset, or its error."""
-    of_code = {
-        index: p
-        for index, p in enumerate(patterns)
-        if isinstance(p, Gray) and p.axis == axis and (p.cell, p.offset) == numbering
-    }
-    shown = {(p.bit, p.inverted): index for index, p in of_code.items()}
+    of_code = {index: p for index, p in shown if isinstance(p, Gray) and (p.cell, p.offset) == numbering}
+    frames = {(p.bit, p.inverted): index for index, p in of_code.items()}
     bits = max(p.bits for p in of_code.values())
     levels, lit = samples.levels, samples.lit
-    known = {type(p): levels[index] for index, p in enumerate(patterns) if isinstance(p, White | Black)}
+    known = {type(p): levels[index] for index, p in shown if isinstance(p, White | Black)}
     middle = (known[White] + known[Black]) / 2 if len(known) == 2 else (levels.min(axis=0) + levels.max(axis=0)) / 2
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
-        normal, inverse = shown.get((bit, False)), shown.get((bit, True))
+        normal, inverse = frames.get((bit, False)), frames.get((bit, True))
         alone = inverse if normal is None else normal
         half_way = middle if alone is None else middle + _above_middle(samples, levels[alone], middle)
         bright = half_way if normal is None else levels[normal]

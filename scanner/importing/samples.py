@@ -21,7 +21,7 @@ _SEED = 1
 _LINES = 96
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # a key by identity, of what is computed from it
 class Samples:
     """Grey levels (frames, H, W) where some rows and columns cross, at `camera_px` (H, W, 2).
 

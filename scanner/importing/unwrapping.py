@@ -17,6 +17,7 @@ _OFF_CODE = 0.1
 PLACES_OF_CYCLE, _WHOLE = 16, 0.02
 _MOST_CYCLES = 400
 _CHUNK = 2048
+_SOME = 512  # pixels whose median tells whether fringes contradict each other
 
 
 def repeats_after(periods: Sequence[float]) -> float:
@@ -44,15 +45,12 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
     step = min(periods) / PLACES_OF_CYCLE
     places = np.arange(0, whole, step)
     waves = np.array(periods)[:, None]
-    there = _unit(places / waves)
-    found, fit = np.empty(phases.shape[1]), np.empty(phases.shape[1])
-    for start in range(0, phases.shape[1], _CHUNK):
-        likeness = _unit(phases[:, start : start + _CHUNK]).T @ there / len(periods)
-        best = likeness.argmax(axis=1)
-        found[start : start + _CHUNK] = places[best]
-        fit[start : start + _CHUNK] = likeness[np.arange(len(best)), best]
-    if np.median(fit) < _AGREE:
+    there = _unit(places / waves) / np.float32(len(periods))
+    # Most orders are wrong, and some pixels show it.
+    if np.median(_best(phases[:, :: max(1, phases.shape[1] // _SOME)], there)[1]) < _AGREE:
         return "contradict each other: are there other --periods to a picture?"
+    best, fit = _best(phases, there)
+    found = places[best]
     fitting = fit > _AGREE
     left = np.exp(2j * np.pi * (phases - found / waves))[:, fitting]
     # The common residual is the position between two samples.
@@ -60,6 +58,17 @@ def agreed(phases: Floats, periods: Sequence[float], whole: float) -> Agreement 
     if np.abs(np.angle(left.mean(axis=1))).max() / (2 * np.pi) > _OFF:
         return "do not begin at the picture's edge"
     return Agreement(found, step, float(1 - np.median(fit)))
+
+
+def _best(phases: Floats, there: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats]:
+    """The number of the place `there` (2 K, places) that fits phases (K, N) best, and the mean cosine there, (N,)."""
+    best, fit = np.empty(phases.shape[1], np.int64), np.empty(phases.shape[1])
+    for start in range(0, phases.shape[1], _CHUNK):
+        of_chunk = slice(start, start + _CHUNK)
+        likeness = _unit(phases[:, of_chunk]).T @ there
+        best[of_chunk] = likeness.argmax(axis=1)
+        fit[of_chunk] = likeness.max(axis=1)
+    return best, fit
 
 
 def deviates_from_code(phase: Floats, period: float, coordinate: Floats) -> bool:

@@ -17,7 +17,7 @@ from calib.diagnostics import (
     spread_of_vertex,
     stacked,
 )
-from calib.geometry import NO_FACE, Calibration, Matches, intersect
+from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats, Ints, blocks
 from calib.pointcloud import NONE, Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
 from scanner.measuring.measurements import AngleMeasurement, FaceMeasurement, FitErrors, Scene
@@ -33,8 +33,8 @@ _MOST_POINTS = 100_000
 
 
 def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncertainty | None) -> Scene:
-    """Measure the scene from all matches of a scan, or a fixed sample of 100,000; no faces if the matches have none."""
-    part = matches[_sample(matches, calibration)]
+    """Measure the scene from all matches of a scan, or those of `one_in_each_cell`; no faces if they have none."""
+    part = one_in_each_cell(matches, calibration.camera.size)
     errors = rig_errors(calibration, uncertainty)
     met = intersect(part, calibration)
     inside = np.all((part.camera_px > -0.5) & (part.camera_px < np.array(calibration.camera.size) - 0.5), axis=1)
@@ -50,12 +50,17 @@ def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncer
     return Scene(faces, tuple(_angle(*pair) for pair in combinations(found, 2)), errors, known_lengths(points, errors))
 
 
-def _sample(matches: Matches, calibration: Calibration) -> Ints:
+def one_in_each_cell(matches: Matches, size: Size) -> Matches:
+    """All matches of an image of this size, or, if they are more than 100,000, a fixed sample of about as many."""
     if len(matches) <= _MOST_POINTS:
-        return np.arange(len(matches))
-    label = np.full(len(matches), NO_FACE, np.int32) if matches.face is None else matches.face
-    drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(calibration.camera.size, _MOST_POINTS))
-    return np.asarray(drawn[drawn != NONE])
+        return matches
+    drawn = one_in_cells(matches.camera_px, *sample_cells(size))
+    return matches[np.asarray(drawn[drawn != NONE])]
+
+
+def sample_cells(size: Size) -> tuple[int, int, int]:
+    """The cells of that sample over an image: their side in pixels, rows, and columns."""
+    return cells_over(size, _MOST_POINTS)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from scanner.rendering.downsampling import (
     extent,
     labels_on_grid,
     one_in_cells,
-    places_within,
 )
 from scanner.rendering.photographs import LONGEST_SIDE, encode_jpeg, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.png import IndexedPicture, Pixels

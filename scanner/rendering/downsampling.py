@@ -10,7 +10,7 @@ from calib.numerics import Floats, Ints, compiled
 
 Map = NDArray[np.float32]
 
-_CANDIDATES = 16
+_CANDIDATES = 8
 _GOLDEN_RATIO, _MIXER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(30)
 
 
@@ -22,18 +22,23 @@ def averaged(values: Map, size: tuple[int, int]) -> Map:
     """
     reduced = np.empty((size[1], size[0]), np.float32)
     row_step, column_step = values.shape[0] / reduced.shape[0], values.shape[1] / reduced.shape[1]
+    totals, weights = np.empty(values.shape[1]), np.empty(values.shape[1])
     for row in range(reduced.shape[0]):
+        totals[:], weights[:] = 0.0, 0.0
         top, bottom = row * row_step, min((row + 1) * row_step, values.shape[0])
+        for y in range(int(top), int(np.ceil(bottom))):
+            height, line = min(y + 1, bottom) - max(y, top), values[y]
+            for x in range(len(line)):
+                there = abs(line[x]) < np.inf
+                totals[x] += height * line[x] if there else 0.0
+                weights[x] += height if there else 0.0
         for column in range(reduced.shape[1]):
             left, right = column * column_step, min((column + 1) * column_step, values.shape[1])
             total, weight = 0.0, 0.0
-            for y in range(int(top), int(np.ceil(bottom))):
-                height = min(y + 1, bottom) - max(y, top)
-                for x in range(int(left), int(np.ceil(right))):
-                    if np.isfinite(values[y, x]):
-                        area = height * (min(x + 1, right) - max(x, left))
-                        total += area * values[y, x]
-                        weight += area
+            for x in range(int(left), int(np.ceil(right))):
+                width = min(x + 1, right) - max(x, left)
+                total += width * totals[x]
+                weight += width * weights[x]
             reduced[row, column] = total / weight if weight > 0 else np.nan
     return reduced
 
@@ -42,34 +47,6 @@ def extent(values: Map) -> tuple[int, int, int, int]:
     """First and last row, first and last column of a map (H, W) in which something is finite; 0, −1, 0, −1 for none."""
     left, top, width, height = cv2.boundingRect(np.isfinite(values).view(np.uint8))
     return top, top + height - 1, left, left + width - 1
-
-
-@compiled
-def places_within(values: Map, limit: float, most: int) -> tuple[int, Ints]:
-    """Count the numbers of a map (H, W) within ± `limit`, and return the positions of a sample of them (n,), row by
-    row.
-
-    One is drawn at random, with a fixed seed, from each of equally many stretches; equal steps would alias with the
-    rows.
-    """
-    count = 0
-    for row in range(values.shape[0]):
-        for column in range(values.shape[1]):
-            count += abs(values[row, column]) <= limit
-    stretch = max(1, -(-count // most))
-    places = np.empty(-(-count // stretch), np.int64)
-    drawn, met, end, chosen = 0, 0, 0, 0
-    for row in range(values.shape[0]):
-        for column in range(values.shape[1]):
-            if abs(values[row, column]) <= limit:
-                if met == end:
-                    chosen = met + int(_random_bits(met) % np.uint64(min(stretch, count - met)))
-                    end = met + stretch
-                if met == chosen:
-                    places[drawn] = row * values.shape[1] + column
-                    drawn += 1
-                met += 1
-    return count, places
 
 
 @compiled
@@ -101,11 +78,11 @@ def cells_over(size: tuple[int, int], most: int) -> tuple[int, int, int]:
 
 
 @compiled
-def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: int, columns: int) -> Ints:
-    """Select one of the pixels (N, 2) with at least the `lowest` label (N,) in each cell, (rows, columns); −1 for none.
+def one_in_cells(camera_px: Floats, side: int, rows: int, columns: int) -> Ints:
+    """Select one of the pixels (N, 2) in each cell, (rows, columns); −1 for none.
 
     The choice is random with a fixed seed: the first pixel of each cell, say, would alias with fringes in the image.
-    Where pixels are dense, each cell has a dozen or more to choose from.
+    Where pixels are dense, each cell has half a dozen or more to choose from.
     """
     drawn = np.full((rows, columns), -1, np.int64)
     lots = np.zeros((rows, columns), np.uint64)
@@ -113,7 +90,7 @@ def one_in_cells(camera_px: Floats, label: Ints, lowest: int, side: int, rows: i
     for start in range(0, len(camera_px), stride):
         lot = _random_bits(start)
         i = start + int(lot % np.uint64(stride))
-        if i >= len(camera_px) or label[i] < lowest:
+        if i >= len(camera_px):
             continue
         column = int(np.floor((camera_px[i, 0] + 0.5) / side))
         row = int(np.floor((camera_px[i, 1] + 0.5) / side))

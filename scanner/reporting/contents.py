@@ -7,14 +7,11 @@ import numpy as np
 
 from calib.geometry import Calibration, Matches
 from calib.numerics import Ints
-from calib.pointcloud import NONE, CloudStatistics, MergedCloud
+from calib.pointcloud import CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureMetadata
-from scanner.measuring import Scene, measure_scene
-from scanner.rendering import cells_over, one_in_cells, places_within
+from scanner.measuring import Scene, measure_scene, one_in_each_cell, sample_cells
 from scanner.results import Provenance, Reconstructed, Refused
-
-_MOST_ON_FACES = _MOST_IN_CLOUD = 100_000
 
 
 @dataclass(frozen=True)
@@ -91,40 +88,42 @@ class ReportInput:
         return (*(self.solution.notes if self.solution else ()), *self.joint.remarks)
 
     @cached_property
-    def on_faces(self) -> Ints:
-        """Return indices (n,) of matches with a face: all, or one in each cell of `cell_px` of the image."""
-        face = self.matches.face
-        if face is None:
-            return np.zeros(0, np.int64)
-        if np.count_nonzero(face >= 0) <= _MOST_ON_FACES:
-            return np.flatnonzero(face >= 0)
-        drawn = one_in_cells(self.matches.camera_px, face, 0, *cells_over(self.metadata.camera_size, _MOST_ON_FACES))
-        return np.asarray(drawn[drawn != NONE])
+    def sample(self) -> Matches:
+        """The matches: all, or one in each cell of `cell_px` of the image."""
+        return one_in_each_cell(self.matches, self.metadata.camera_size)
 
     @cached_property
-    def sample(self) -> Matches:
-        """The matches `on_faces`."""
-        return self.matches[self.on_faces]
+    def on_faces(self) -> Matches:
+        """Those of the `sample` with a face."""
+        face = self.sample.face
+        return self.sample[np.flatnonzero(face >= 0) if face is not None else slice(0)]
 
     @cached_property
     def scene(self) -> Scene | None:
         """Faces, angles, and how well lengths are known, as every page has them; None after a refusal."""
         found = self.reconstructed
-        return measure_scene(self.matches, found.calibration, found.uncertainty) if found else None
+        return measure_scene(self.sample, found.calibration, found.uncertainty) if found else None
 
     @property
     def cell_px(self) -> int:
         """The side of the square cells in which a page samples matches."""
-        return cells_over(self.metadata.camera_size, _MOST_ON_FACES)[0]
+        return sample_cells(self.metadata.camera_size)[0]
 
     @cached_property
-    def in_cloud(self) -> tuple[int, Ints]:
-        """The number of camera pixels that have a point, and the indices of a sample of them (n,): 100,000 at most, row
-        by row.
-        """
-        if self.reconstructed is None:
-            return 0, np.zeros(0, np.int64)
-        return places_within(self.reconstructed.cloud.points[..., 2], np.inf, _MOST_IN_CLOUD)
+    def pixels(self) -> Ints:
+        """The camera's pixels of the `sample`, as indices into its image, (n,); without those outside of it."""
+        width, height = self.metadata.camera_size
+        column, row = np.rint(self.sample.camera_px).astype(np.int64).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        places: Ints = (row * width + column)[inside]
+        return places
+
+    @cached_property
+    def in_cloud(self) -> Ints:
+        """Those of the `pixels` that have a point in the cloud, (n,)."""
+        found = self.reconstructed
+        there = np.isfinite(found.cloud.points.reshape(-1, 3)[self.pixels, 2]) if found else slice(0)
+        return self.pixels[there]
 
     @property
     def decoded_share(self) -> float:

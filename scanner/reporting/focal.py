@@ -51,7 +51,7 @@ def _objective(report: ReportInput) -> Markup | None:
         return plots.objective_plot(profile.focal_px, profile.cost, solution.calibration.camera.focal_px[0])
     if not len(report.on_faces) or (report.reconstructed and solution is None):
         return None
-    sample = report.sample[:: max(1, len(report.sample) // _SAMPLE)]
+    sample = report.on_faces[:: max(1, len(report.on_faces) // _SAMPLE)]
     size = report.metadata.camera_size
     try:
         objective = _by_calibration(sample, solution.calibration) if solution else _by_straightness(sample, report)

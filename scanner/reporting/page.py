@@ -1,7 +1,8 @@
 """report.html: one self-contained page that says whether a result can be trusted, and shows why."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from calib.numerics import in_parallel
 from scanner.quantities import plain
@@ -12,6 +13,7 @@ from scanner.reporting.flatness import flatness
 from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
+from scanner.reporting.sections import Faces, Picture
 from scanner.reporting.sheet import on_paper
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
@@ -35,7 +37,7 @@ _FILES = {
 
 # The slow parts, the slowest first, so that none remains for the end. The first also measures the scene, which the
 # verdict and the tables use.
-PARTS: dict[str, Callable[[ReportInput], object]] = {
+PARTS: dict[str, Callable[[ReportInput], Any]] = {
     "flatness": flatness,
     "views": sections.cloud_views,
     "misses": misses,
@@ -48,6 +50,7 @@ PARTS: dict[str, Callable[[ReportInput], object]] = {
     "view3d": view3d,
     "scene": sections.scene,
     "mask": lambda report: sections.mask(report.outcome.decoded.decoding),
+    "capture": sections.capture_rows,
 }
 
 
@@ -74,12 +77,19 @@ def write_report(path: Path, report: ReportInput) -> None:
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,
-        on_paper=on_paper,
+        on_paper=in_parallel(on_paper, _most_telling(**parts)),
         has_truth=report.truth is not None,
         photos=report.metadata.photos,
         captures=joint_rows(report),
-        capture=sections.capture_rows(report),
         files=[(name, _FILES.get(name, "")) for name in report.files],
         unit=found.calibration.unit if found else "",
     )
     path.write_text(text, encoding="utf-8")
+
+
+def _most_telling(
+    views: Sequence[Picture], merged: Sequence[Picture], faces: Faces | None, scene: Picture | None, **_: object
+) -> list[Picture]:
+    """The pictures of the first printed page."""
+    seen = faces.picture if faces else scene
+    return [*(merged or views)[:1], *([seen] if seen else [])]

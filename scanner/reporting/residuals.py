@@ -1,7 +1,6 @@
 """Residuals of the matches: maps, histograms, and whether they are random or systematic."""
 
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from markupsafe import Markup
@@ -11,15 +10,13 @@ from calib.geometry import Calibration, Corner, Matches, Size
 from calib.numerics import Floats, Ints, SpatialCorrelation, spatial_correlation
 from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
-from scanner.rendering import LONGEST_SIDE, places_within
+from scanner.rendering import LONGEST_SIDE
 from scanner.reporting import maps, plots
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.sections import LegendEntry, ScaledMap, picture
 
 # Blur and noise of a decoder reach a few pixels; squares of this share of the image's width are larger.
 _CELL_OF_WIDTH = 1 / 64
-# A sample of this size gives the same histogram as millions.
-_SAMPLE, _TESTED = 250_000, 100_000
 _HALF_PAGE = 480
 _SHOWN_SHARE = 99
 
@@ -46,7 +43,7 @@ class Misses:
 
 def face_residuals(report: ReportInput) -> Residuals | None:
     """Matches on the three faces against the corner, in x and y of the projector; None without a solution."""
-    solution, sample = report.solution, report.sample
+    solution, sample = report.solution, report.on_faces
     if solution is None or sample.face is None or not len(sample):
         return None
     residual_px = _off_the_corner(sample, sample.face, solution.calibration, solution.corner)
@@ -85,18 +82,20 @@ def misses(report: ReportInput) -> Misses | None:
     """Compute where and by how much the rays of the matches miss each other; None where nothing was measured that could
     miss.
     """
-    if report.reconstructed is None or not np.isfinite(report.reconstructed.cloud.residual_px).any():
+    if report.reconstructed is None:
         return None
     if report.outcome.decoded.only_axis:  # the other coordinate is defined by the intersection of the rays
         return None
     cloud = report.reconstructed.cloud
+    sampled = cloud.residual_px.ravel()[report.pixels].astype(np.float64)
+    if not np.isfinite(sampled).any():
+        return None
     statistics = cloud.statistics
     limit = _shown_range(report, cloud)
-    _, close = places_within(cloud.residual_px, statistics.limit_px, _SAMPLE)
-    pixel = np.stack(np.divmod(close, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
-    residual_px = cloud.residual_px.ravel()[close].astype(np.float64)
-    every = max(1, ceil(len(pixel) / _TESTED))
-    found = spatial_correlation(pixel[::every], residual_px[::every], _cell_px(report.metadata.camera_size))
+    close = np.abs(sampled) <= statistics.limit_px
+    residual_px, at = sampled[close], report.pixels[close]
+    pixel = np.stack(np.divmod(at, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
+    found = spatial_correlation(pixel, residual_px, _cell_px(report.metadata.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", LONGEST_SIDE)
     residuals = Residuals(
         ((painted, ""),),
@@ -145,7 +144,7 @@ def _on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> NDArray[np
 
 def _shown_range(report: ReportInput, cloud: Cloud) -> float:
     """Half-width of the scale, which contains 99 % of the points."""
-    kept = np.abs(cloud.residual_px.ravel()[report.in_cloud[1]])
+    kept = np.abs(cloud.residual_px.ravel()[report.in_cloud])
     return float(np.percentile(kept, _SHOWN_SHARE)) if len(kept) and kept.any() else cloud.statistics.limit_px
 
 

@@ -176,7 +176,7 @@ def scene(report: ReportInput) -> Picture | None:
 
 def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     """Pictures of the cloud from the side, above and the front."""
-    if report.reconstructed is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not len(report.in_cloud):
         return ()
     cloud, calibration = report.reconstructed.cloud, report.reconstructed.calibration
     forward = np.array([0.0, 0.0, 1.0])
@@ -206,12 +206,12 @@ def upright(report: ReportInput) -> Floats:
 
 def typical_depth(report: ReportInput, cloud: Cloud) -> float:
     """Median depth of the points of the report's cloud, in its unit."""
-    return float(np.median(cloud.points.reshape(-1, 3)[report.in_cloud[1], 2]))
+    return float(np.median(cloud.points.reshape(-1, 3)[report.in_cloud, 2]))
 
 
 def depth(report: ReportInput) -> ScaledMap | None:
     """Depth over the camera's image."""
-    if report.reconstructed is None or not report.in_cloud[0]:
+    if report.reconstructed is None or not len(report.in_cloud):
         return None
     cloud = report.reconstructed.cloud
     painted, scale = maps.depth_map(cloud.points, cloud.unit)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import NO_FACE, Matches, Size, intersect
+from calib.geometry import Matches, Size, intersect
 from calib.pointcloud import NONE
 from calib.self_calibration import SelfCalibration
 from scanner.rendering import cells_over, one_in_cells
@@ -31,7 +31,7 @@ def point_sigmas(report: ReportInput) -> PointSigmas | None:
     solution = report.solution
     if solution is None or solution.uncertainty is None:
         return None
-    percent = _relative_sigmas(report.matches, solution, solution.uncertainty, report.metadata.camera_size)
+    percent = _relative_sigmas(report.sample, solution, solution.uncertainty, report.metadata.camera_size)
     known = percent[np.isfinite(percent)]
     if not len(known):
         return None
@@ -46,8 +46,7 @@ def _relative_sigmas(
     """Return the sigma of depth of one match per cell of a coarse grid over the image, in per cent of its depth; NaN
     for none.
     """
-    label = np.zeros(len(matches), np.int32) if matches.face is None else matches.face
-    drawn = one_in_cells(matches.camera_px, label, NO_FACE, *cells_over(camera_size, _SAMPLES))
+    drawn = one_in_cells(matches.camera_px, *cells_over(camera_size, _SAMPLES))
     known = np.nonzero(drawn != NONE)
     sample = matches[drawn[known]]
     met = intersect(sample, solution.calibration)

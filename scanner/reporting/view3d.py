@@ -47,8 +47,8 @@ def view3d(report: ReportInput) -> View3d | None:
     if found is None:
         return None
     cloud = merged if merged is not None and len(merged.points) else found.cloud
-    total = len(cloud.points) if isinstance(cloud, MergedCloud) else report.in_cloud[0]
-    if not total:
+    total = len(cloud.points) if isinstance(cloud, MergedCloud) else cloud.statistics.kept
+    if not total or not len(report.in_cloud):
         return None
     points, colours, normals, grid = _thinned(report, found, cloud, total)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -142,7 +142,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
 
 def _faces(report: ReportInput, cloud: Cloud) -> list[tuple[str, Colour, Floats]]:
     """Name, colour and convex outline (n, 3) of each labelled face, in the camera's frame."""
-    sample, found = report.sample, []
+    sample, found = report.on_faces, []
     height, width = cloud.points.shape[:2]
     for label, (name, colour) in enumerate(zip(FACE_NAMES, FACE_COLOURS, strict=True)):
         on = np.flatnonzero(sample.face == label)

@@ -16,20 +16,19 @@ from scanner.io.png import write_png
 from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT
-from tests.support.small_room import with_few_rays
 
 COMMANDS = commands()
 OURS = [command for command in COMMANDS if not command.foreign]
 RUN = [command for command in OURS if not command.why_not_run]
 PARSED = [command for command in OURS if command.why_not_run]
 
-# The documented rooms at a third of their size, and with half the frames.
-SHRINK = 3
+# The documented rooms at a quarter of their size, with half the frames, and without light between their surfaces.
+SHRINK = 4
 SMALL = {"sequence": {"preset": "quick"}, "projector": {"width": 427, "height": 240}}
 # Of the simulated camera at its full size: with so few pixels a single capture needs to know it.
 PRINCIPAL_POINT_PX = (628.15, 527.15)
 # What depends on the images' size.
-SUBSTITUTED = {"--distance 600 500 700 600": "--distance 200 167 233 200"}
+SUBSTITUTED = {"--distance 600 500 700 600": "--distance 150 125 175 150"}
 ONE_CAPTURE = "scan --config configs/room-sim.yaml"
 ANOTHER_ROOM = "scan --config configs/room-sim.yaml --set rig.seed=3 --out scans/another-room"
 THREE_CAPTURES = "scan --config configs/room-sim.yaml --captures 3"
@@ -47,7 +46,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("documented")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        with_few_rays(patch)
         yield folder
 
 
@@ -105,7 +103,8 @@ def shrunk(settings: dict[str, Any]) -> dict[str, Any]:
         small = round(camera[side] / SHRINK)
         known["known"][index] = (known["known"][index] + 0.5) * small / camera[side] - 0.5
         camera[side] = small
-    return settings | SMALL
+    plain = settings["rig"] | {"interreflection": False, "ambient": 0}
+    return settings | SMALL | {"rig": plain}
 
 
 @one_after_the_other()

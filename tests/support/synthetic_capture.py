@@ -7,7 +7,7 @@ lens. Interreflection and ambient light are added. Read-out adds shot noise, rea
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -71,11 +71,10 @@ class Scene:
         beside = np.abs(u - 0.62 * width - 0.03 * v) < 0.08 * width
         return beside & (np.abs(v - 0.55 * height) < 0.22 * height) & ~self.is_box(u, v)
 
-    @cached_property
-    def fine(self) -> tuple[Light, Light, Light, Bools]:
+    def seen(self) -> tuple[Light, Light, Light, Bools]:
         """For the sub-pixels: projector x and y, brightness in full light, and whether they are on the box."""
         width, height = self.camera
-        u, v = np.meshgrid(*((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)))
+        u, v = np.meshgrid(*((np.arange(size * _FINE) + 0.5) / _FINE - 0.5 for size in (width, height)), sparse=True)
         on_box = self.is_box(u, v)
         x, y = (np.where(on_box, a, b).astype(np.float32) for a, b in zip(self.box(u, v), self.wall(u, v), strict=True))
         inside = (x > -0.5) & (x < self.projector[0] - 0.5) & (y > -0.5) & (y < self.projector[1] - 0.5)
@@ -114,7 +113,7 @@ class Scene:
 
     def well_lit(self, margin_px: int = 3) -> Bools:
         """Directly lit pixels away from all edges, (H, W)."""
-        _, _, reflected, on_box = self.fine
+        _, _, reflected, on_box = _fine(_seen_alike(self))
         lit, boxed = (
             cv2.resize(part.astype(np.uint8), self.camera, interpolation=cv2.INTER_NEAREST)
             for part in (reflected > 0, on_box)
@@ -129,6 +128,12 @@ def _lit_alike(scene: Scene) -> Scene:
     return replace(scene, exposure=1.0, ambient=0.0, read_noise=0.0, depth_bits=8, colour=False, seed=0)
 
 
+def _seen_alike(scene: Scene) -> Scene:
+    """The scene without settings of its light and lenses, so that what is in view is found once."""
+    plain = replace(_lit_alike(scene), gamma=1.0, black_level=0.0, indirect=0.0)
+    return replace(plain, projector_blur_px=0.0, camera_blur_px=0.0)
+
+
 @lru_cache(maxsize=512)
 def _light(scene: Scene, pattern: Pattern) -> Light:
     """Light at the camera, 1 for full light on white, (H, W)."""
@@ -136,7 +141,7 @@ def _light(scene: Scene, pattern: Pattern) -> Light:
     shown = scene.black_level + (1 - scene.black_level) * shown
     if scene.projector_blur_px:
         shown = cv2.GaussianBlur(shown, (0, 0), scene.projector_blur_px, borderType=cv2.BORDER_REPLICATE)
-    x, y, reflected, _ = _fine(scene)
+    x, y, reflected, _ = _fine(_seen_alike(scene))
     fine = reflected * cv2.remap(shown, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     direct = cv2.resize(fine, scene.camera, interpolation=cv2.INTER_AREA)
     if scene.camera_blur_px:
@@ -149,7 +154,7 @@ def _light(scene: Scene, pattern: Pattern) -> Light:
 
 @lru_cache(maxsize=8)
 def _fine(scene: Scene) -> tuple[Light, Light, Light, Bools]:
-    return scene.fine
+    return scene.seen()
 
 
 def decode(patterns: Sequence[Pattern], frames: Iterable[Image], projector: tuple[int, int]) -> Decoding:

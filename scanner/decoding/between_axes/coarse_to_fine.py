@@ -12,7 +12,7 @@ from calib.numerics import Floats
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.between_axes.borders import REACH_PX
 from scanner.decoding.between_axes.edges import Edges, Shown
-from scanner.decoding.between_axes.registration import differences, shifts_of_tiles, solved
+from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
 from scanner.decoding.motion.device_motion import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, SIGNIFICANT_SIGMAS
@@ -39,14 +39,15 @@ _Pictures = tuple[Floats32, Floats32]
 class _TileObservations:
     """Shifts d of T tiles that remain beside a motion: they minimise dᵀ N d − 2 bᵀ d.
 
-    `centre_px` (T, 2), `design` (T, 2, 8), `normal` N (T, 2, 2), `pull` b (T, 2). `huber`: outlier threshold in
-    standard deviations.
+    `centre_px` (T, 2), `design` (T, 2, 8), `normal` N (T, 2, 2), `pull` b (T, 2). `differ`: squared differences of the
+    pictures, weighted by their squared slopes. `huber`: outlier threshold in standard deviations.
     """
 
     centre_px: Floats
     design: Floats
     normal: Floats
     pull: Floats
+    differ: float
     huber: float
 
 
@@ -128,13 +129,7 @@ def _observe_beside(
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
     """Return the share of the squared difference of the pictures (H, W) at edges that a motion (8,) explains."""
     shown = edges.beside(motion, _REACH_PX)
-    left, differ = (
-        sum(
-            differences(pictures, chosen, warp)
-            for chosen, warp in zip((shown.scene, shown.border), edges.warps(of), strict=True)
-        )
-        for of in (motion, _AT_REST)
-    )
+    left, differ = (_observe(pictures, edges, shown, of).differ for of in (motion, _AT_REST))
     return 1 - left / max(differ, 1e-12)
 
 
@@ -154,6 +149,7 @@ def _observe(
         np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
         np.concatenate([scene.pull, border.pull[known]]),
+        scene.differ + border.differ,
         np.inf if anywhere else HUBER_SIGMAS,
     )
 

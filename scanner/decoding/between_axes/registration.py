@@ -16,7 +16,6 @@ TILE_PX = 16  # side of a tile, over which the shift is taken as constant
 _OF_LIGHT, _OF_SHIFT = 2, 2  # unknowns of a tile: g and o, and d
 _REACH = 2  # taps of the filters to either side
 _WINDOW = TILE_PX + 2 * _REACH
-_EVERY = 2  # of rows, and of columns, one of so many shows how much pictures differ
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,14 @@ class Warp:
 class TileShifts:
     """Observations of the shifts d of K `tiles`, by number (K,): each minimises dᵀ N d − 2 bᵀ d.
 
-    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the residual variance.
+    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the residual variance. `differ`: the squared differences of
+    the pictures, weighted by their squared slopes.
     """
 
     tiles: Ints
     normal: Floats
     pull: Floats
+    differ: float
 
 
 def shifts_of_tiles(
@@ -63,15 +64,8 @@ def shifts_of_tiles(
     tiles = np.flatnonzero(moments[:, 0, 0] > _OF_LIGHT + _OF_SHIFT)
     normal, pull = _of_moments(moments[tiles], own_light=own_light)
     tells = normal.trace(axis1=1, axis2=2) > 0
-    return TileShifts(tiles[tells], normal[tells], pull[tells])
-
-
-def differences(pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp) -> float:
-    """Return the squared difference of two pictures at the `chosen` pixels (H, W), weighted by their squared slopes.
-
-    Every second row and column is used.
-    """
-    return _sum_differences(*pictures, chosen, warp.place, warp.turned, _EVERY)
+    count, slopes, differ = moments[tiles, 0, 0], moments[tiles, 2, 2] + moments[tiles, 3, 3], moments[tiles, 4, 4]
+    return TileShifts(tiles[tells], normal[tells], pull[tells], float(np.sum(slopes * differ / count)))
 
 
 def moments_of_tiles(projector_px: Floats32, chosen: Bools) -> Floats:
@@ -221,43 +215,6 @@ def _filter(
                 change += taps[0, k] * across[2, y + k, x]
             filtered[0, y, x], filtered[1, y, x] = level, -by_x
             filtered[2, y, x], filtered[3, y, x] = -by_y, change
-
-
-@compiled
-def _between_pixels(picture: Floats32, x: float, y: float) -> np.float32:
-    """Interpolate linearly, clamped at the border."""
-    height, width = picture.shape
-    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
-    u, v = min(int(x), width - 2), min(int(y), height - 2)
-    right, down = np.float32(x - u), np.float32(y - v)
-    upper = picture[v, u] + right * (picture[v, u + 1] - picture[v, u])
-    lower = picture[v + 1, u] + right * (picture[v + 1, u + 1] - picture[v + 1, u])
-    return np.float32(upper + down * (lower - upper))
-
-
-@compiled
-def _sum_differences(
-    before: Floats32, after: Floats32, chosen: Bools, place: Floats, turned: Floats, every: int
-) -> float:
-    height, width = before.shape
-    columns = width // TILE_PX
-    total = 0.0
-    for tile in range(len(place)):
-        top, left = tile // columns * TILE_PX, tile % columns * TILE_PX
-        for v in range(top + 1, min(top + TILE_PX, height - 1), every):
-            for u in range(left + 1, min(left + TILE_PX, width - 1), every):
-                if not chosen[v, u]:
-                    continue
-                right, down = u - left - (TILE_PX - 1) / 2, v - top - (TILE_PX - 1) / 2
-                later = _between_pixels(
-                    after,
-                    place[tile, 0] + turned[0, 0] * right + turned[0, 1] * down,
-                    place[tile, 1] + turned[1, 0] * right + turned[1, 1] * down,
-                )
-                by_x = before[v, u + 1] - before[v, u - 1]
-                by_y = before[v + 1, u] - before[v - 1, u]
-                total += (by_x * by_x + by_y * by_y) * (later - before[v, u]) ** 2
-    return total
 
 
 def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:

@@ -22,6 +22,7 @@ from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tole
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
+from scanner.decoding.subsampling import lines_of
 from scanner.errors import InputError
 
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
@@ -54,7 +55,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         lit &= power > FEW**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
-    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.positions(signals), strict=False):
+    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.wrapped(signals).positions, strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < HALF * expected:
@@ -107,13 +108,10 @@ def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:
 
 
 def _apart(coordinate: Floats32, px: float, period: float) -> float:
-    """Return the share of neighbours in an image (H, W) that are about `px` apart."""
-    apart = known = 0
-    for way in (0, 1):
-        step = np.abs(np.diff(coordinate, axis=way))
-        known += int(np.count_nonzero(np.isfinite(step)))
-        apart += int(np.count_nonzero(np.abs(step - np.float32(px)) < _NEARLY * period))  # NaN is not
-    return apart / max(known, 1)
+    """Return the share of neighbours along some lines of an image (H, W) that are about `px` apart."""
+    steps = np.concatenate([np.abs(np.diff(lines_of(image), axis=1)).ravel() for image in (coordinate, coordinate.T)])
+    apart = int(np.count_nonzero(np.abs(steps - np.float32(px)) < _NEARLY * period))  # NaN is not
+    return apart / max(int(np.count_nonzero(np.isfinite(steps))), 1)
 
 
 class MirroredError(InputError):

@@ -6,23 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32, Words
+from scanner.decoding.arrays import Floats32, Reasons, Words
+from scanner.decoding.mask_reasons import Against
 from scanner.decoding.sequence_plan import AxisPlan
 
-_HALF, _ONE = np.float32(0.5), np.float32(1)
+_HALF, _ONE, _NOTHING = np.float32(0.5), np.float32(1), np.uint8(0)
 
 
 @dataclass(frozen=True)
 class Interval:
     """The interval of each pixel by its Gray codes, `low` to `high` in projector pixels; arrays (P,).
 
-    `outside`: the code belongs to no projector pixel. `contradictory`: the intervals of two codes do not overlap.
+    `against`: flags of `Against`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two
+    codes do not overlap.
     """
 
     low: Floats32
     high: Floats32
-    outside: Bools
-    contradictory: Bools
+    against: Reasons
 
     @property
     def centre(self) -> Floats32:
@@ -38,7 +39,14 @@ class Interval:
     @property
     def possible(self) -> Bools:
         """True where the codes are neither outside nor contradictory."""
-        return ~(self.outside | self.contradictory)
+        possible: Bools = self.against == 0
+        return possible
+
+    @property
+    def contradictory(self) -> Bools:
+        """True where the intervals of two codes do not overlap."""
+        contradictory: Bools = self.against & np.uint8(Against.CONTRADICTORY) != 0
+        return contradictory
 
 
 def interval_of(
@@ -50,19 +58,20 @@ def interval_of(
     """
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
     low, high = np.full(pixels, first), np.full(pixels, last)
-    outside, contradictory = np.empty(pixels, np.bool_), np.empty(pixels, np.bool_)
+    against = np.empty(pixels, np.uint8)
     for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
         cell, before = np.float32(code.cell), np.float32(code.offset + 0.5)
-        if undecided and number in undecided:
-            numbers: Floats32 = cell_numbers(of_code).astype(np.float32)
-            ends = numbers + 1
-            _widen(of_code, undecided[number], numbers, ends)
-            _narrow(numbers, ends, cell, before, low, high)
-        else:
-            _narrow_to_cell(of_code, cell, before, low, high)
+        where = np.flatnonzero(undecided[number] if undecided and number in undecided else ())
+        earlier = low[where], high[where]
+        _narrow(of_code, cell, before, low, high)
+        if undecided and len(where):
+            start, end = _widened(of_code[where], undecided[number][where])
+            low[where] = np.maximum(earlier[0], start * cell - before)
+            high[where] = np.minimum(earlier[1], end * cell - before)
     # Blurred edges may leave a small gap between two codes' intervals.
-    _settle(first, last, np.float32(plan.cell / 2), low, high, outside, contradictory)
-    return Interval(low, high, outside, contradictory)
+    flags = np.uint8(Against.OUTSIDE), np.uint8(Against.CONTRADICTORY)
+    _settle(first, last, np.float32(plan.cell / 2), *flags, low, high, against)
+    return Interval(low, high, against)
 
 
 def cell_numbers(words: Words) -> Words:
@@ -77,35 +86,25 @@ def cell_numbers(words: Words) -> Words:
     return numbers
 
 
-def _widen(words: Words, undecided: Words, numbers: Floats32, ends: Floats32) -> None:
-    """Extend the cell range where bits of the word are undecided; all (P,), in place.
+def _widened(words: Words, undecided: Words) -> tuple[Floats32, Floats32]:
+    """Return the first cell of each word (P,), and the one after the last, if some of its bits are undecided.
 
     A single undecided bit that separates two neighbouring cells leaves both. Otherwise the stripes of the bit are not
     resolved, and all cells that share the coarser bits are possible.
     """
-    where = np.flatnonzero(undecided)
-    word, bits, number = words[where].astype(np.uint32), undecided[where].astype(np.uint32), numbers[where]
-    other = cell_numbers(word ^ bits).astype(np.float32)
+    word, bits = words.astype(np.uint32), undecided.astype(np.uint32)
+    number, other = (cell_numbers(each).astype(np.float32) for each in (word, word ^ bits))
     is_edge = (bits & (bits - np.uint32(1)) == 0) & (np.abs(other - number) == 1)
     size = np.exp2(np.floor(np.log2(bits)) + 1).astype(np.float32)
     start = np.where(is_edge, np.minimum(number, other), np.floor(number / size) * size)
-    numbers[where], ends[where] = start, start + np.where(is_edge, np.float32(2), size)
+    return start, start + np.where(is_edge, np.float32(2), size)
 
 
 @compiled
-def _narrow(
-    numbers: Floats32, ends: Floats32, cell: np.float32, before: np.float32, low: Floats32, high: Floats32
-) -> None:
-    """Intersect the intervals with the cells `numbers` to `ends`; the code begins `before` pixels before pixel 0."""
-    for i in range(len(numbers)):
-        start, end, first, last = numbers[i] * cell - before, ends[i] * cell - before, low[i], high[i]
-        low[i] = max(first, start)
-        high[i] = min(last, end)
-
-
-@compiled
-def _narrow_to_cell(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
-    """Intersect the intervals with the cell of each of the `words` (P,), decoded as in `cell_numbers`."""
+def _narrow(words: Words, cell: np.float32, before: np.float32, low: Floats32, high: Floats32) -> None:
+    """Intersect the intervals with the cell of each of the `words` (P,), decoded as in `cell_numbers`; the code begins
+    `before` pixels before pixel 0.
+    """
     for i in range(len(words)):
         number = np.uint32(words[i])
         number ^= number >> np.uint32(1)
@@ -124,17 +123,18 @@ def _settle(
     first: np.float32,
     last: np.float32,
     slack: np.float32,
+    outside: np.uint8,
+    contradictory: np.uint8,
     low: Floats32,
     high: Floats32,
-    outside: Bools,
-    contradictory: Bools,
+    against: Reasons,
 ) -> None:
     """Flag intervals outside `first` to `last`, and contradictory ones, which end before they
     begin; sort their ends.
     """
     for i in range(len(low)):
         start, end = low[i], high[i]
-        outside[i] = (start >= last) | (end <= first)
-        contradictory[i] = start - end > slack
+        beyond = outside if (start >= last) | (end <= first) else _NOTHING
+        against[i] = beyond | (contradictory if start - end > slack else _NOTHING)
         low[i] = min(start, end)
         high[i] = max(start, end)

@@ -39,7 +39,7 @@ def resolve_contradictory_codes(
     there = Wrapped(wrapped.positions[:, where], wrapped.variances[:, where])
     answers = list(_answers(plan, [of_code[where] for of_code in words]))
     followed = [unwrap(plan, answer, there, tolerances) for answer in answers]
-    agrees = np.array([f.agree & f.unique & answer.possible for f, answer in zip(followed, answers, strict=True)])
+    agrees = np.array([f.against | answer.against for f, answer in zip(followed, answers, strict=True)]) == 0
     found = np.stack([f.coordinates[-1] for f in followed])
     first, last = (end(np.where(agrees, found, np.float32(np.nan)), axis=0) for end in (np.fmin.reduce, np.fmax.reduce))
     # NaN, and so not clear, where none agrees.
@@ -49,9 +49,8 @@ def resolve_contradictory_codes(
         chosen = is_clear & (best == number)
         at = where[chosen]
         interval.low[at], interval.high[at] = answer.low[chosen], answer.high[chosen]
-        interval.outside[at] = interval.contradictory[at] = False
         orders.coordinates[:, at] = orders_of.coordinates[:, chosen]
-        orders.agree[at] = orders.unique[at] = True
+        interval.against[at] = orders.against[at] = 0
 
 
 def _answers(plan: AxisPlan, words: Sequence[Words]) -> Iterator[Interval]:

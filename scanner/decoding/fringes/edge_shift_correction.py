@@ -16,7 +16,6 @@ import numpy as np
 from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Floats32
 
-_ZERO, _QUARTER = np.float32(0), np.float32(0.25)
 CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 
 
@@ -60,56 +59,34 @@ def surrounded(usable: Bools, window: Image) -> Bools:
     return whole.view(np.bool_)
 
 
-def shading_shift(value: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint) -> Floats32:
-    """Return ∇x · V ∇ ln A (H, W), by central differences; zero along the border and beside unusable pixels."""
-    chosen = surrounded(usable, CROSS)
-    shift = np.zeros_like(value)
-    across, down, mixed = (np.float32(v) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2))
-    if across:
-        _add_products(value, log_amplitude, chosen, 0, 1, across, shift)
-    if down:
-        _add_products(value, log_amplitude, chosen, 1, 0, down, shift)
-    if mixed:
-        _add_mixed_products(value, log_amplitude, chosen, mixed, shift)
+def shading_shift(
+    value: Floats32, log_amplitude: Floats32, usable: Bools, footprint: Footprint, unknown: float = 0.0
+) -> Floats32:
+    """Return ∇x · V ∇ ln A (H, W), by central differences; `unknown` along the border and beside unusable pixels."""
+    shift = np.full_like(value, unknown)
+    across, down, mixed = (np.float32(v / 4) for v in (footprint.across_px2, footprint.down_px2, footprint.mixed_px2))
+    _multiply_slopes(value, log_amplitude, surrounded(usable, CROSS), across, down, mixed, shift)
     return shift
 
 
 @compiled
-def _add_products(
+def _multiply_slopes(
     value: Floats32,
     log_amplitude: Floats32,
     chosen: Bools,
-    down: int,
-    across: int,
-    times: np.float32,
-    sums: Floats32,
+    across: np.float32,
+    down: np.float32,
+    mixed: np.float32,
+    shift: Floats32,
 ) -> None:
-    """Add, at chosen pixels, `times` the product of the two images' slopes along columns or along rows."""
+    """Compute, at chosen pixels (H, W), none of them on the border, the products of the differences of neighbours."""
     height, width = value.shape
-    share = _QUARTER * times
-    for row in range(down, height - down):
-        above, left, right = row - down, width - 2 * across, 2 * across
-        value_before, value_after = value[above, :left], value[row + down, right:]
-        log_before, log_after = log_amplitude[above, :left], log_amplitude[row + down, right:]
-        is_chosen, total = chosen[row, across : width - across], sums[row, across : width - across]
-        for i in range(len(total)):
-            product = (value_after[i] - value_before[i]) * (log_after[i] - log_before[i])
-            total[i] += share * product if is_chosen[i] else _ZERO
-
-
-@compiled
-def _add_mixed_products(
-    value: Floats32, log_amplitude: Floats32, chosen: Bools, times: np.float32, sums: Floats32
-) -> None:
-    """Add, at chosen pixels, `times` the products of one image's slope along rows and the other's along columns."""
-    height, width = value.shape
-    share = _QUARTER * times
     for row in range(1, height - 1):
+        above, here, below, is_chosen = value[row - 1], value[row], value[row + 1], chosen[row]
+        log_above, log_here, log_below = log_amplitude[row - 1], log_amplitude[row], log_amplitude[row + 1]
+        into = shift[row]
         for i in range(1, width - 1):
-            of_value = value[row, i + 1] - value[row, i - 1], value[row + 1, i] - value[row - 1, i]
-            of_log = (
-                log_amplitude[row, i + 1] - log_amplitude[row, i - 1],
-                log_amplitude[row + 1, i] - log_amplitude[row - 1, i],
-            )
-            product = of_value[0] * of_log[1] + of_value[1] * of_log[0]
-            sums[row, i] += share * product if chosen[row, i] else _ZERO
+            right, lower = here[i + 1] - here[i - 1], below[i] - above[i]
+            log_right, log_lower = log_here[i + 1] - log_here[i - 1], log_below[i] - log_above[i]
+            total = right * (across * log_right + mixed * log_lower) + lower * (down * log_lower + mixed * log_right)
+            into[i] = total if is_chosen[i] else into[i]

@@ -6,6 +6,7 @@ the image. Lens blur is isotropic; camera shake during the exposure blurs along 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -63,20 +64,18 @@ def footprint_of(
 def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, usable: Bools, tile_px: int) -> _Tiles:
     bends = [_band(value) for value, _ in shaded]
     inner = _inner(usable & np.all([np.abs(bend) < _JUMP_PX for bend in bends], axis=0), tile_px)
-    matrix = np.zeros((len(usable) // tile_px, len(UNITS), len(UNITS)))
-    vector = np.zeros(matrix.shape[:2])
+    count, chosen = len(UNITS), inner.astype(np.float32)
+    products = np.zeros((len(usable) // tile_px, 2 * count + 1, 2 * count + 1))
+    images = np.empty((len(products[0]), *usable.shape), np.float32)
     for bend, (value, log_amplitude) in zip(bends, shaded, strict=True):
         # Instrumental variable: it depends on the albedo, but neither on the noise of the amplitude nor on the
         # correlated ripples that interreflection causes in amplitude and phase.
-        instruments, shifts = (
-            np.stack(
-                [_of_tiles(_band(shading_shift(value, of, usable, unit)), inner, tile_px) for unit in UNITS], axis=1
-            )
-            for of in (log_lit, log_amplitude)
-        )
-        matrix += instruments @ shifts.transpose(0, 2, 1)
-        vector += (instruments @ _of_tiles(bend, inner, tile_px)[..., None])[..., 0]
-    return _Tiles(matrix, vector)
+        for image, (of, unit) in zip(images, product((log_lit, log_amplitude), UNITS), strict=False):
+            np.multiply(_band(shading_shift(value, of, usable, unit)), chosen, out=image)
+        np.multiply(bend, chosen, out=images[-1])
+        tiles = images.reshape(len(images), -1, tile_px**2).swapaxes(0, 1)
+        products += tiles @ tiles.swapaxes(1, 2)
+    return _Tiles(products[:, :count, count:-1], products[:, :count, -1])
 
 
 def _not_round(tiles: _Tiles) -> Footprint | None:
@@ -145,9 +144,3 @@ def _inner(usable: Bools, tile_px: int) -> Bools:
     middle = slice(margin, tile_px - margin)
     inside[:, middle, middle] = tiles[:, middle, middle]
     return inside.reshape(usable.shape)
-
-
-def _of_tiles(values: Floats32, chosen: Bools, tile_px: int) -> Floats:
-    """Return the values by tile, (T, tile · tile), zero where not chosen."""
-    tiles: Floats = np.where(chosen, values, np.float32(0)).reshape(-1, tile_px**2).astype(np.float64)
-    return tiles

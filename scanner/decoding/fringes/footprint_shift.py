@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, compiled
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
+from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift, surrounded
 
 # Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.
 _REACH = 2
+_STRETCH = 64  # pixels of a row that are searched at once
 REACH_PX = 2 * _REACH
 # Largest second difference of a surface's coordinates; more is a step between surfaces, which fringe orders are not.
 MOST_BEND_PX = 1.0
 # Share of a shift that stays uncertain: finite differences at sharp edges, and neglected higher orders.
 _UNCERTAIN_SHARE2 = np.float32(0.35**2)
-_ZERO, _AS_IT_IS, _ANY, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.inf), np.float32(np.nan)
+_ZERO, _AS_IT_IS, _UNKNOWN = np.float32(0), np.float32(1), np.float32(np.nan)
 
 
 def correct_shading_shift(
@@ -34,8 +35,7 @@ def correct_shading_shift(
 
     Returns the shift, NaN beside unusable pixels, where it is unknown.
     """
-    shift = shading_shift(value, log_amplitude, usable, footprint)
-    _forget(shift.ravel(), surrounded(usable, CROSS).ravel(), _ANY)
+    shift = shading_shift(value, log_amplitude, usable, footprint, np.nan)
     _take_out(shift.ravel(), value.ravel(), variance.ravel(), _AS_IT_IS)
     return shift
 
@@ -114,19 +114,18 @@ def _take_out_as_around(
     In rows from `top` to `bottom`, columns from `left` to `right`.
     """
     for row in range(top, bottom):
-        of_surface, of_shift = surface[row, left:right], shift[row, left:right]
-        # Most rows have none: their column range is found by a vectorised loop.
-        first, last = np.int32(len(of_shift)), np.int32(-1)
-        for i in range(len(of_shift)):
-            is_unknown = of_surface[i] & (of_shift[i] != of_shift[i])
-            first = min(first, np.int32(i)) if is_unknown else first
-            last = max(last, np.int32(i)) if is_unknown else last
-        for i in range(left + first, left + last + 1):
-            if surface[row, i] and shift[row, i] != shift[row, i]:
-                mean = _mean_around(shift, surface, row, i)
-                value[row, i] -= mean
-                # At the rim of a surface the shift is larger than at the neighbours.
-                variance[row, i] += mean * mean
+        for start in range(left, right, _STRETCH):
+            stop = min(start + _STRETCH, right)
+            # Most stretches have none, which a vectorised loop finds out.
+            of_surface, of_shift, unknown = surface[row, start:stop], shift[row, start:stop], np.uint8(0)
+            for i in range(len(of_shift)):
+                unknown |= np.uint8(of_surface[i] & (of_shift[i] != of_shift[i]))
+            for i in range(start, stop if unknown else start):
+                if surface[row, i] and shift[row, i] != shift[row, i]:
+                    mean = _mean_around(shift, surface, row, i)
+                    value[row, i] -= mean
+                    # At the rim of a surface the shift is larger than at the neighbours.
+                    variance[row, i] += mean * mean
 
 
 @compiled

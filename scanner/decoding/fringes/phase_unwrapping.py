@@ -16,8 +16,9 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, compiled, median
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.codes.gray_code import Interval
+from scanner.decoding.mask_reasons import Against
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
@@ -47,13 +48,18 @@ class Tolerances:
 class Orders:
     """Unwrapped `coordinates` (fringes, P), longest period first, in projector pixels.
 
-    `agree` (P,): some order explains all phases and the interval; otherwise the coordinates are invalid. `unique` (P,):
-    no other order explains them nearly as well.
+    `against` (P,): flags of `Against`. DISAGREES: no order explains all phases and the interval, the coordinates are
+    invalid. AMBIGUOUS: another order explains them nearly as well.
     """
 
     coordinates: Floats32
-    agree: Bools
-    unique: Bools
+    against: Reasons
+
+    @property
+    def agree(self) -> Bools:
+        """(P,): True where the coordinates are valid."""
+        agree: Bools = self.against & np.uint8(Against.DISAGREES) == 0
+        return agree
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Disagreements:
 
 def disagreements(orders: Orders, interval: Interval, chosen: Bools) -> Disagreements:
     """Return the disagreements at the `chosen` pixels."""
-    coordinates, low, high = orders.coordinates[:, chosen], interval.low[chosen], interval.high[chosen]
+    coordinates, low, high = (np.compress(chosen, of, -1) for of in (orders.coordinates, interval.low, interval.high))
     outside_px = np.maximum(np.maximum(low - coordinates[0], coordinates[0] - high), _ZERO)
     return Disagreements(outside_px, np.abs(np.diff(coordinates, axis=0)))
 
@@ -108,21 +114,19 @@ def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats3
     return Tolerances(interval, tuple(between))
 
 
-def unwrap(
-    plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances, *, in_place: bool = False
-) -> Orders:
-    """Unwrap the fringes of an axis. `in_place`: the positions may be overwritten to save memory."""
+def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tolerances) -> Orders:
+    """Unwrap the fringes of an axis."""
     periods = [np.float32(fringe.period) for fringe in plan.fringes]
     positions = wrapped.positions
     reach = plan.cell / 2 + SIGNIFICANT_SIGMAS * tolerances.interval_px
     others = int(2 * reach / plan.fringes[0].period)
     # With a single order within reach, it is the nearest.
     search = np.float32(reach if others else plan.fringes[0].period / 2)
-    coordinates = positions if in_place and not others else np.empty_like(positions)
+    coordinates = np.empty_like(positions)
     _first_order(positions[0], periods[0], search, interval.low, interval.high, coordinates[0])
     best_cost = _followed(coordinates, interval, wrapped, periods, tolerances)
     if not others:
-        return Orders(coordinates, best_cost < _INFINITE, np.ones(len(best_cost), np.bool_))
+        return Orders(coordinates, (best_cost == _INFINITE) * np.uint8(Against.DISAGREES))
     best, second_cost, trial = coordinates[0], np.full_like(best_cost, np.inf), coordinates.copy()
     for _ in range(others):
         trial[0] += periods[0]
@@ -132,7 +136,9 @@ def unwrap(
         coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
     ):
         _nearest_order(position, period, longer, shorter)
-    return Orders(coordinates, best_cost < _INFINITE, second_cost >= best_cost + np.float32(REJECTED))
+    against = (best_cost == _INFINITE) * np.uint8(Against.DISAGREES)
+    against |= (second_cost < best_cost + np.float32(REJECTED)) * np.uint8(Against.AMBIGUOUS)
+    return Orders(coordinates, against)
 
 
 def _followed(

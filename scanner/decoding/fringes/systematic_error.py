@@ -10,6 +10,7 @@ averaging would remove.
 """
 
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from typing import cast
 
 import cv2
@@ -54,31 +55,20 @@ def correct_systematic(
     At least two fringes, longest first, `coordinates` and `variances` (fringes, P) and `usable` (P,) of an image of
     `shape` (H, W).
     """
-    excesses, distances = [], []
+    pairs = []
     for k in range(len(coordinates) - 1):
-        pair = (part.reshape(shape) for part in (*coordinates[k : k + 2], *variances[k : k + 2], usable))
-        excess, distance = _apart(*pair)
-        excesses.append(_fine(np.maximum(excess, _ZERO), shape))
-        distances.append(_fine(distance, shape))
-    _bring_together(coordinates, distances)
-    powers = np.array(periods) ** _POWER
-    of_longer, of_shorter = (_HIDDEN * part / (powers[:-1] + powers[1:]) for part in (powers[:-1], powers[1:]))
-    last = len(excesses) - 1
-    for k, variance in enumerate(variances):
+        images = (part.reshape(shape) for part in (*coordinates[k : k + 2], *variances[k : k + 2], usable))
+        pairs.append(_apart(*images))
+    powers = np.array(periods, np.float32) ** _POWER
+    shares = np.float32(_HIDDEN) / (powers[:-1] + powers[1:])
+    excesses = [share * np.maximum(excess, _ZERO) for share, (excess, _) in zip(shares, pairs, strict=True)]
+    for k, (power, variance) in enumerate(zip(powers, variances, strict=True)):
         # Each fringe has two neighbouring periods, except the first and the last, which have one.
-        before = (excesses[k - 1], of_shorter[k - 1]) if k > 0 else (excesses[0], of_longer[0])
-        after = (excesses[k], of_longer[k]) if k <= last else (excesses[last], of_shorter[last])
-        _add_larger(before[0], np.float32(before[1]), after[0], np.float32(after[1]), variance)
-
-
-def _bring_together(coordinates: Floats32, distances: Sequence[Floats32]) -> None:
-    """Subtract from each longer fringe its distance from the shortest, given the distances (P,) of
-    successive fringes.
-    """
-    apart: Floats32 | None = None
-    for coordinate, distance in reversed([*zip(coordinates[:-1], distances, strict=True)]):
-        apart = distance if apart is None else apart + distance
-        coordinate -= apart
+        _add_between(power * reduce(np.maximum, excesses[max(k - 1, 0) : k + 1]), variance.reshape(shape))
+    apart = _ZERO
+    for coordinate, (_, distance) in reversed([*zip(coordinates[:-1], pairs, strict=True)]):
+        apart = apart - distance
+        _add_between(apart, coordinate.reshape(shape))
 
 
 def _apart(
@@ -130,38 +120,24 @@ def _compare(
             share[block, i] = _QUARTER * (of_usable[2 * i] + of_usable[2 * i + 1])
 
 
-@compiled
-def _add_larger(
-    first: Floats32, first_share: np.float32, second: Floats32, second_share: np.float32, variance: Floats32
-) -> None:
-    """Add the larger of the two scaled errors to the variance."""
-    for i in range(len(variance)):
-        variance[i] += max(first_share * first[i], second_share * second[i])
-
-
 def _over_windows(blocks: Floats32) -> Floats32:
     """Average the block means over windows, with zeros beyond the image."""
     return cast(Floats32, cv2.blur(blocks, (3, 3), borderType=cv2.BORDER_CONSTANT))
 
 
-def _fine(blocks: Floats32, shape: tuple[int, int]) -> Floats32:
-    """Interpolate the window means at each pixel, (P,)."""
-    fine = np.empty(shape, np.float32)
-    _interpolate(blocks, fine)
-    return fine.reshape(-1)
-
-
 @compiled
-def _interpolate(blocks: Floats32, fine: Floats32) -> None:
-    """Interpolate linearly between the centres of 2 × 2 blocks, with the border replicated."""
-    height, width = fine.shape
+def _add_between(blocks: Floats32, image: Floats32) -> None:
+    """Add the window means to an image (H, W), interpolated between the centres of 2 × 2 blocks, with the border
+    replicated.
+    """
+    height, width = image.shape
     last_row, last = blocks.shape[0] - 1, blocks.shape[1] - 1
     between = np.empty(last + 3, np.float32)
     pair = np.empty(2 * last + 2, np.float32)
     for row in range(height):
         near = row // 2
         far = min(near + 1, last_row) if row % 2 else max(near - 1, 0)
-        of_near, of_far, into = blocks[near], blocks[far], fine[row]
+        of_near, of_far, into = blocks[near], blocks[far], image[row]
         for i in range(last + 1):
             between[i + 1] = _THREE_QUARTERS * of_near[i] + _QUARTER * of_far[i]
         between[0], between[last + 2] = between[1], between[last + 1]
@@ -170,4 +146,4 @@ def _interpolate(blocks: Floats32, fine: Floats32) -> None:
             pair[2 * i] = middle + _QUARTER * between[i]
             pair[2 * i + 1] = middle + _QUARTER * between[i + 2]
         for i in range(width):
-            into[i] = pair[i]
+            into[i] += pair[i]

@@ -29,16 +29,17 @@ def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None
     first, second = levels
     if abs(float(np.sum(first - second))) < LEAST_DIFFERENCE / 2 * float(np.sum(first + second)):
         return None
+    logs = np.log((first + 1) / (second + 1))
+    if np.std(logs) > _MOST_CONTRAST:
+        return None
     cell, count = _cells(coarser, len(first))
     if len(count) < _FEWEST_CELLS:
         return None
     known = cell >= 0
-    logs, cell = np.log((first[known] + 1) / (second[known] + 1)).astype(np.float64), cell[known]
-    means = np.bincount(cell, logs) / count
-    contrast = sqrt(float(np.mean((logs - means[cell]) ** 2)))
+    means = np.bincount(cell[known], logs[known]) / count
     ratio = float(np.mean(means))
     sigma = float(np.std(means)) / sqrt(len(means))
-    if contrast > _MOST_CONTRAST or abs(ratio) < SIGNIFICANT_SIGMAS * sigma:
+    if abs(ratio) < SIGNIFICANT_SIGMAS * sigma:
         return None
     return Gains(np.exp(np.array([[ratio / 2], [-ratio / 2]])))
 

@@ -14,8 +14,8 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
-from scanner.decoding.arrays import Floats32
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median, reweighted
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
@@ -83,6 +83,15 @@ class Gains:
         factors = of_rows.min(axis=0) / of_rows[frame]
         result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
         return result
+
+
+def left_by_gains(levels: Floats32, common: Floats32) -> Floats:
+    """Return what is left of the `common` light (P,) without frames (N, P), each of the brightness that leaves least.
+
+    By least squares relative to the light.
+    """
+    frames = (levels / np.maximum(common, NEGLIGIBLE)).astype(np.float64)
+    return common * _without(frames, np.ones(len(common)))
 
 
 def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
@@ -188,36 +197,39 @@ def _weights(
     # Darker pixels are mostly noise and get less weight.
     scale = 1 / np.maximum(common, np.float32(LIT * median(common) + 1e-3))
     mean = levels.mean(axis=0)
-    design: Floats = (np.concatenate([common[None], levels - mean]) * scale).T.astype(np.float64)
+    design: Floats = (np.concatenate([common[None], levels - mean]) * scale).astype(np.float64)
     target: Floats = (mean * scale).astype(np.float64)
     tied, nothing = _tied((levels * scale).astype(np.float64), ties)
     largest = levels.max(axis=0)
-    chosen = largest < _SATURATED * largest.max()
-    seen = design[chosen]
-    if len(seen) < FEWEST_PIXELS:
-        return np.ones((count, 1)), inf
-    if not is_guess and _variety(np.mean(seen**2, axis=0), np.mean(seen, axis=0)) < _LEAST_VARIETY:
-        return np.ones((count, 1)), inf
+    kept = largest < _SATURATED * largest.max()
+    undetermined = np.ones((count, 1)), inf
+    if np.count_nonzero(kept) < FEWEST_PIXELS:
+        return undetermined
+    seen = design[:, kept]
+    if not is_guess and _variety(np.mean(seen**2, axis=1), np.mean(seen, axis=1)) < _LEAST_VARIETY:
+        return undetermined
     for _ in range(2):
         terms = _least_squares(
-            np.concatenate([design[chosen], *tied[:, chosen]]), np.concatenate([target[chosen], *nothing[:, chosen]])
+            np.concatenate([design[:, kept], *tied[..., kept]], axis=1),
+            np.concatenate([target[kept], *nothing[:, kept]]),
         )
-        away = np.abs(target - design @ terms)
-        chosen &= away <= OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away[chosen]) + 1e-6
-    design, target, rows = design[chosen], target[chosen], places.rows[chosen]
-    left = _without(harmonic.T[chosen], target - design @ terms)
+        away = np.abs(target - terms @ design)
+        kept &= away <= OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away[kept]) + 1e-6
+    if is_guess:
+        return _weights_from(terms[:, None]), inf
+    design, target, rows = design[:, kept], target[kept], places.rows[kept]
+    left = _without(harmonic[:, kept].astype(np.float64), target - terms @ design)
     noise = float(np.mean(left**2)) + 1e-12
-    of_common = design[:, 0] * (design[:, 0] @ target / (design[:, 0] @ design[:, 0]))
     # A nonlinear camera makes the sum deviate as well.
-    if is_pair and noise > AS_GOOD * np.mean((target - of_common) ** 2):
-        return np.ones((count, 1)), inf
+    if is_pair and noise > AS_GOOD * np.mean(_without(design[:1], target) ** 2):
+        return undetermined
     # Noise in the regressors biases the weights towards each other, by its share of their variance.
-    regressors = np.concatenate([design, *tied[:, chosen]])
-    spread = float(np.linalg.eigvalsh(regressors.T @ regressors / len(left))[1])
+    regressors = np.concatenate([design, *tied[..., kept]], axis=1)
+    spread = float(np.linalg.eigvalsh(regressors @ regressors.T / len(left))[1])
     if spread <= 0:  # identical frames without light
-        return np.ones((count, 1)), inf
+        return undetermined
     error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread
-    bands = None if is_guess else _bands(design, left, noise)
+    bands = _bands(design, left, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error
     starts = _starts(len(rows))
@@ -227,16 +239,16 @@ def _weights(
 
 
 def _tied(levels: Floats, ties: Floats) -> tuple[Floats, Floats]:
-    """Return the design rows (ties, P, 1 + frames) and targets (ties, P) of the linear constraints."""
+    """Return the designs (ties, 1 + frames, P) and targets (ties, P) of the linear constraints."""
     products = ties[:, :, None] * levels
     nothing: Floats = products.mean(axis=1)
-    of_frames = np.moveaxis(products - nothing[:, None], 1, 2)
-    return np.concatenate([np.zeros((*nothing.shape, 1)), of_frames], axis=2), nothing
+    of_frames = products - nothing[:, None]
+    return np.concatenate([np.zeros_like(nothing)[:, None], of_frames], axis=1), nothing
 
 
-def _without(terms: Floats32, values: Floats) -> Floats:
-    """Return the residual of the values (P,) after regression on the terms (P, terms)."""
-    rest: Floats = values - terms @ _least_squares(terms.astype(np.float64), values)
+def _without(terms: Floats, values: Floats) -> Floats:
+    """Return the residual of the values (P,) after regression on the terms (terms, P)."""
+    rest: Floats = values - _least_squares(terms, values) @ terms
     return rest
 
 
@@ -264,12 +276,12 @@ def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
     counts = np.diff(starts, append=len(left))
     if counts.min() < _FEWEST_PER_BAND:
         return None
-    squares = np.add.reduceat(design[:, :, None] * design[:, None, :], starts)
-    products = np.add.reduceat(design * left[:, None], starts)
-    prior = np.eye(design.shape[1]) * noise / _BAND_SIGMA**2
+    squares = np.moveaxis(np.add.reduceat(design[:, None] * design, starts, axis=2), 2, 0)
+    products = np.add.reduceat(design * left, starts, axis=1).T
+    prior = np.eye(len(design)) * noise / _BAND_SIGMA**2
     found = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
     explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
-    means = np.add.reduceat(design, starts) / counts[:, None]
+    means = np.add.reduceat(design, starts, axis=1).T / counts[:, None]
     is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY
     return found if is_told and explained > (1 - _BANDED) * noise * len(left) else None
 
@@ -284,7 +296,6 @@ def _variety(squares: Floats, means: Floats) -> Floats:
     return variety
 
 
-def _least_squares(design: Floats, target: Floats) -> Floats:
-    """Return the minimum-norm solution (N,) for a design (P, N) of few columns, which may be dependent."""
-    terms: Floats = np.linalg.pinv(design.T @ design, rcond=1e-9, hermitian=True) @ (design.T @ target)
-    return terms
+def _least_squares(terms: Floats, target: Floats) -> Floats:
+    """Return the minimum-norm coefficients (N,) of a few terms (N, P), which may be dependent."""
+    return reweighted(terms, target, np.ones_like, np.ones(1), 1)

@@ -9,39 +9,33 @@ g(I).
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import exp, inf
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Image, median
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.lit_pixels import thinned, unclipped
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.light.brightness import left_by_gains
+from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import HALF, MAJORITY
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
+from scanner.decoding.subsampling import TRIAL_PIXELS
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
 # the constraints relative to all pixels.
 _LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
-_ROUNDS = 4  # of reweighting
-# Sums this many times farther off than the median, three standard deviations, are down-weighted: motion or flicker.
-_OUTLYING = 4.5
-# Pixels of the fit, of which one of so many finds the time of an ambient light change: with every second or tenth, a
-# response like sRGB is taken for such a change in one room of `bench_conditions.py`.
-_FEWEST_PIXELS, _MOST_PIXELS, _EVERY = 200, 1000, 8
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
 _FINE_BITS, _GROUPS = 4, 16
-# Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter. The
-# right curve leaves a tenth; no other cause leaves so little with a curve that rises everywhere by this share of its
-# mean slope.
-_NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.2, 0.03
+# Squared deviations of the sums, in swings, added up over pairs: below the first two limits they do not matter, and the
+# right curve leaves a quarter of them at most, and a tenth of those before. No other cause leaves so little with a
+# curve that rises everywhere by this share of its mean slope.
+_NOTABLE, _NOTABLE_OF_BITS, _LEFT, _LEAST_SLOPE = 0.006, 0.03, 0.15, 0.03
 _MOST_UNEVEN = 1e12  # squared swings: for a pixel without swing
-# Residual of pairs, in swings, above which contrast is faint and light in 10 bits would lose some of it.
-_FAINT = 0.025
-_RARE = 0.001  # share of pixels below which a level does not determine its slope
 # Full scale of the light, 10 bits: in the dark, which tone curves spread, small differences are still a few grey
 # levels.
 _FULL_SCALE = 1023
@@ -74,38 +68,24 @@ class CameraResponse:
 
 
 def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top: float) -> CameraResponse | None:
-    """Estimate the response from a sample `levels` (frames, P) of all frames, up to level `top`.
+    """Estimate the response from the levels (frames, P) of lit pixels below `saturation`, in all frames, up to `top`.
 
     None if the sums are equal without it, or not equal with it.
     """
-    lit = unclipped(levels, saturation)
-    if lit.shape[1] < _FEWEST_PIXELS:
+    if levels.shape[1] < FEWEST_PIXELS:
         return None
-    seen = lit / np.float32(top)
+    seen = levels / np.float32(top)
     has_pairs = len(plan.complements) >= MAJORITY
     found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
         return None
-    sums, of_swing, notable = found
-    fit = _fit([sums], of_swing)
-    if fit.before < notable:
-        return None
-    # An ambient light change also makes sums differ: those before it from those after it.
-    if has_pairs:
-        few, of_few = sums[:, ::_EVERY], of_swing[::_EVERY]
-        after = [_fit([few[:place], few[place:]], of_few).after for place in range(1, len(sums))]
-        place = 1 + int(np.argmin(after))
-        switched = _fit([sums[:place], sums[place:]], of_swing)
-        if switched.after < HALF * fit.after and switched.before > notable:
-            fit = switched
-        if fit.after > _FAINT**2 * len(sums):
-            return None
-    slopes = np.diff(fit.light) / np.mean(np.diff(fit.light))
-    count, _ = np.histogram(seen, _LINEAR)
-    if fit.after > _LEFT * fit.before or np.any(slopes[count > _RARE * seen.size] < _LEAST_SLOPE):
-        return None
-    light = np.concatenate([[0.0], np.cumsum(np.maximum(slopes, _LEAST_SLOPE))])
-    return CameraResponse(light / light[-1], top, saturation)
+    fit = _fit_in_one_light(*found) if has_pairs else _fit([found[0]], found[1])
+    notable = _NOTABLE if has_pairs else _NOTABLE_OF_BITS
+    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
+    # of the frames is likelier if it leaves less.
+    most = min(notable, _LEFT * fit.before, _left_by_gains(plan, seen) if has_pairs else notable)
+    is_likely = fit.before >= notable and fit.after <= most
+    return CameraResponse(fit.light / fit.light[-1], top, saturation) if is_likely else None
 
 
 @dataclass(frozen=True)
@@ -118,25 +98,65 @@ class _Fit:
 
 
 def _fit(groups: list[Floats], swing: Floats) -> _Fit:
-    """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal."""
+    """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal.
+
+    A curve that is flat where the levels are would level anything. What it leaves is therefore divided by the square of
+    the geometric mean of its slopes there, relative to its swing, as the likelihood of a transformation is (Box and
+    Cox, JRSS B 26, 1964). No camera is as flat as that over much of its range.
+    """
     light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
-    return _Fit(light, before, after)
+    seen = np.concatenate(groups).mean(axis=(0, 1))
+    seen /= seen.sum()
+    slopes = np.gradient(light) / np.gradient(_LINEAR) * np.mean(swing @ _LINEAR) / np.mean(swing @ light)
+    if seen @ (slopes < FEW) > FEW:
+        after = inf
+    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(slopes))))
 
 
-def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float]:
-    """Return the sums of pairs in capture order, the swings, and the notable unevenness, at pixels `seen` (frames, P).
+def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
+    """Fit g to all sums (sums, P, _LEVELS) or, if ambient light changed, to those before and to those after it.
+
+    A change adds an unknown light to each pixel, so the evidence for it is weighed by Schwarz's criterion (BIC): −2 log
+    likelihood is the number of sums times the logarithm of what is left of them. As pixels are not independent, half of
+    that must go at least.
+    """
+    best = alike = _fit([sums], swing)
+    for light in (_LINEAR, alike.light):
+        of_light, of_swing = sums @ light, swing @ light
+        left = [
+            _unevenness(of_light[:place], of_swing) + _unevenness(of_light[place:], of_swing)
+            for place in range(1, len(sums))
+        ]
+        place = 1 + int(np.argmin(left))
+        best = min(best, _fit([sums[:place], sums[place:]], swing), key=lambda fit: fit.after)
+    is_changed = best.after < alike.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
+    return best if is_changed else alike
+
+
+def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:
+    """Return the sums of pairs in capture order and the swings, at pixels `seen` (frames, P); None if they are even.
 
     Sums (pairs, P, _LEVELS) and swings (P, _LEVELS) are linear in the values of g.
     """
-    some = thinned(seen, _MOST_PIXELS)
-    of_levels = _interpolation(some)
+    some = thinned(seen, TRIAL_PIXELS)
     first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
-    swing = _interpolation(some.max(axis=0)) - _interpolation(some.min(axis=0))
-    return of_levels[first] + of_levels[second], swing, _NOTABLE
+    darkest, brightest = some.min(axis=0), some.max(axis=0)
+    if _unevenness(some[first] + some[second], brightest - darkest) < _NOTABLE:
+        return None
+    swing = _interpolation(brightest) - _interpolation(darkest)
+    return _interpolation(some[first]) + _interpolation(some[second]), swing
 
 
-def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, float] | None:
+def _left_by_gains(plan: SequencePlan, seen: Floats32) -> float:
+    """Return how uneven the sums of pairs are, at pixels `seen` (frames, P), once all frames are equally bright."""
+    some = thinned(seen, TRIAL_PIXELS)
+    pairs = np.array(plan.complements)
+    usual = some[pairs].sum(axis=1).mean(axis=0)
+    return _unevenness(np.stack([left_by_gains(some[pair], usual) for pair in pairs]), np.ptp(some, axis=0))
+
+
+def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:
     """Return the same as `_of_pairs` for fine bits without inverses, compared with white plus black.
 
     Averages over groups of equally bright pixels replace pairs, as half of the pixels are lit. None without such bits,
@@ -154,7 +174,8 @@ def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats, 
     # Darker bits mean that stripes lose light, or that white differs in patterns.
     if np.any(swing @ _LINEAR <= 0) or np.sum((sums - white - black) @ _LINEAR) <= 0:
         return None
-    return np.concatenate([[white + black], sums]), swing, _NOTABLE_OF_BITS
+    sums = np.concatenate([[white + black], sums])
+    return (sums, swing) if _unevenness(sums @ _LINEAR, swing @ _LINEAR) >= _NOTABLE_OF_BITS else None
 
 
 def _interpolation(levels: Floats32) -> Floats:
@@ -175,15 +196,19 @@ def _levelling(off: Floats, swing: Floats) -> Floats:
     light, weights = _LINEAR, np.ones(len(rows))
     given, offset = np.outer(mean, mean), np.outer(np.eye(_LEVELS)[0], np.eye(_LEVELS)[0])
     as_it_is = mean * float(mean @ _LINEAR)
-    for _ in range(_ROUNDS):
-        of_swing = swing @ light
-        of_swing = np.maximum(of_swing, _LEAST_SLOPE * median(of_swing))
-        relative = np.tile(1 / of_swing, len(off))
+    for _ in range(HUBER_ROUNDS):
+        relative = np.tile(1 / np.maximum(swing @ light, NEGLIGIBLE), len(off))
         normal = rows.T @ ((weights * relative**2)[:, None] * rows) / len(rows) + stiff
-        light = np.linalg.solve(normal + _HELD * (given + offset), _HELD * as_it_is).astype(np.float64)
+        light = _rising(np.linalg.solve(normal + _HELD * (given + offset), _HELD * as_it_is).astype(np.float64))
         away = relative * np.abs(rows @ light)
-        weights = 1 / (1 + (away / (_OUTLYING * median(away) + 1e-4)) ** 2)
+        weights = 1 / (1 + (away / (OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away) + 1e-4)) ** 2)
     return light
+
+
+def _rising(light: Floats) -> Floats:
+    """Return the curve (_LEVELS,) from 0 on, with no slope below the least share of its mean slope."""
+    slopes = np.diff(light)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(slopes, _LEAST_SLOPE * np.mean(slopes)))])
 
 
 def _unevenness(sums: Floats, swing: Floats) -> float:

@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.late_frame import late_frame
-from scanner.decoding.light.lit_pixels import thinned, unclipped
+from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
@@ -80,37 +80,34 @@ def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
         yield result
 
 
-def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64], saturation: float) -> Ghost | None:
-    """Estimate the ghost in all frames, or else in one frame, from a sample `levels` (frames, P) in
-    image `rows` (P,).
+def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64]) -> Ghost | None:
+    """Estimate the ghost in all frames, or else in one frame, from the levels (frames, P) of lit pixels that are not
+    clipped, in image `rows` (P,).
     """
-    varies = np.ptp(levels, axis=0) > 0
-    if not varies.any():
+    if levels.shape[1] < FEWEST_PIXELS:
         return None
-    levels, rows = levels[:, varies], rows[varies]
-    share, _ = _share_and_unevenness(plan, levels, saturation)
+    share, _ = _share_and_unevenness(plan, levels)
     if share is not None:
-        halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side], saturation) for side in (0, 1)]
+        halves = [_share_and_unevenness(plan, levels[:, rows % 2 == side]) for side in (0, 1)]
         (even, off_even), (odd, off_odd) = ((of_half or 0.0, off) for of_half, off in halves)
         # The rows with the ghost are more uneven.
         if min(off_even, off_odd) < _OF_THE_OTHER * max(off_even, off_odd) and abs(even - odd) > _INTERLACED:
             return Ghost(even, of_odd_rows=odd)
     if share:
         return Ghost(share)
-    late = late_frame(plan, levels, saturation)
+    late = late_frame(plan, levels)
     return None if late is None else Ghost(*late)
 
 
-def _share_and_unevenness(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float | None, float]:
+def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float | None, float]:
     """Estimate the previous picture's share in each frame of `levels` (frames, P), and the unevenness per pixel before
     correction.
 
     The share is 0 if it is not significant, None if a small share improves nothing.
     """
-    lit = unclipped(levels, saturation)
-    if lit.shape[1] < FEWEST_PIXELS:
+    seen = thinned(levels, TRIAL_PIXELS)
+    if not seen.size:
         return None, 0.0
-    seen = thinned(lit, TRIAL_PIXELS)
     before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
 
     def left(share: float) -> float:

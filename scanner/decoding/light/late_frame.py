@@ -12,7 +12,8 @@ from scipy.optimize import minimize_scalar
 
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.bits_without_inverse import TAILS
-from scanner.decoding.light.lit_pixels import thinned, unclipped
+from scanner.decoding.light.brightness import left_by_gains
+from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY
@@ -33,15 +34,12 @@ _LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only dar
 Off = Callable[[Floats32], float]
 
 
-def late_frame(plan: SequencePlan, levels: Floats32, saturation: float) -> tuple[float, int] | None:
+def late_frame(plan: SequencePlan, levels: Floats32) -> tuple[float, int] | None:
     """Return the share of the previous picture in the late frame, and its place in the capture; None if there is none.
 
-    `levels` (frames, P): a sample of all frames.
+    `levels` (frames, P): of lit pixels in all frames.
     """
-    lit = unclipped(levels, saturation)
-    if lit.shape[1] < FEWEST_PIXELS:
-        return None
-    seen = thinned(lit, TRIAL_PIXELS)
+    seen = thinned(levels, TRIAL_PIXELS)
     seen = seen / np.ptp(seen, axis=0)
     best, least = None, 1.0
     for kind, frames, off in _groups(plan, seen):
@@ -100,12 +98,7 @@ def _off_common(frames: tuple[int, ...], common: Floats32) -> Off:
 
 def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
     """Return what is left of the contradiction with optimal gains of the frames."""
-    if len(frames) == 1:
-        return np.inf
-    light = np.mean(seen, axis=0)
-    design = (seen[list(frames)] / light).T.astype(np.float64)
-    gains = np.linalg.lstsq(design, np.ones(len(design)), rcond=None)[0]
-    return float(np.mean((light * (design @ gains - 1)) ** 2))
+    return np.inf if len(frames) == 1 else float(np.mean(left_by_gains(seen[list(frames)], np.mean(seen, axis=0)) ** 2))
 
 
 def _off_two_levels(white: int, black: int, bit: int) -> Off:

@@ -1,9 +1,11 @@
 """Select sample pixels that the patterns light and do not saturate."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import quantile
+from calib.numerics import Bools, quantile
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.significance import BRIGHTEST
 from scanner.decoding.subsampling import evenly_spread
@@ -18,11 +20,12 @@ def lit_by(swing: Floats32) -> NDArray[np.intp]:
     return evenly_spread(np.flatnonzero(swing >= LIT * quantile(swing, BRIGHTEST)))
 
 
-def unclipped(levels: Floats32, saturation: float) -> Floats32:
-    """Return the levels (frames, P) of some lit pixels that stay below `saturation` in all frames."""
-    swing = np.ptp(levels, axis=0)
+def unclipped(levels: NDArray[Any], saturation: float) -> NDArray[np.intp]:
+    """Return ascending indices of some lit pixels that stay below `saturation` in all frames, levels (frames, P)."""
+    swing = np.ptp(levels, axis=0).astype(np.float32)
     lit = lit_by(swing)
-    return levels[:, lit[(swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)]]
+    usable: Bools = (swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)
+    return lit[usable]
 
 
 def thinned(levels: Floats32, most: int) -> Floats32:

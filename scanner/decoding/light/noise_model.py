@@ -64,12 +64,13 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
     if not unsaturated.any():
         return NoiseModel(_QUANTISATION, 0.0)
     contrast = float(np.quantile(np.ptp(levels, axis=0), _BRIGHTEST))
-    repeats = _repeats(plan, levels[:, unsaturated])
+    repeats = _repeats(plan, levels)
     curvature = sample.curvature
     if curvature is not None:
-        rows = zip(levels[:, unsaturated], curvature[:, unsaturated], strict=True)
+        rows = zip(levels, curvature, strict=True)
         repeats += [(level, bend / np.float32(np.sqrt(6))) for level, bend in rows]
-    noise = _fit(*_variance_by_level(*(np.stack(parts) for parts in zip(*repeats, strict=True))))
+    means, differences = (np.stack(parts)[:, unsaturated] for parts in zip(*repeats, strict=True))
+    noise = _fit(*_variance_by_level(medians(means, axis=0), differences))
     return replace(noise, stray=min(max(_ROUNDING, STRAY_PART * contrast), _MOST_STRAY))
 
 
@@ -85,12 +86,11 @@ def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Float
     return found
 
 
-def _variance_by_level(levels: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
-    """Return mean level and variance in bins of equal width in level; `levels`, `differences` are (repeats, P).
+def _variance_by_level(level: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
+    """Return mean level and variance in bins of equal width in `level` (P,); `differences` (repeats, P).
 
     The quieter repeats count: a nonlinear camera adds a difference where stripes are as fine as its pixels.
     """
-    level = medians(levels, axis=0)
     # Dither: the median of small integers would jump between multiples of one.
     dithered = differences + np.random.default_rng(SEED).uniform(-0.25, 0.25, len(level)).astype(np.float32)
     bins = np.floor(level / (level.max() + 1e-6) * _BINS).astype(np.int64)

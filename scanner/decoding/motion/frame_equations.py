@@ -1,131 +1,230 @@
-"""Linear equations for the motion of each frame, at the pixels of small tiles.
+"""Linear equations for the motion of both devices in every frame of the fringes.
 
-To first order, a shift by d changes a frame I by −∇I · d. All fringes show the same scene under the same mean light, so
-that 1 + 2 F numbers per pixel explain N frames of F fringes. The remainder is linear in all shifts d.
+All fringes show the same scene under the same mean light, so that 1 + 2 F numbers per pixel explain N frames of F
+fringes. To first order, a motion in a frame changes it by the slope of its fringe times the shift of the coordinate.
+What remains of the frames beside light and fringes is linear in the motions of all frames, and so is the difference
+between the positions of successive fringes of an axis. A motion along a trajectory in time is a projection of these
+equations.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.samples import TILE_PX, TileSample
-from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
-from scanner.decoding.slopes import LEVEL, SLOPE
-from scanner.decoding.subsampling import evenly_spread
+from calib.numerics import Floats, Ints, median
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.motion.fringe_frames import FringeFrames
+from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.rigid import PRIOR_PX
+from scanner.decoding.significance import HUBER_SIGMAS
 
-# Noise reduction by the taps along both axes, as a factor of the variance.
-_LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
+_OF_LIGHT = 4  # unknowns of a frame's light
+
+
+@dataclass(frozen=True)
+class Block:
+    """Equations at P pixels, in standard deviations: `seen` (n, P) = `mix` (n, n) @ the changes of n frames.
+
+    `columns` (A, n, P): derivatives of the changes of the frames with these `numbers` (n,), by A unknowns of each.
+    """
+
+    numbers: Ints
+    columns: Floats32
+    mix: Floats
+    seen: Floats32
+
+    @property
+    def normal(self) -> Floats:
+        """The normal matrix (A n, A n)."""
+        flat = self.columns.reshape(-1, self.seen.shape[1])
+        return np.asarray(flat @ flat.T, np.float64) * np.tile(self.mix, (len(self.columns), len(self.columns)))
+
+    @property
+    def right(self) -> Floats:
+        """The right-hand side (A n,)."""
+        return np.asarray(np.einsum("anp,np->an", self.columns, self.seen).reshape(-1), np.float64)
+
+    def change(self, unknowns: Floats) -> Floats:
+        """Return what unknowns (A, N) of all frames explain, (n, P)."""
+        parts = min(len(unknowns), len(self.columns))
+        of_frames = unknowns[:parts, self.numbers].astype(np.float32)
+        return np.asarray(self.mix @ np.einsum("anp,an->np", self.columns[:parts], of_frames))
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The motion along `directions` (A N, U): unknowns that were `found` (U,), and the decrease of χ², `gained`.
+
+    `information` (U, U): of the unknowns, with their prior.
+    """
+
+    directions: Floats
+    found: Floats
+    information: Floats
+    gained: float
+
+    @property
+    def of_frames(self) -> Floats:
+        """(A N,): unknowns of all frames."""
+        of_frames: Floats = self.directions @ self.found
+        return of_frames
 
 
 @dataclass(frozen=True)
 class FrameEquations:
-    """Residuals of N frames at P pixels, in K directions that no fringe explains, and their derivatives.
+    """Equations for A unknowns of each of N frames, ordered by kind, then by frame, at pixels in these `tiles` (P,).
 
-    `times` (N,): positions of the frames in the sequence. `axis` (N,): 0 for x, 1 for y. `tile` (P,): tile of each
-    pixel. `seen` (K, P): residuals in standard deviations. Their derivatives (., K, P): `by_camera` (2 N, ...), by the
-    shift of each frame to the right, then down; `by_projector` (N, ...), by the shift of its pattern along its axis;
-    `by_light`, by gains, offsets and the brightness curve.
+    The first of the `blocks` has unknowns of the frames' light as well, which count as nuisance: a gain and an offset
+    of each frame, and the second harmonic of each fringe, the same in all pixels, that a nonlinear brightness curve
+    leaves.
     """
 
-    times: Ints
-    axis: Ints
+    frames: FringeFrames
     tile: Ints
-    seen: Floats
-    by_camera: Floats
-    by_projector: Floats
-    by_light: Floats
+    blocks: tuple[Block, ...]
+
+    @cached_property
+    def _beside_light(self) -> tuple[Floats, Floats]:
+        """(A N, (A + 4) N): derivatives by the unknowns without what light explains, from those with the light's; and
+        the light at rest, as unknowns ((A + 4) N,).
+        """
+        frames, block = self.frames, self.blocks[0]
+        count, moved = len(frames.times), self._unknowns
+        of_fringe = frames.of_fringe[:, None] == np.arange(len(frames.fringes))
+        light = np.zeros((_OF_LIGHT * count, 2 * (count + len(frames.fringes))))
+        light[: 2 * count, : 2 * count] = np.eye(2 * count)
+        light[2 * count :, 2 * count :] = np.kron(np.eye(2), of_fringe)
+        normal = self._normal_of_frames[:, moved:] @ light
+        by_light = np.linalg.solve(light.T @ normal[moved:] + np.eye(light.shape[1]), light.T)
+        beside = np.concatenate([np.eye(moved), -normal[:moved] @ by_light], axis=1)
+        return beside, np.append(np.zeros(moved), light @ by_light @ block.right[moved:])
+
+    @property
+    def _unknowns(self) -> int:
+        return (len(self.blocks[0].columns) - _OF_LIGHT) * len(self.frames.times)
+
+    @cached_property
+    def _normal_of_frames(self) -> Floats:
+        return self.blocks[0].normal
+
+    @cached_property
+    def _normal(self) -> tuple[Floats, Floats]:
+        """The normal matrix (A N, A N), and the right-hand side (A N,)."""
+        of_frames, *of_positions = self.blocks
+        beside, _ = self._beside_light
+        normal, right = beside @ self._normal_of_frames[:, : len(beside)], beside @ of_frames.right
+        for block in of_positions:
+            places = self._places(block)
+            normal[np.ix_(places, places)] += block.normal
+            right[places] += block.right
+        return normal, right
+
+    def _places(self, block: Block) -> Ints:
+        """Return the places of a block's unknowns among those of all frames."""
+        places: Ints = np.arange(len(block.columns))[:, None] * len(self.frames.times) + block.numbers
+        return places.reshape(-1)
+
+    def along(self, directions: Floats, known: Floats | float = 0.0) -> Projection:
+        """Return the motion along some directions (A N, U) that explains most, beside what is `known` (U,) of it and
+        was removed from the frames.
+        """
+        normal, right = self._normal
+        information = directions.T @ normal @ directions + np.eye(directions.shape[1]) / PRIOR_PX**2
+        towards = directions.T @ right - known / PRIOR_PX**2
+        found = np.linalg.solve(information, towards).astype(np.float64)
+        return Projection(directions, found, information, float(towards @ found))
+
+    def _left(self, motions: Floats | None = None) -> list[Floats]:
+        """Return what light and the motions (A N,) of the frames do not explain, (n, P) per block."""
+        beside, light = self._beside_light
+        unknowns = light if motions is None else light + motions @ beside
+        unknowns = unknowns.reshape(-1, len(self.frames.times))
+        return [block.seen - block.change(unknowns) for block in self.blocks]
+
+    def variance(self, motions: Floats | None = None) -> float:
+        """Return the variance of what light and motions (A N,) leave of the frames, relative to noise."""
+        return _variance(self._left(motions)[0], self.blocks[0].mix)
+
+    def covariance(self, projection: Projection) -> Floats:
+        """Return the covariance (U, U) of what was found, from the scatter between tiles."""
+        left = self._left(projection.of_frames)
+        of_frames, *of_positions = (
+            self._of_tiles(block.columns * of_block) for block, of_block in zip(self.blocks, left, strict=True)
+        )
+        scores = self._beside_light[0] @ of_frames
+        for block, of_block in zip(self.blocks[1:], of_positions, strict=True):
+            scores[self._places(block)] += of_block
+        sums, inverse = projection.directions.T @ scores, np.linalg.inv(projection.information)
+        noise = _variance(left[0], self.blocks[0].mix)
+        covariance: Floats = inverse @ (sums @ sums.T) @ inverse + noise * inverse
+        return covariance
+
+    def _of_tiles(self, values: Floats) -> Floats:
+        """Return the sums of values (A, n, P) within each tile, (A n, T)."""
+        flat = values.reshape(-1, values.shape[2])
+        return np.add.reduceat(flat, np.flatnonzero(np.diff(self.tile, prepend=-1)), axis=1)
+
+    def explained(self, motions: Floats, without: "FrameEquations") -> float:
+        """Return the share of what is seen along the motions (A N,), at a typical pixel, that is not seen `without` it:
+        in frames from which it was removed.
+        """
+        of_all = []
+        for block, before, after in zip(self.blocks, self._left(), without._left(), strict=True):
+            along = block.change(motions.reshape(-1, len(self.frames.times)))
+            along /= np.sqrt(np.maximum(np.sum(along**2, axis=0), NEGLIGIBLE))
+            of_all.append([np.sum(along * one, axis=0) ** 2 for one in (before, after)])
+        before, after = np.concatenate(of_all, axis=1)
+        return 1.0 - median(after) / max(median(before), 1e-12)
 
 
-def frame_equations(
-    plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float
-) -> FrameEquations | None:
-    """Return the equations for the frames of all fringes; None if there are too few usable pixels or frames."""
-    shown = sorted(
-        (time, number, fringe.frames.index(frame))
-        for time, frame in enumerate(plan.shown)
-        for number, fringe in enumerate(plan.fringes)
-        if frame in fringe.frames
-    )
-    times, of_fringe = np.array([time for time, *_ in shown]), np.array([number for _, number, _ in shown])
-    fringes = [plan.fringes[number] for number in of_fringe]
-    angles = 2 * np.pi * np.array([fringe.shifts[k] for fringe, (*_, k) in zip(fringes, shown, strict=True)])
-    design = _design(of_fringe, angles, len(plan.fringes))
-    if len(times) <= design.shape[1]:
-        return None
-    images = tiles.of_frames(times.tolist(), np.arange(len(tiles.tile))).reshape(len(times), -1, TILE_PX, TILE_PX)
-    blurred, by_right, by_down = (_filtered(images, *taps) for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL)))
-    pixels = _pixels(plan.fringes, blurred, design, noise, _resting(tiles, images, saturation))
-    if len(pixels) < FEWEST_PIXELS:
-        return None
-    levels, right, down = (part[:, pixels].astype(np.float64) for part in (blurred, by_right, by_down))
-    parameters = np.linalg.pinv(design) @ levels
-    cosine, sine = parameters[1:].reshape(len(plan.fringes), 2, -1)[of_fringe].transpose(1, 0, 2)
-    phase, amplitude = np.arctan2(sine, cosine) + angles[:, None], np.hypot(cosine, sine)
-    steepness = 2 * np.pi / np.array([fringe.period for fringe in fringes])[:, None]
-    fitted = design @ parameters
-    # An orthonormal basis of the residuals of the fringe model.
-    beside = np.linalg.svd(design)[0][:, design.shape[1] :]
-    sigma = np.sqrt(_LESS_NOISE * noise.variance(levels.mean(axis=0)).astype(np.float64))
-
-    def of_each(column: Floats) -> Floats:
-        """Return the derivatives (N, K, P) by each frame's own parameter, from the change (N, P) that it makes."""
-        changes: Floats = beside[:, :, None] * (column / sigma)[:, None, :]
-        return changes
-
-    # A nonlinear brightness curve leaves a second harmonic in each fringe, the same in all pixels.
-    harmonics = [of_each(amplitude * wave(2 * phase)) for wave in (np.cos, np.sin)]
-    curve = [part[of_fringe == number].sum(axis=0) for part in harmonics for number in range(len(plan.fringes))]
-    mean = np.broadcast_to(fitted.mean(axis=0), fitted.shape)
-    return FrameEquations(
-        times,
-        np.array([fringe.axis == "y" for fringe in fringes], np.int64),
-        np.repeat(np.arange(tiles.count), blurred.shape[1] // tiles.count)[pixels],
-        beside.T @ levels / sigma,
-        np.concatenate([of_each(-right), of_each(-down)]),
-        of_each(steepness * amplitude * np.sin(phase)),
-        np.concatenate([of_each(fitted), of_each(mean), np.stack(curve)]),
-    )
+def of_frames(model: FringeModel, by_unknowns: Floats32, noise: Floats) -> Block:
+    """Return what light and fringes do not explain of the frames, whose derivatives (A, N, P) are given."""
+    frames = model.frames
+    mix = np.eye(len(frames.times)) - frames.design @ frames.weights
+    root = 1 / np.sqrt(noise)
+    root *= _root_weights(model.residuals * root, mix)
+    phase, amplitude = model.waves
+    columns = np.empty((len(by_unknowns) + _OF_LIGHT, *phase.shape), np.float32)
+    np.multiply(by_unknowns, root.astype(np.float32), out=columns[:-4])
+    columns[-4] = (model.levels - model.residuals) * root
+    columns[-3] = model.light * root
+    columns[-2], columns[-1] = (amplitude * wave(2 * phase) * root for wave in (np.cos, np.sin))
+    return Block(np.arange(len(frames.times)), columns, mix, (model.residuals * root).astype(np.float32))
 
 
-def _design(of_fringe: Ints, angles: Floats, fringes: int) -> Floats:
-    """Return the design matrix (N, 1 + 2 F) of the mean light, and of A cos θ and A sin θ of each fringe."""
-    design = np.zeros((len(angles), 1 + 2 * fringes))
-    design[:, 0] = 1
-    every = np.arange(len(angles))
-    design[every, 1 + 2 * of_fringe], design[every, 2 + 2 * of_fringe] = np.cos(angles), -np.sin(angles)
-    return design
+def of_positions(model: FringeModel, pixels: Pixels, longer: int, shorter: int) -> Block:
+    """Return the difference between the positions of two successive fringes, by the motion of their frames."""
+    frames = model.frames
+    numbers = np.flatnonzero(np.isin(frames.of_fringe, (longer, shorter)))
+    sign = np.where(frames.of_fringe[numbers] == shorter, 1, -1)[:, None]
+    apart, variance = model.between(longer, shorter, pixels)
+    mix, root = np.ones((len(numbers), len(numbers))), 1 / np.sqrt(variance)
+    seen = np.broadcast_to(apart, (len(numbers), len(apart)))
+    root *= _root_weights(seen * root, mix)
+    changes = (sign * model.responses[numbers] * root).astype(np.float32)
+    return Block(numbers, pixels.by_motion32[:, frames.axis[numbers]] * changes, mix, (seen * root).astype(np.float32))
 
 
-def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
-    """Filter tiles (N, T, tile, tile) by taps along columns and rows, where the taps lie inside the tile; (N, P)."""
-    size = images.shape[-1] - len(down) + 1
-    # A matrix product of a few taps made OpenBLAS warn of invalid values that do not exist.
-    rows = np.zeros((*images.shape[:2], size, images.shape[3]), np.float32)
-    for k, tap in enumerate(down.astype(np.float32)):
-        rows += tap * images[:, :, k : k + size]
-    both = np.zeros((*rows.shape[:3], size), np.float32)
-    for k, tap in enumerate(across.astype(np.float32)):
-        both += tap * rows[..., k : k + size]
-    return both.reshape(len(images), -1)
+def equations_of_motion(model: FringeModel, pixels: Pixels) -> FrameEquations:
+    """Return the equations for the motion (8,) of both devices in each frame."""
+    by_motion = pixels.by_motion32[:, model.frames.axis] * model.slopes.astype(np.float32)
+    positions = (of_positions(model, pixels, *both) for both in model.frames.successive)
+    return FrameEquations(model.frames, pixels.tile, (of_frames(model, by_motion, pixels.noise), *positions))
 
 
-def _pixels(fringes: tuple[Fringe, ...], levels: Floats32, design: Floats, noise: NoiseModel, resting: Bools) -> Ints:
-    """Choose some of the resting pixels, by number, at which all fringes are visible."""
-    components = (np.linalg.pinv(design) @ levels)[1:].reshape(len(fringes), 2, -1)
-    variance = np.float32(_LESS_NOISE) * noise.variance(levels.mean(axis=0))
-    usable = resting.copy()
-    for fringe, of_fringe in zip(fringes, components, strict=True):
-        usable &= np.sum(of_fringe**2, axis=0) > (SIGNIFICANT_SIGMAS * fringe.noise_gain) ** 2 * variance
-    return evenly_spread(np.flatnonzero(usable))
+def _root_weights(seen: Floats, mix: Floats) -> Floats:
+    """Return the square roots (P,) of the Huber weights of pixels with residuals (n, P), in standard deviations."""
+    variance = np.sum(seen**2, axis=0) / max(float(np.trace(mix)), 1.0)
+    sigmas = np.sqrt(np.maximum(variance / max(_variance(seen, mix), 1e-12), 1e-9))
+    return np.asarray(np.sqrt(np.minimum(1.0, HUBER_SIGMAS / sigmas)))
 
 
-def _resting(tiles: TileSample, images: Floats32, saturation: float) -> Bools:
-    """(P,): whether nothing moves or is saturated within the taps."""
-    fit = (images.max(axis=0) < saturation) & tiles.resting.reshape(images.shape[1:])
-    whole = _filtered(fit[None].astype(np.float32), np.ones_like(LEVEL), np.ones_like(LEVEL))
-    resting: Bools = whole[0] > len(LEVEL) ** 2 - 1 / 2
-    return resting
+def _variance(seen: Floats, mix: Floats) -> float:
+    """Return the variance of residuals (n, P) of `mix`, without outliers.
+
+    The median of χ² is nearly k (1 − 2/9k)³ (Wilson and Hilferty, PNAS 17, 1931).
+    """
+    freedom = max(float(np.trace(mix)), 1.0)
+    return median(np.sum(seen**2, axis=0)) / (freedom * (1 - 2 / (9 * freedom)) ** 3)

@@ -22,7 +22,7 @@ from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
 
 # A quick test on a subsample of the grid: with so few contradictions, nothing moved.
-_STRIDE, _A_FEW = 3, 4
+_STRIDE, _A_FEW = 4, 2
 # Window, and the least share of it that is lit, and of the lit pixels in it that are inconsistent, where something
 # moved; both object and background light its edges.
 _WINDOW, _DENSE = 9, 0.3

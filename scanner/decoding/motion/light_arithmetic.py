@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfinv
 
-from calib.numerics import Bools, median, quantile
+from calib.numerics import Bools, Floats, median, quantile, reweighted
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
@@ -140,8 +140,8 @@ def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:
     bright light.
     """
     by = usual / np.maximum(levels.mean(axis=0), 1e-6)
-    _, left = _fit_most(levels.T, usual[:, None], _most_concentrated(by))
-    return left[:, 0]
+    _, left = _fit_most(levels, usual, _most_concentrated(by))
+    return left
 
 
 def _most_concentrated(values: Floats32) -> Bools:
@@ -167,32 +167,34 @@ def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usua
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every.T, usual[:, None], _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
-    far = FEW * np.ptp(frames, axis=0)[:, None]
+    brightness, left = _fit_most(every, usual, _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
+    far = FEW * np.ptp(frames, axis=0)
     if contradict := np.count_nonzero(np.abs(left) > far):
         relative = usual / max(float(usual.max()), 1e-6)
         curved = np.stack([usual, *every[1:], usual * relative, usual * relative**2])
-        by_curve, left_of_curve = _fit_most(curved.T, parts[0][:, None], np.ones(len(usual), np.bool_))
+        by_curve, left_of_curve = _fit_most(curved, parts[0], np.ones(len(usual), np.bool_))
         # With a tone curve none contradict any more, and all where something moved.
         if np.count_nonzero(np.abs(left_of_curve) > far) < HALF * contradict:
             brightness, left = by_curve, left_of_curve
     # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
-    bent = np.float32(np.hypot(*brightness[2:4, 0])) * (frames.max(axis=0) - parts[1])
-    return cast(Floats32, np.maximum(np.abs(left[:, 0]) - bent, 0))
+    bent = np.float32(np.hypot(*brightness[2:4])) * (frames.max(axis=0) - parts[1])
+    return cast(Floats32, np.maximum(np.abs(left) - bent, 0))
 
 
-def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats32, Floats32]:
-    """Fit the targets (P, K) by the terms (P, N), trimmed to pixels that agree: factors (N, K) and residuals (P, K).
+def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats, Floats32]:
+    """Fit the targets (P,) or (K, P) by the terms (N, P), trimmed to pixels that agree.
 
-    `first` (P,): pixels of the first fit.
+    Returns the factors, (N,) or (N, K), and the residuals, shaped like the targets. `first` (P,): pixels of the first
+    fit.
     """
-    kept = first
-    for _ in range(TRIMMED_FITS):
-        factors = np.linalg.lstsq(terms[kept], targets[kept], rcond=None)[0]
-        left = targets - terms @ factors
-        size = np.sqrt(np.mean(left**2, axis=1))
-        kept = size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)
-    return cast(Floats32, factors), left
+
+    def most(left: Floats) -> Floats:
+        size = np.abs(left) if left.ndim == 1 else np.sqrt(np.mean(left**2, axis=0))
+        return (size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)).astype(np.float64)
+
+    of = terms.astype(np.float64)
+    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), TRIMMED_FITS)
+    return factors, (targets - factors.T @ of).astype(np.float32)
 
 
 def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
@@ -220,7 +222,7 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     fit = fringe.weights.astype(np.float32) @ levels
     left = levels - fringe.design.astype(np.float32) @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
-    terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)], axis=1)
+    terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)])
     size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
-    _, left = _fit_most(terms, left.T, size <= quantile(size, RESTING))
-    return cast(Floats32, np.sqrt(np.mean(left**2, axis=1)))
+    _, left = _fit_most(terms, left, size <= quantile(size, RESTING))
+    return cast(Floats32, np.sqrt(np.mean(left**2, axis=0)))

@@ -2,21 +2,22 @@
 coordinates.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Floats, median
+from calib.numerics import Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
-from scanner.decoding.motion.fringe_fit import FringeFit
+from scanner.decoding.motion.frame_equations import Projection, equations_of_motion
+from scanner.decoding.motion.fringe_frames import fringe_frames
+from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit, fit_motion, shifts_by_motion
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
-from scanner.decoding.motion.trajectories import MotionObserver, Trajectory, fits_of
+from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
 from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
 from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
@@ -28,14 +29,18 @@ _LEAST_EXPLAINED = 0.03
 _ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
+_BOTH = np.eye(COLUMNS)  # devices
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    """A trajectory with the motion that fits it best."""
+class Measured:
+    """The `motion` of one event, whether the fringes `contradicted` rest, even if no single event explains it, and the
+    share `by_event` of what independent motion of all frames explains that the event explains.
+    """
 
-    trajectory: Trajectory
-    fit: Fit
+    motion: MotionFound
+    contradicted: bool
+    by_event: float
 
 
 class MotionMeter:
@@ -43,84 +48,80 @@ class MotionMeter:
 
     def __init__(
         self,
-        plan: SequencePlan,
-        tiles: TileSample,
+        model: FringeModel,
         pixels: Pixels,
-        projector_size: tuple[int, int],
+        sizes: tuple[tuple[int, int], tuple[int, int]],
+        repeats: int,
     ) -> None:
-        self._pixels, self._repeats = pixels, plan.repeats
-        self._finest_period = min(fringe.period for fringe in plan.fringes)
-        self._sizes = (tiles.shape[1], tiles.shape[0]), projector_size
-        self._fits = fits_of(plan, tiles, pixels)
-        self._observer = MotionObserver(self._fits, pixels)
-        by_motion = shifts_by_motion(pixels.camera_px, pixels.projector_px, pixels.gradient, *self._sizes)
+        self._model, self._pixels, self._sizes, self._repeats = model, pixels, sizes, repeats
+        self._equations = equations_of_motion(model, pixels)
+        self._finest_period = min(fringe.period for fringe in model.frames.fringes)
         # The shifts of x of all pixels, then those of y.
-        self._design = np.concatenate([by_motion[:, 0], by_motion[:, 1]])
-        self._tile = np.tile(pixels.tile, 2)
-        self._times = sorted({int(time) for axis in self._fits for one in axis for time in one.times})
+        self._design = np.concatenate([*pixels.by_motion.transpose(1, 0, 2)])
 
-    def measure(self) -> tuple[MotionFound, bool]:
-        """Return the motion that explains the fringes best, with the alternatives to it, and whether the fringes
-        contradict rest.
-
-        The latter may hold even if no single event explains the contradiction.
-        """
-        slow = Trajectory(self._times[0], self._times[-1], slow=True)
-        bumps = [Trajectory(first, last) for first, last in pairwise(self._times)]
-        # A bump next to a boundary between frames is found there as well: at rest, half of them are enough.
-        candidates = [self._try(trajectory) for trajectory in [slow, *bumps[::2]]]
-        best = max(candidates, key=lambda one: one.fit.gained)
-        if self._is_significant(best):
-            candidates += [self._try(trajectory) for trajectory in bumps[1::2]]
-            best = max(candidates, key=lambda one: one.fit.gained)
-        likely = [one for one in candidates if one.fit.gained >= AS_GOOD * best.fit.gained]
-        is_significant = self._is_significant(best)
-        refined = self._refined(best) if is_significant else best
-        explained = self._explained(refined) if is_significant else 0.0
-        shift, *others = (self._disturbance(one) for one in (refined, *likely))
-        size_px = self._size_px(refined.fit)
+    def measure(self) -> Measured:
+        """Return the motion that explains the fringes best, with the alternatives to it."""
+        trajectories = trajectories_of(self._model.frames.times)
+        gained = [self._along(trajectory, _BOTH).gained for trajectory in trajectories]
+        likely = [one for one, of_it in zip(trajectories, gained, strict=True) if of_it >= AS_GOOD * max(gained)]
+        event = trajectories[int(np.argmax(gained))]
+        fit, explained, devices, undecided = self._at_first_order(event), 0.0, _BOTH, False
+        is_significant = fit.significance > _SIGNIFICANT and self._size_px(fit) > LEAST_PX
+        if is_significant:
+            devices, undecided = self._likelier_device(event)
+            fit, explained = self._refined(event, devices)
+        size_px = self._size_px(fit)
         linear = size_px < _LINEAR_CYCLES * self._finest_period
-        first, last = min(one.trajectory.first for one in likely), max(one.trajectory.last for one in likely)
+        first, last = min(one.first for one in likely), max(one.last for one in likely)
         contradicted = self._is_overdetermined and is_significant
         found = MotionFound(
-            motion=refined.fit.motion,
+            motion=fit.motion,
             significant=contradicted and explained > _LEAST_EXPLAINED,
-            slow=best.trajectory.slow,
-            first=self._repeats * (best.trajectory.first if best.trajectory.slow else first),
-            last=self._repeats * (best.trajectory.last if best.trajectory.slow else last),
+            slow=event.slow,
+            first=self._repeats * (event.first if event.slow else first),
+            last=self._repeats * (event.last if event.slow else last),
             size_px=size_px,
             explained=explained,
-            shift=shift,
-            others=tuple(others),
+            shift=self._disturbance(event, fit.motion),
+            others=tuple(self._disturbance(one, devices @ self._along(one, devices).found) for one in likely),
             largest_px=largest_bump_px(self._finest_period),
             linear=linear,
-            undecided=is_significant and (not linear or self._is_undecided(best.trajectory)),
+            undecided=is_significant and (undecided or not linear),
         )
-        return found, contradicted
+        return Measured(found, contradicted, self._by_event(max(gained)) if contradicted else 1.0)
 
-    def _is_undecided(self, trajectory: Trajectory) -> bool:
-        """Return whether either device alone explains about as much as the other, as before a scene of little depth."""
-        devices = np.arange(COLUMNS) // PER_DEVICE
-        gained = [self._fit(self._observer, trajectory, self._design * (devices == device)).gained for device in (0, 1)]
-        return min(gained) > NEARLY_ALL * max(gained)
+    def _by_event(self, gained: float) -> float:
+        """Return the share that an event explains of what independent pans and tilts of the camera explain."""
+        count = len(self._model.frames.times)
+        pan_and_tilt: Floats = np.eye(COLUMNS * count)[:, PER_DEVICE * count : (PER_DEVICE + 2) * count]
+        return gained / max(self._equations.along(pan_and_tilt).gained, 1e-12)
 
-    @property
+    def _along(self, trajectory: Trajectory, devices: Floats) -> Projection:
+        """Fit the motion of some `devices`, (8, 8) of both or (8, 4) of one, to first order."""
+        share = trajectory.at(self._model.frames.times)[:, None]
+        return self._equations.along(np.asarray(np.kron(devices, share), np.float64))
+
+    def _at_first_order(self, trajectory: Trajectory) -> Fit:
+        projection = self._along(trajectory, _BOTH)
+        return Fit(projection.found, self._equations.covariance(projection), projection.gained)
+
+    def _likelier_device(self, trajectory: Trajectory) -> tuple[Floats, bool]:
+        """Return the device whose motion explains more than that of the other if either alone explains about as much,
+        as before a scene of little depth, and whether this is so. Return both devices otherwise.
+        """
+        less, more = sorted(
+            np.split(_BOTH, [PER_DEVICE], axis=1), key=lambda device: self._along(trajectory, device).gained
+        )
+        gained = [self._along(trajectory, device).gained for device in (less, more)]
+        undecided = gained[0] > NEARLY_ALL * gained[1]
+        return more if undecided else _BOTH, undecided
+
+    @cached_property
     def _is_overdetermined(self) -> bool:
         """Whether every fringe has enough frames to reveal an outlier frame; with three, a nonlinear curve only shifts
         the phase.
         """
-        return all(len(one.times) > COSINE_PARAMETERS for axis in self._fits for one in axis)
-
-    def _try(self, trajectory: Trajectory) -> _Candidate:
-        return _Candidate(trajectory, self._fit(self._observer, trajectory, self._design))
-
-    def _fit(self, observer: MotionObserver, trajectory: Trajectory, design: Floats) -> Fit:
-        observed = observer.observe(trajectory)
-        return fit_motion(design, observed.motion_px, observed.precision, observed.row, self._tile)
-
-    def _is_significant(self, candidate: _Candidate) -> bool:
-        """Return whether the motion exceeds what is measured at rest."""
-        return candidate.fit.significance > _SIGNIFICANT and self._size_px(candidate.fit) > LEAST_PX
+        return int(np.bincount(self._model.frames.of_fringe).min()) > COSINE_PARAMETERS
 
     def _size_px(self, fit: Fit) -> float:
         """Return the root mean square shift of the coordinates beyond its uncertainty."""
@@ -128,53 +129,34 @@ class MotionMeter:
         sure = np.maximum((self._design @ fit.motion) ** 2 - OUTLYING_SIGMAS**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
-    def _disturbance(self, candidate: _Candidate) -> Disturbance:
-        """Return the motion that x and y each contain, averaged over their fringes, without their common part.
+    def _disturbance(self, trajectory: Trajectory, motion: Floats) -> Disturbance:
+        """Return the motion (8,) that x and y each contain, averaged over their fringes, without their common part.
 
         The common part is equivalent to another pose of the rig.
         """
-        shares = np.array([_share(axis, candidate.trajectory) for axis in self._fits])
-        squares = np.array([np.mean(moved_px**2) for moved_px in self._moved_px(candidate.fit)])
+        frames, share = self._model.frames, trajectory.at(self._model.frames.times)
+        shares = np.array([self._share(share * (frames.of_fringe == fringe)) for fringe in frames.shortest])
+        squares = np.array([np.mean(moved_px**2) for moved_px in np.split(self._design @ motion, 2)])
         common = float(shares @ squares / max(float(squares.sum()), 1e-12))
-        return Disturbance(np.outer(shares - common, candidate.fit.motion), *self._sizes)
+        return Disturbance(np.outer(shares - common, motion), *self._sizes)
 
-    def _moved_px(self, fit: Fit) -> list[Floats]:
-        """Return how far the coordinates of the pixels (P,) moved, for x and for y."""
-        return np.split(self._design @ fit.motion, 2)
+    def _share(self, of_frames: Floats) -> float:
+        """Return the share of the motion in a coordinate: that of the shortest fringe, which determines it
+        (`fringes/systematic_error.py`), from the share (N,) that its frames have seen.
+        """
+        return float(np.mean(of_frames @ self._model.responses))
 
-    def _with_known_motion(self, candidate: _Candidate) -> MotionObserver:
-        x, y = (
-            tuple(one.with_known_motion(candidate.trajectory.at(one.times), moved_px) for one in axis)
-            for axis, moved_px in zip(self._fits, self._moved_px(candidate.fit), strict=True)
-        )
-        return MotionObserver((x, y), self._pixels)
-
-    def _refined(self, candidate: _Candidate) -> _Candidate:
-        """Refine a motion beyond first order (Gauss–Newton)."""
+    def _refined(self, trajectory: Trajectory, devices: Floats) -> tuple[Fit, float]:
+        """Refine a motion beyond first order (Gauss–Newton); also return how much of what is seen it explains."""
+        at_first = self._along(trajectory, devices)
+        found, share = at_first.found, trajectory.at(self._model.frames.times)[:, None]
         for _ in range(_ROUNDS):
-            more = self._fit(self._with_known_motion(candidate), candidate.trajectory, self._design)
-            candidate = _Candidate(
-                candidate.trajectory, Fit(candidate.fit.motion + more.motion, more.covariance, candidate.fit.gained)
-            )
-        return candidate
-
-    def _explained(self, candidate: _Candidate) -> float:
-        """Return the share of the observed motion along the trajectory that the fit explains, at a typical pixel."""
-        before, after = (
-            observer.observe(candidate.trajectory) for observer in (self._observer, self._with_known_motion(candidate))
-        )
-        if not len(before.row):
-            return 0.0
-        left, all_of_it = (median(observed.precision * observed.motion_px**2) for observed in (after, before))
-        return 1.0 - left / max(all_of_it, 1e-12)
-
-
-def _share(fringes: Sequence[FringeFit], trajectory: Trajectory) -> float:
-    """Return the share of the motion in the coordinate: that of the shortest fringe, which determines it
-    (`fringes/systematic_error.py`).
-    """
-    shortest = fringes[-1]
-    return float(np.mean(shortest.response_to(trajectory.at(shortest.times)).response))
+            moved_px = share * (self._pixels.by_motion @ devices @ found).T[self._model.frames.axis]
+            equations = equations_of_motion(self._model.without(moved_px), self._pixels)
+            more = equations.along(at_first.directions, known=found)
+            found = found + more.found
+        explained = self._equations.explained(at_first.of_frames, equations)
+        return Fit(devices @ found, devices @ equations.covariance(more) @ devices.T, at_first.gained), explained
 
 
 def measure_motion(
@@ -186,12 +168,17 @@ def measure_motion(
     projector_size: tuple[int, int],
 ) -> MotionFound | None:
     """Return the motion during a capture, from the signals of its tiles; None if too few smooth pixels see fringes."""
-    pixels = choose_pixels(plan, tiles, signals, noise, saturation)
+    pixels = choose_pixels(plan, tiles, signals, noise, saturation, projector_size)
     if pixels is None:
         return None
-    found, contradicted = MotionMeter(plan, tiles, pixels, projector_size).measure()
-    shifts = shifts_of_frames(plan, tiles, noise, saturation) if contradicted else None
-    if shifts is None or not shifts.is_no_event or not (found.significant or shifts.are_distinct_from_light):
+    frames, some = fringe_frames(plan), pixels.every_other
+    model = FringeModel(frames, tiles.of_frames(frames.times.tolist(), some.number).astype(np.float64))
+    measured = MotionMeter(model, some, (tiles.shape[::-1], projector_size), plan.repeats).measure()
+    found = measured.motion
+    if not measured.contradicted:
+        return found
+    shifts = shifts_of_frames(plan, tiles, pixels, noise, measured.by_event)
+    if not shifts.is_no_event or not (found.significant or shifts.are_distinct_from_light):
         return found
     one_by_one = moved_one_by_one(found, plan, shifts, pixels)
     # Large shifts of single frames prove nothing: a bump by many px is not linear, so that no single event explains it

@@ -6,6 +6,7 @@ the other axis by u X Y / f². This curvature reveals the turn itself, whatever 
 """
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -71,7 +72,8 @@ def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodS
                 offsets.append(each.mean_px + offset)
     if len(rows) < _FEWEST_BLOCKS:
         return None, None
-    fit, moved, sure = _likeliest(np.array(rows), np.array(offsets))
+    alone = _may_move_alone(x.axis, y.axis), _may_move_alone(y.axis, x.axis)
+    fit, moved, sure = _likeliest(np.array(rows), np.array(offsets), alone)
     sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
     of_x, of_y = (
         _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], sigma[number - 2])
@@ -108,10 +110,22 @@ def _row(number: int, place: Floats) -> Floats:
     return row
 
 
-def _likeliest(rows: Floats, offsets: Floats) -> tuple[RobustFit, list[bool], list[bool]]:
+def _may_move_alone(axis: AxisPlan, other: AxisPlan) -> bool:
+    """Return whether a bump may be among the frames of an axis, but not among those of the other one."""
+    (first, last), (of_other, to_other) = (
+        (min(frames), max(frames))
+        for frames in (
+            [*each.fringes[0].frames, *(frame for code in each.codes for frame in code.frames)]
+            for each in (axis, other)
+        )
+    )
+    return first < of_other or last > to_other
+
+
+def _likeliest(rows: Floats, offsets: Floats, alone: tuple[bool, bool]) -> tuple[RobustFit, list[bool], list[bool]]:
     """Return the best fit to blocks (M, 8) and (M,), which axes moved, and which of these moved for certain.
 
-    It is certain if the alternative is far less likely.
+    It is certain if the alternative is impossible, or far less likely. `alone`: whether x or y may have moved alone.
     """
     both, of_y = robust_fit(rows.T, offsets), rows[:, _SLOPES] != 0
     resting = []
@@ -119,7 +133,10 @@ def _likeliest(rows: Floats, offsets: Floats) -> tuple[RobustFit, list[bool], li
         bent = rows.copy()
         bent[blocks, -2:] = 0.0
         resting.append(robust_fit(bent.T, offsets))
-    worse = [fit.cost(both.scale) - both.cost(both.scale) for fit in resting]
+    worse = [
+        fit.cost(both.scale) - both.cost(both.scale) if possible else inf
+        for fit, possible in zip(resting, reversed(alone), strict=True)
+    ]
     likelier = int(worse[1] < worse[0])
     if worse[likelier] > -REJECTED:
         return both, [True, True], [by > REJECTED for by in worse]

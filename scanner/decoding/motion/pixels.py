@@ -1,15 +1,17 @@
 """Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.rigid import COLUMNS
+from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
@@ -26,7 +28,7 @@ class Pixels:
     (P,).
 
     `projector_px` (P, 2): rough coordinates from the longest fringes. `gradient` (P, 2, 2): their derivative by camera
-    x and y.
+    x and y. `by_motion` (P, 2, 8): that by the motion of the devices.
     """
 
     number: Ints
@@ -34,16 +36,32 @@ class Pixels:
     camera_px: Floats
     projector_px: Floats
     gradient: Floats
+    by_motion: Floats
     noise: Floats
 
-    def __len__(self) -> int:
-        return len(self.number)
+    @cached_property
+    def by_motion32(self) -> Floats32:
+        """(8, 2, P): the same in single precision, parts first."""
+        return np.ascontiguousarray(self.by_motion.transpose(2, 1, 0), np.float32)
+
+    @property
+    def every_other(self) -> "Pixels":
+        """Half of the pixels."""
+        return Pixels(*(getattr(self, field.name)[::2] for field in fields(self)))
 
 
 def choose_pixels(
-    plan: SequencePlan, tiles: TileSample, signals: tuple[Signals, Signals], noise: NoiseModel, saturation: float
+    plan: SequencePlan,
+    tiles: TileSample,
+    signals: tuple[Signals, Signals],
+    noise: NoiseModel,
+    saturation: float,
+    projector_size: tuple[int, int],
 ) -> Pixels | None:
-    """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown."""
+    """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown.
+
+    Sizes are (width, height).
+    """
     if not tiles.count or not all(axis.fringes for axis in plan.axes):
         return None
     usable = np.asarray(signals[0].peak < saturation) & tiles.resting
@@ -60,12 +78,15 @@ def choose_pixels(
     # Errors are alike within a tile: fewer tiles than unknowns would fit any motion.
     if len(np.unique(tiles.tile[number])) <= COLUMNS:
         return None
+    camera_px, projector_px = tiles.camera_px[number], projector_px[number]
+    gradient, camera_size = planes[tiles.tile[number]][:, 1:].transpose(0, 2, 1), tiles.shape[::-1]
     return Pixels(
         number,
         tiles.tile[number],
-        tiles.camera_px[number],
-        projector_px[number],
-        planes[tiles.tile[number]][:, 1:].transpose(0, 2, 1),
+        camera_px,
+        projector_px,
+        gradient,
+        shifts_by_motion(camera_px, projector_px, gradient, camera_size, projector_size),
         noise.variance(signals[0].middle[number]).astype(np.float64),
     )
 

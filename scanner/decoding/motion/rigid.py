@@ -5,8 +5,8 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, compiled, median
-from scanner.decoding.significance import HUBER_ROUNDS, HUBER_SIGMAS
+from calib.numerics import Floats, Ints
+from scanner.decoding.motion.robust_fit import robust_fit
 
 # Parameters of each device: shifts to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -59,65 +59,14 @@ def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
     return np.stack([horizontal, vertical], axis=1)
 
 
-def fit_motion(design: Floats, seen_px: Floats, precision: Floats, row: Ints, group: Ints) -> Fit:
-    """Fit the motion to `seen_px` (M,) = `design` (R, 8)[`row` (M,)] · motion, with `precision` (M,), robustly (Huber).
+def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) -> Fit:
+    """Fit the motion to `seen_px` (R,) = `design` (R, 8) · motion, with `precision` (R,), robustly (Huber).
 
     Correlated errors within a `group` (R,) of rows are included in the covariance.
     """
-    prior = np.eye(COLUMNS) / PRIOR_PX**2
-    if not len(seen_px):
-        return Fit(np.zeros(COLUMNS), PRIOR_PX**2 * np.eye(COLUMNS), 0.0)
-    design, weight, root = np.ascontiguousarray(design), precision.copy(), np.sqrt(precision)
-    residual, off = np.empty((2, len(seen_px)))
-    for _ in range(HUBER_ROUNDS):
-        information, towards = _normal_equations(design, *_sums_of_rows(row, weight, seen_px, len(design)))
-        information += prior
-        motion = np.linalg.solve(information, towards).astype(np.float64)
-        _note_residuals(seen_px, design @ motion, row, root, residual, off)
-        scale = max(SIGMA_PER_MEDIAN * median(off), 1e-3)
-        _weigh_down(precision, off, HUBER_SIGMAS * scale, weight)
-    _, scores = _sums_of_rows(row, weight, residual, len(design))
-    sums = np.stack([np.bincount(group, column * scores) for column in design.T], axis=1)
-    inverse = np.linalg.inv(information)
-    covariance = inverse @ (sums.T @ sums) @ inverse + inverse * scale**2
-    gained = float(np.sum(weight * (seen_px**2 - residual**2))) / scale**2
-    return Fit(motion, covariance, gained)
-
-
-@compiled
-def _sums_of_rows(row: Ints, weight: Floats, values: Floats, rows: int) -> tuple[Floats, Floats]:
-    """Return the sums of the weights (M,) and of the weighted values (M,) of each row."""
-    of_weights, of_values = np.zeros(rows), np.zeros(rows)
-    for i in range(len(row)):
-        of_weights[row[i]] += weight[i]
-        of_values[row[i]] += weight[i] * values[i]
-    return of_weights, of_values
-
-
-@compiled
-def _normal_equations(design: Floats, weight: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return the normal matrix (8, 8) and right-hand side of rows (R, 8), weights (R,) and weighted values (R,)."""
-    count = design.shape[1]
-    matrix, right = np.zeros((count, count)), np.zeros(count)
-    for r in range(len(design)):
-        for a in range(count):
-            weighted = weight[r] * design[r, a]
-            right[a] += values[r] * design[r, a]
-            for b in range(count):
-                matrix[a, b] += weighted * design[r, b]
-    return matrix, right
-
-
-@compiled
-def _note_residuals(seen: Floats, expected: Floats, row: Ints, root: Floats, residual: Floats, off: Floats) -> None:
-    """Fill the residuals (M,), and their absolute values in standard deviations."""
-    for i in range(len(seen)):
-        residual[i] = seen[i] - expected[row[i]]
-        off[i] = abs(residual[i]) * root[i]
-
-
-@compiled
-def _weigh_down(precision: Floats, off: Floats, from_here: float, weight: Floats) -> None:
-    """Fill the Huber weights (M,)."""
-    for i in range(len(weight)):
-        weight[i] = precision[i] * min(1.0, from_here / max(off[i], 1e-9))
+    root = np.sqrt(precision)
+    expected, at_rest = np.eye(COLUMNS) / PRIOR_PX, np.zeros(COLUMNS)
+    fit = robust_fit(np.concatenate([(design * root[:, None]).T, expected], axis=1), np.append(seen_px * root, at_rest))
+    return Fit(
+        fit.found, fit.covariance(np.append(group, np.max(group, initial=-1) + 1 + np.arange(COLUMNS))), fit.gained
+    )

@@ -1,25 +1,50 @@
 """Robust linear least squares with Huber's weights."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
+from calib.numerics import Floats, Ints, reweighted, robust_sigma
 from scanner.decoding.significance import HUBER_ROUNDS, HUBER_SIGMAS
 
 
 @dataclass(frozen=True)
 class RobustFit:
-    """Unknowns that were `found` (U,), with the `inverse` normal matrix (U, U).
+    """Unknowns `found` (U,) from what was `seen` (M,) = found @ `design` (U, M), with robust weights (M,)."""
 
-    `left` (M,): residuals, with their `weight` (M,) and robust standard deviation `scale`.
-    """
-
+    design: Floats
+    seen: Floats
     found: Floats
-    inverse: Floats
-    left: Floats
     weight: Floats
-    scale: float
+
+    @cached_property
+    def left(self) -> Floats:
+        """(M,): the residuals."""
+        left: Floats = self.seen - self.found @ self.design
+        return left
+
+    @cached_property
+    def scale(self) -> float:
+        """Robust standard deviation of the residuals."""
+        return _scale(self.left, len(self.found))
+
+    @cached_property
+    def inverse(self) -> Floats:
+        """(U, U): inverse normal matrix."""
+        return np.asarray(np.linalg.pinv((self.design * self.weight) @ self.design.T, hermitian=True), np.float64)
+
+    @property
+    def gained(self) -> float:
+        """Decrease of χ²."""
+        return float(np.sum(self.weight * (self.seen**2 - self.left**2))) / self.scale**2
+
+    def covariance(self, group: Ints) -> Floats:
+        """Return the covariance (U, U), with errors that are correlated within a `group` (M,)."""
+        scores = self.design * (self.weight * self.left)
+        sums = np.stack([np.bincount(group, of_unknown) for of_unknown in scores])
+        covariance: Floats = self.inverse @ (sums @ sums.T) @ self.inverse + self.inverse * self.scale**2
+        return covariance
 
     def cost(self, scale: float) -> float:
         """Return −2 log likelihood for this standard deviation, with the Huber loss for outliers."""
@@ -27,17 +52,16 @@ class RobustFit:
         return float(np.sum(np.where(off < HUBER_SIGMAS, off**2, HUBER_SIGMAS * (2 * off - HUBER_SIGMAS))))
 
 
-def robust_fit(design: Floats, seen: Floats, expected: Floats | float = 0.0) -> RobustFit:
-    """Fit the unknowns to `seen` (M,) = found @ `design` (U, M).
+def robust_fit(design: Floats, seen: Floats) -> RobustFit:
+    """Fit the unknowns to `seen` (M,) = found @ `design` (U, M)."""
 
-    `expected`: inverse of their prior covariance (U, U), relative to the variance of what is seen.
-    """
-    weight: Floats = np.ones(len(seen))
-    for _ in range(HUBER_ROUNDS):
-        weighted = design * weight
-        inverse: Floats = np.asarray(np.linalg.pinv(weighted @ design.T + expected, hermitian=True), np.float64)
-        found = inverse @ (weighted @ seen)
-        left = seen - found @ design
-        scale = SIGMA_PER_MEDIAN * median(np.abs(left)) * len(seen) / max(len(seen) - len(design), 1)
-        weight = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(np.abs(left), 1e-9))
-    return RobustFit(found, inverse, left, weight, scale)
+    def weigh(left: Floats) -> Floats:
+        weight: Floats = np.minimum(1.0, HUBER_SIGMAS * _scale(left, len(design)) / np.maximum(np.abs(left), 1e-9))
+        return weight
+
+    found = reweighted(design, seen, weigh, np.ones(len(seen)), HUBER_ROUNDS)
+    return RobustFit(design, seen, found, weigh(seen - found @ design))
+
+
+def _scale(left: Floats, unknowns: int) -> float:
+    return robust_sigma(left) * len(left) / max(len(left) - unknowns, 1)

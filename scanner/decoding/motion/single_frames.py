@@ -13,11 +13,10 @@ from scipy.special import chdtri
 from calib.numerics import Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import Disturbance, MotionFound
-from scanner.decoding.motion.frame_equations import FrameEquations, frame_equations
+from scanner.decoding.motion.fringe_frames import fringe_frames
+from scanner.decoding.motion.image_slopes import equations_of_shifts
 from scanner.decoding.motion.pixels import Pixels
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, PRIOR_PX
-from scanner.decoding.motion.robust_fit import robust_fit
-from scanner.decoding.motion.trajectories import Trajectory
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, BY_CHANCE, HALF
@@ -69,62 +68,22 @@ class FrameShifts:
         return self.shift_px @ shares, both @ self.covariance @ both.T
 
 
-def shifts_of_frames(plan: SequencePlan, tiles: TileSample, noise: NoiseModel, saturation: float) -> FrameShifts | None:
-    """Measure the shifts of the frames of all fringes; None if there are too few usable pixels."""
-    equations = frame_equations(plan, tiles, noise, saturation)
-    return None if equations is None else _solved(equations)
-
-
-def _solved(equations: FrameEquations) -> FrameShifts:
-    """Solve the equations by robust least squares, with a covariance from the scatter between tiles."""
-    count = len(equations.times)
-    columns = np.concatenate([equations.by_camera, equations.by_light, equations.by_projector])
-    design, seen = columns.reshape(len(columns), -1), equations.seen.reshape(-1)
-    expected = np.eye(len(columns)) / PRIOR_PX**2  # gains have the same prior: 1
-    # A common shift or gain of all frames is unobservable.
-    alike = 4 * count
-    expected[:alike, :alike] += np.sum(design**2) * np.kron(np.eye(4), np.full((count, count), 1 / count))
-    asked = slice(0, len(columns) - count)
-    light = slice(2 * count, len(columns) - count)
-    fit, by_light = (robust_fit(design[part], seen, expected[part, part]) for part in (asked, light))
-    normal, right = (design * fit.weight) @ design.T + expected, (design * fit.weight) @ seen
-    scores = (design[asked] * (fit.weight * fit.left)).reshape(columns[asked].shape).sum(axis=1)
-    _, group = np.unique(equations.tile, return_inverse=True)
-    sums = np.stack([np.bincount(group, of_unknown) for of_unknown in scores])
-    covariance = (fit.inverse @ (sums @ sums.T) @ fit.inverse)[: 2 * count, : 2 * count]
+def shifts_of_frames(
+    plan: SequencePlan, tiles: TileSample, pixels: Pixels, noise: NoiseModel, by_event: float
+) -> FrameShifts:
+    """Measure the shifts of the frames of all fringes."""
+    frames = fringe_frames(plan)
+    count = len(frames.times)
+    equations = equations_of_shifts(frames, tiles, pixels, noise)
+    fit = equations.along(np.eye(2 * count))
     about_mean = np.kron(np.eye(2), np.eye(count) - 1 / count)
     return FrameShifts(
-        equations.times,
-        (about_mean @ fit.found[: 2 * count]).reshape(2, count),
-        about_mean @ covariance @ about_mean,
-        1.0 - (fit.scale / max(by_light.scale, 1e-9)) ** 2,
-        _by_event(equations, normal, right),
+        frames.times,
+        (about_mean @ fit.found).reshape(2, count),
+        about_mean @ equations.covariance(fit) @ about_mean,
+        1.0 - equations.variance(fit.found) / max(equations.variance(), 1e-12),
+        by_event,
     )
-
-
-def _by_event(equations: FrameEquations, normal: Floats, right: Floats) -> float:
-    """Return the share of what the shifts of all frames explain that one event, a motion of both devices, explains."""
-    count = len(equations.times)
-    unit = np.eye(len(right))
-    camera, light, projector = np.split(unit, [2 * count, len(right) - count], axis=1)
-
-    def explained(by: Floats) -> float:
-        asked = np.concatenate([by, light], axis=1)
-        towards = asked.T @ right
-        return float(towards @ np.linalg.solve(asked.T @ normal @ asked, towards))
-
-    times = equations.times
-    trajectories = [Trajectory(int(times[0]), int(times[-1]), slow=True)]
-    trajectories += [Trajectory(int(time) - 1, int(time)) for time in times[1:]]
-
-    def of_event(trajectory: Trajectory) -> Floats:
-        share = trajectory.at(times) - np.mean(trajectory.at(times))
-        along = [projector @ (share * (equations.axis == axis)) for axis in (0, 1)]
-        return np.stack([camera[:, :count] @ share, camera[:, count:] @ share, *along], axis=1)
-
-    nothing = explained(camera[:, :0])
-    best = max(explained(of_event(trajectory)) for trajectory in trajectories)
-    return (best - nothing) / max(explained(camera) - nothing, 1e-12)
 
 
 def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts, pixels: Pixels) -> MotionFound:

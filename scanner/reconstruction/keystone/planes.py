@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
 from calib.refinement import monomials
 
 _NEAR_PX = 2
@@ -20,7 +20,7 @@ def planes_at(pixels: Floats, camera_px: Floats, plane: Ints) -> Ints:
     at, down = pixels.astype(np.int64).T
     width, height = int(at.max()) + 1, int(down.max()) + 1
     labels = np.full((height + 2 * _NEAR_PX, width + 2 * _NEAR_PX), _NOBODY, np.int8)
-    _note(camera_px, plane, labels)
+    in_pieces(len(plane), lambda at: _note(camera_px[at], plane[at], labels))
     near = np.stack([labels[down + i, at + j] for i in range(2 * _NEAR_PX + 1) for j in range(2 * _NEAR_PX + 1)])
     greatest = near.max(axis=0)
     agree = np.all((near == greatest) | (near == _NOBODY), axis=0)

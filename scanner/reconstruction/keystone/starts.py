@@ -179,7 +179,7 @@ class Spectrum:
         np.multiply(self.sums, np.cos(angle), out=turned.real)
         np.multiply(self.sums, np.sin(angle), out=turned.imag)
         wave = fft.fft2(turned, s=padded)
-        row, column = np.unravel_index(int(np.argmax(np.abs(wave))), padded)
+        row, column = np.unravel_index(int(np.argmax(wave.real**2 + wave.imag**2)), padded)
         frequencies = [fft.fftfreq(count, self.cell) for count in padded]
         by_y, by_x = float(frequencies[0][row]), float(frequencies[1][column])
         strongest = complex(wave[row, column])

@@ -70,5 +70,5 @@ def test_leaving_out_a_board_moves_the_estimate_as_predicted(
     start = starts(views[1:], *sizes, boards.reach, prior)[0].state
     without = estimated(views[1:], start, prior, board)
     moved = (without.state.additive() - found.estimate.state.additive())[_FOCALS]
-    assert found.predictions[0].moved[_FOCALS] == pytest.approx(moved, abs=1e-9)
+    assert found.predictions[0].moved[_FOCALS] == pytest.approx(moved, abs=1e-7)  # another start, the same minimum
     assert np.abs(moved).max() > 1e-5

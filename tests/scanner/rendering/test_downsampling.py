@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.rendering.downsampling import averaged, cells_over, extent, labels_on_grid, one_in_cells, places_within
+from scanner.rendering.downsampling import averaged, cells_over, extent, labels_on_grid, one_in_cells
 
 
 @pytest.mark.parametrize("size", [(4, 3), (5, 4), (12, 9)])
@@ -45,11 +45,11 @@ def test_labels_and_matches_of_cells() -> None:
     label = rng.integers(-1, 3, 3000).astype(np.int32)
     side, rows, columns = cells_over(size, 300)
     assert (side, rows, columns) == (9, 12, 23)
-    drawn = one_in_cells(camera_px, label, 0, side, rows, columns)
+    drawn = one_in_cells(camera_px, side, rows, columns)
     grid = labels_on_grid(camera_px, label, size, (20, 10))
     assert (drawn >= 0).mean() > 0.8
     for (row, column), found in np.ndenumerate(drawn):
-        inside = np.all(np.floor((camera_px + 0.5) / side) == (column, row), axis=1) & (label >= 0)
+        inside = np.all(np.floor((camera_px + 0.5) / side) == (column, row), axis=1)
         assert found in np.flatnonzero(inside) if inside.any() else found == -1
     for (row, column), shown in np.ndenumerate(grid):
         inside = np.all(np.floor((camera_px + 0.5) / 10) == (column, row), axis=1) & (label >= 0)
@@ -59,29 +59,7 @@ def test_labels_and_matches_of_cells() -> None:
 def test_samples_are_spread_over_their_cells() -> None:
     """With a match at every pixel, samples form no grid, and pixels are equally likely."""
     pixels = np.stack(np.meshgrid(np.arange(350.0), np.arange(280.0)), -1).reshape(-1, 2)
-    drawn = one_in_cells(pixels, np.zeros(len(pixels), np.int32), 0, 7, 40, 50)
+    drawn = one_in_cells(pixels, 7, 40, 50)
     places, counts = np.unique(pixels[drawn.ravel()] % 7, axis=0, return_counts=True)
     assert len(places) == 49
     assert 10 < counts.min() < counts.max() < 80  # 41 on average
-
-
-@given(st.integers(0, 60), st.integers(1, 80), st.integers(0, 2**32 - 1))
-def test_samples_within_the_limit_are_evenly_spread(most_there: int, most: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    values = np.full((7, 11), np.nan, np.float32)
-    some = rng.permutation(values.size)[:most_there]
-    values.ravel()[some] = rng.uniform(-3, 3, len(some))
-    count, places = places_within(values, 2.0, most)
-    within = np.flatnonzero(np.abs(values) <= 2)
-    assert count == len(within)
-    assert len(places) <= most
-    assert np.all(np.diff(places) > 0)
-    assert set(places) <= set(within)
-    stretch = max(1, -(-count // most))
-    assert [int(np.searchsorted(within, place)) // stretch for place in places] == list(range(-(-count // stretch)))
-
-
-def test_every_column_is_sampled() -> None:
-    _, places = places_within(np.zeros((100, 100), np.float32), np.inf, 1000)
-    counts = np.bincount(places % 100, minlength=100)
-    assert 0 < counts.min() < counts.max() < 30  # 10 on average

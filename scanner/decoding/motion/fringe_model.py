@@ -1,0 +1,101 @@
+"""The fringes in some pixels: their least-squares fit, and its first-order response to motion in the frames."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
+from scanner.decoding.arrays import NEGLIGIBLE
+from scanner.decoding.motion.fringe_frames import FringeFrames
+from scanner.decoding.motion.pixels import Pixels
+
+
+@dataclass(frozen=True)
+class FringeModel:
+    """The fit of N `frames` with grey `levels` (N, P) at P pixels by I_n = o + A cos(θ + 2π s_n)."""
+
+    frames: FringeFrames
+    levels: Floats
+
+    @cached_property
+    def _parameters(self) -> Floats:
+        """(1 + 2 F, P): the light, A cos θ and A sin θ of each fringe."""
+        return self.frames.weights @ self.levels
+
+    @property
+    def light(self) -> Floats:
+        """(P,): the mean light."""
+        light: Floats = self._parameters[0]
+        return light
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """(N, P): what light and fringes leave."""
+        return self.levels - self.frames.design @ self._parameters
+
+    @cached_property
+    def _components(self) -> Floats:
+        """(2, F, P): A cos θ and A sin θ."""
+        return self._parameters[1:].reshape(len(self.frames.fringes), 2, -1).transpose(1, 0, 2)
+
+    @cached_property
+    def waves(self) -> tuple[Floats, Floats]:
+        """Phase and amplitude (N, P) of the fringe in each frame."""
+        cosine, sine = self._components
+        phase, amplitude = np.arctan2(sine, cosine), np.hypot(cosine, sine)
+        return phase[self.frames.of_fringe] + self.frames.angles, amplitude[self.frames.of_fringe]
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """(N, P): derivatives of the frames by the coordinate."""
+        phase, amplitude = self.waves
+        return -self.frames.steepness * amplitude * np.sin(phase)
+
+    @cached_property
+    def _position_by_level(self) -> Floats:
+        """(N, P): derivatives of the position of each frame's fringe by the grey level, in px."""
+        frames, every = self.frames, np.arange(len(self.frames.times))
+        by_level = frames.weights[1:].reshape(len(frames.fringes), 2, -1)[frames.of_fringe, :, every]
+        cosine, sine = self._components[:, frames.of_fringe]
+        turned = cosine * by_level[:, 1:] - sine * by_level[:, :1]
+        return np.asarray(turned / (frames.steepness * np.maximum(cosine**2 + sine**2, NEGLIGIBLE)))
+
+    @cached_property
+    def responses(self) -> Floats:
+        """(N, P): derivatives of the position of each frame's fringe by the coordinate in this frame."""
+        return self._position_by_level * self.slopes
+
+    def between(self, longer: int, shorter: int, pixels: Pixels) -> tuple[Floats, Floats]:
+        """Return the difference (P,) between the positions of two fringes of an axis, and its variance (P,).
+
+        Besides noise, the variance contains the scatter within a tile due to interreflection and nonlinear brightness
+        curves.
+        """
+        both = np.isin(self.frames.of_fringe, (longer, shorter))
+        cosine, sine = self._components
+        periods = [self.frames.fringes[fringe].period for fringe in (longer, shorter)]
+        before, after = (
+            np.arctan2(sine[fringe], cosine[fringe]) * period / (2 * np.pi)
+            for fringe, period in zip((longer, shorter), periods, strict=True)
+        )
+        coarse = pixels.projector_px[:, self.frames.axis[both][0]]
+        before += periods[0] * np.rint((coarse - before) / periods[0])
+        apart = after - before + periods[1] * np.rint((before - after) / periods[1])
+        within = apart - (np.bincount(pixels.tile, apart) / np.maximum(np.bincount(pixels.tile), 1))[pixels.tile]
+        spread = SIGMA_PER_MEDIAN * median(np.abs(within))
+        noise = np.sum(self._position_by_level[both] ** 2, axis=0) * pixels.noise
+        return apart, noise + max(spread**2 - median(noise), 0.0)
+
+    def without(self, moved_px: Floats) -> "FringeModel":
+        """Return the fit of the frames without known motions (N, P) of the coordinates, beyond first order."""
+        frames, levels = self.frames, self.levels.copy()
+        moved = frames.angles + frames.steepness * moved_px
+        for fringe in range(len(frames.fringes)):
+            of_it = frames.of_fringe == fringe
+            design = np.stack([np.ones_like(moved[of_it]), np.cos(moved[of_it]), -np.sin(moved[of_it])])
+            normal, right = np.einsum("anp,bnp->pab", design, design), np.einsum("anp,np->pa", design, levels[of_it])
+            (_, cosine, sine) = np.linalg.solve(normal, right[..., None])[..., 0].T
+            at_rest = np.stack([np.cos(frames.angles[of_it]), -np.sin(frames.angles[of_it])])
+            levels[of_it] += cosine * (at_rest[0] - design[1]) + sine * (at_rest[1] - design[2])
+        return replace(self, levels=levels)

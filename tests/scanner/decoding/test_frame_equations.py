@@ -1,0 +1,84 @@
+"""The equations for the motion of devices in each frame, against fringes drawn with known motion and light."""
+
+import numpy as np
+import pytest
+
+from scanner.decoding.motion.frame_equations import FrameEquations, equations_of_motion
+from scanner.decoding.motion.fringe_frames import FringeFrames, fringe_frames
+from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
+from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
+from scanner.decoding.planning import plan_sequence
+from scanner.patterns import PRESETS
+
+SIZE, COUNT = (854, 480), 3000
+FRAMES = fringe_frames(plan_sequence(PRESETS["standard"].patterns(SIZE), SIZE))
+NOISE = 1.0
+BUMP = Trajectory(int(FRAMES.times[8]), int(FRAMES.times[9]))
+
+
+def pixels() -> Pixels:
+    """Pixels of two slanted planes, in 300 tiles."""
+    rng = np.random.default_rng(2)
+    camera_px = np.stack([rng.uniform(0, 611, COUNT), rng.uniform(0, 511, COUNT)], axis=1)
+    gradient = np.where((camera_px[:, 0] < 300)[:, None, None], [[1.1, 0.2], [0.05, 0.8]], [[0.7, -0.1], [-0.15, 0.9]])
+    projector_px = np.einsum("pac,pc->pa", gradient, camera_px - 256) + np.array(SIZE) / 2
+    by_motion = shifts_by_motion(camera_px, projector_px, gradient, (612, 512), SIZE)
+    tile = np.repeat(np.arange(300), COUNT // 300)
+    return Pixels(np.arange(COUNT), tile, camera_px, projector_px, gradient, by_motion, np.full(COUNT, NOISE))
+
+
+PIXELS = pixels()
+
+
+def equations(motion: np.ndarray, gains: np.ndarray | float = 1.0) -> FrameEquations:
+    """The equations of frames with a bump by `motion` (8,) and `gains` (N, 1) of their light."""
+    moved_px = BUMP.at(FRAMES.times)[:, None] * (PIXELS.by_motion @ motion).T[FRAMES.axis]
+    phase = FRAMES.steepness * (PIXELS.projector_px.T[FRAMES.axis] + moved_px) + FRAMES.angles
+    light = np.random.default_rng(1).uniform(60, 120, COUNT)
+    levels = gains * light * (1 + 0.6 * np.cos(phase))
+    levels += np.random.default_rng(0).normal(0, NOISE, levels.shape)
+    return equations_of_motion(FringeModel(FRAMES, levels), PIXELS)
+
+
+def along(found: FrameEquations, trajectory: Trajectory) -> np.ndarray:
+    return np.kron(np.eye(COLUMNS), trajectory.at(FRAMES.times)[:, None])
+
+
+MOTION = np.array([0.05, -0.04, 0.02, 0.0, -0.03, 0.06, 0.0, 0.01])
+GAINS = np.random.default_rng(3).uniform(0.95, 1.05, (len(FRAMES.times), 1))
+
+
+@pytest.mark.parametrize("gains", [1.0, GAINS])
+def test_a_bump_is_measured_beside_changes_of_light(gains: np.ndarray | float) -> None:
+    found = equations(MOTION, gains)
+    fit = found.along(along(found, BUMP))
+    off = np.abs(fit.found - MOTION) / np.sqrt(np.diag(found.covariance(fit)))
+    assert 0.3 < off.max() < 4
+    moved_px, truth_px = (PIXELS.by_motion @ motion for motion in (fit.found, MOTION))
+    assert np.sqrt(np.mean((moved_px - truth_px) ** 2)) < 0.1 * np.sqrt(np.mean(truth_px**2))
+    assert 0.9 < found.variance(fit.of_frames) < 1.1
+
+
+def test_the_time_of_a_bump_explains_most() -> None:
+    found = equations(MOTION)
+    best = max(trajectories_of(FRAMES.times), key=lambda one: found.along(along(found, one)).gained)
+    assert best == BUMP
+
+
+def test_nothing_is_found_at_rest() -> None:
+    found = equations(np.zeros(COLUMNS))
+    fits = [found.along(along(found, one)) for one in trajectories_of(FRAMES.times)]
+    best = max(fits, key=lambda one: one.gained)
+    assert 1 < best.gained < 50  # of some 20 trajectories, chi squared of 8 degrees of freedom
+    assert 0.2 < np.max(np.abs(best.found) / np.sqrt(np.diag(found.covariance(best)))) < 5
+
+
+def test_frames_are_in_the_order_of_time() -> None:
+    assert isinstance(FRAMES, FringeFrames)
+    assert (np.diff(FRAMES.times) > 0).all()
+    assert FRAMES.successive == [(0, 1), (2, 3)]
+    assert FRAMES.shortest == (1, 3)
+    parameters = np.random.default_rng(5).normal(0, 1, FRAMES.design.shape[1])
+    np.testing.assert_allclose(FRAMES.weights @ FRAMES.design @ parameters, parameters, atol=1e-9)
