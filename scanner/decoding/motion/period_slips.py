@@ -14,6 +14,7 @@ from calib.numerics import Bools, Floats, Ints, quantile
 from scanner.decoding.motion.robust_fit import RobustFit, robust_fit
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
+from scanner.decoding.subsampling import ENOUGH_PIXELS, evenly_spread
 
 _BLOCKS = (8, 6)  # of the projector's picture along x and y
 # Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
@@ -61,7 +62,7 @@ class PeriodSlip:
 def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodSlip | None]:
     """Return the motions along x and y that include whole periods; None for an axis without one."""
     axes, width = (x, y), x.axis.length
-    seen = np.flatnonzero(x.seen & y.seen)
+    seen = evenly_spread(np.flatnonzero(x.seen & y.seen), 4 * ENOUGH_PIXELS)  # some hundreds for each block
     place = np.stack([(each.centre[seen] - (each.axis.length - 1) / 2) / width for each in axes], axis=1)
     rows, offsets = [], []
     for members in _blocks(place, y.axis.length / width):
