@@ -17,9 +17,10 @@ from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.motion.fringe_frames import FringeFrames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels
-from scanner.decoding.motion.rigid import PRIOR_PX
+from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
 from scanner.decoding.significance import HUBER_SIGMAS
 
+UNKNOWNS = COLUMNS + 1  # of a frame: the motion of both devices, and the share of the frame before
 _OF_LIGHT = 4  # unknowns of a frame's light
 
 
@@ -208,10 +209,11 @@ def of_positions(model: FringeModel, pixels: Pixels, longer: int, shorter: int) 
 
 
 def equations_of_motion(model: FringeModel, pixels: Pixels) -> FrameEquations:
-    """Return the equations for the motion (8,) of both devices in each frame."""
+    """Return the equations for the motion (8,) of both devices in each frame, and for its share of the frame before."""
     by_motion = pixels.by_motion32[:, model.frames.axis] * model.slopes.astype(np.float32)
+    by_unknowns = np.concatenate([by_motion, model.from_before[None].astype(np.float32)])
     positions = (of_positions(model, pixels, *both) for both in model.frames.successive)
-    return FrameEquations(model.frames, pixels.tile, (of_frames(model, by_motion, pixels.noise), *positions))
+    return FrameEquations(model.frames, pixels.tile, (of_frames(model, by_unknowns, pixels.noise), *positions))
 
 
 def _root_weights(seen: Floats, mix: Floats) -> Floats:

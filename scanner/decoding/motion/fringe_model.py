@@ -52,6 +52,12 @@ class FringeModel:
         phase, amplitude = self.waves
         return -self.frames.steepness * amplitude * np.sin(phase)
 
+    @property
+    def from_before(self) -> Floats:
+        """(N, P): changes of the frames by their share of the one shown just before; 0 if that is no fringe."""
+        times = self.frames.times[:, None]
+        return np.where(np.diff(times, axis=0, prepend=-2) == 1, np.roll(self.levels, 1, axis=0) - self.levels, 0.0)
+
     @cached_property
     def _position_by_level(self) -> Floats:
         """(N, P): derivatives of the position of each frame's fringe by the grey level, in px."""

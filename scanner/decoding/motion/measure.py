@@ -11,7 +11,7 @@ from calib.numerics import Floats
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
-from scanner.decoding.motion.frame_equations import Projection, equations_of_motion
+from scanner.decoding.motion.frame_equations import UNKNOWNS, Projection, equations_of_motion
 from scanner.decoding.motion.fringe_frames import fringe_frames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels, choose_pixels
@@ -76,7 +76,7 @@ class MotionMeter:
         contradicted = self._is_overdetermined and is_significant
         found = MotionFound(
             motion=fit.motion,
-            significant=contradicted and explained > _LEAST_EXPLAINED,
+            significant=contradicted and explained > _LEAST_EXPLAINED and max(gained) > self._by_late_frame(),
             slow=event.slow,
             first=self._repeats * (event.first if event.slow else first),
             last=self._repeats * (event.last if event.slow else last),
@@ -93,13 +93,23 @@ class MotionMeter:
     def _by_event(self, gained: float) -> float:
         """Return the share that an event explains of what independent pans and tilts of the camera explain."""
         count = len(self._model.frames.times)
-        pan_and_tilt: Floats = np.eye(COLUMNS * count)[:, PER_DEVICE * count : (PER_DEVICE + 2) * count]
+        pan_and_tilt = self._unknowns[:, PER_DEVICE * count : (PER_DEVICE + 2) * count]
         return gained / max(self._equations.along(pan_and_tilt).gained, 1e-12)
+
+    def _by_late_frame(self) -> float:
+        """Return the decrease of χ² by the one frame that is best explained as a mixture with the frame before."""
+        late = self._unknowns[:, COLUMNS * len(self._model.frames.times) :]
+        return max(self._equations.along(one[:, None]).gained for one in late.T)
+
+    @property
+    def _unknowns(self) -> Floats:
+        """Unit directions of all unknowns of the equations."""
+        return np.eye(UNKNOWNS * len(self._model.frames.times))
 
     def _along(self, trajectory: Trajectory, devices: Floats) -> Projection:
         """Fit the motion of some `devices`, (8, 8) of both or (8, 4) of one, to first order."""
         share = trajectory.at(self._model.frames.times)[:, None]
-        return self._equations.along(np.asarray(np.kron(devices, share), np.float64))
+        return self._equations.along(np.asarray(np.kron(np.eye(UNKNOWNS, COLUMNS) @ devices, share), np.float64))
 
     def _at_first_order(self, trajectory: Trajectory) -> Fit:
         projection = self._along(trajectory, _BOTH)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scanner.decoding.motion.frame_equations import FrameEquations, equations_of_motion
+from scanner.decoding.motion.frame_equations import UNKNOWNS, FrameEquations, equations_of_motion
 from scanner.decoding.motion.fringe_frames import FringeFrames, fringe_frames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels
@@ -32,18 +32,21 @@ def pixels() -> Pixels:
 PIXELS = pixels()
 
 
-def equations(motion: np.ndarray, gains: np.ndarray | float = 1.0) -> FrameEquations:
-    """The equations of frames with a bump by `motion` (8,) and `gains` (N, 1) of their light."""
+def equations(motion: np.ndarray, gains: np.ndarray | float = 1.0, late: float = 0.0) -> FrameEquations:
+    """The equations of frames with a bump by `motion` (8,), `gains` (N, 1) of their light, and a share of the frame
+    before in the last frame before the bump.
+    """
     moved_px = BUMP.at(FRAMES.times)[:, None] * (PIXELS.by_motion @ motion).T[FRAMES.axis]
     phase = FRAMES.steepness * (PIXELS.projector_px.T[FRAMES.axis] + moved_px) + FRAMES.angles
     light = np.random.default_rng(1).uniform(60, 120, COUNT)
     levels = gains * light * (1 + 0.6 * np.cos(phase))
+    levels[8] += late * (levels[7] - levels[8])
     levels += np.random.default_rng(0).normal(0, NOISE, levels.shape)
     return equations_of_motion(FringeModel(FRAMES, levels), PIXELS)
 
 
 def along(found: FrameEquations, trajectory: Trajectory) -> np.ndarray:
-    return np.kron(np.eye(COLUMNS), trajectory.at(FRAMES.times)[:, None])
+    return np.kron(np.eye(UNKNOWNS, COLUMNS), trajectory.at(FRAMES.times)[:, None])
 
 
 MOTION = np.array([0.05, -0.04, 0.02, 0.0, -0.03, 0.06, 0.0, 0.01])
@@ -73,6 +76,19 @@ def test_nothing_is_found_at_rest() -> None:
     best = max(fits, key=lambda one: one.gained)
     assert 1 < best.gained < 50  # of some 20 trajectories, chi squared of 8 degrees of freedom
     assert 0.2 < np.max(np.abs(best.found) / np.sqrt(np.diag(found.covariance(best)))) < 5
+
+
+@pytest.mark.parametrize(("motion_px", "late"), [(0.0, 0.5), (0.0, 0.1), (0.1, 0.0), (1.0, 0.0)])
+def test_a_late_frame_and_a_bump_are_told_apart(motion_px: float, late: float) -> None:
+    found = equations(motion_px * np.eye(COLUMNS)[0], late=late)
+    by_bump = max(found.along(along(found, one)).gained for one in trajectories_of(FRAMES.times))
+    by_late_frame = found.along(np.eye(UNKNOWNS * len(FRAMES.times))[:, [COLUMNS * len(FRAMES.times) + 8]])
+    ratio = by_late_frame.gained / by_bump
+    if late:
+        assert 1.05 < ratio < 200
+        assert by_late_frame.found[0] == pytest.approx(late / (1 - late), abs=0.02)  # of the frame as it is
+    else:
+        assert 0 < ratio < 0.95
 
 
 def test_frames_are_in_the_order_of_time() -> None:
