@@ -24,7 +24,7 @@ _NEIGHBOURS = 12
 # A surface seen at more than 85° from its normal cannot be distinguished from an occlusion edge.
 _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
-_SAMPLE = 20_000
+_SAMPLE = 200_000
 
 
 @dataclass(frozen=True)

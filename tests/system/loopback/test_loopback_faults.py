@@ -185,7 +185,7 @@ def test_many_scans_in_one_process_leave_nothing_behind(config: Path, rig: Loopb
 
     one_scan()
     seen = [resources()]
-    for _ in range(3):
+    for _ in range(5):
         one_scan()
         seen.append(resources())
     memory_mb, files, threads = np.array(seen).T
