@@ -15,8 +15,8 @@ from scanner.rendering.splatting import RGBA, Floats32, facing, filled, halved, 
 RGB = tuple[int, int, int]
 
 _SUPERSAMPLING = 2
-# Points per pixel of the shown picture: with more it looks the same.
-_POINTS_PER_PIXEL = 0.5
+# Points per pixel of the shown picture; more would hide each other.
+_POINTS_PER_PIXEL = 1.0
 _MARGIN = 0.04
 _LINE_WIDTH_PX = 2
 _FILL_PASSES = 3

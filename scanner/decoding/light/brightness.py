@@ -215,8 +215,8 @@ def _weights(
         )
         away = np.abs(target - terms @ design)
         kept &= away <= OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away[kept]) + 1e-6
-    if is_guess:
-        return _weights_from(terms[:, None]), inf
+    if is_guess:  # without light there is nothing to divide by
+        return (_weights_from(terms[:, None]), inf) if terms[0] else undetermined
     design, target, rows = design[:, kept], target[kept], places.rows[kept]
     left = _without(harmonic[:, kept].astype(np.float64), target - terms @ design)
     noise = float(np.mean(left**2)) + 1e-12
