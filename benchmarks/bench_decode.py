@@ -9,6 +9,10 @@ With `--peer-python`, the interpreter of an environment that has opencv-contrib-
 structured_light and the package Fringes decode frames of the same scene as well (see peer_decoders.py).
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as every command does, before NumPy is imported
+
 import argparse
 import cProfile
 import json

@@ -15,6 +15,10 @@ result is written, its files and the report's parts are made in parallel, so the
 CPU seconds are those of their own threads.
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as every command does, before NumPy is imported
+
 import argparse
 import cProfile
 import pstats
