@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self, cast
 
 import numpy as np
@@ -111,18 +112,18 @@ class TileSample(Sample):
         """Exclude the pixels of the image (H, W) where objects moved from the `resting` ones (P,)."""
         self.resting = ~cast(Bools, self.of(moved))
 
-    @property
+    @cached_property
     def camera_px(self) -> Floats:
         """(P, 2): camera coordinates of the pixels."""
         return np.stack([self.pixels - self.rows * self.shape[1], self.rows], axis=1).astype(np.float64)
 
-    @property
+    @cached_property
     def tile(self) -> Ints:
         """(P,): the tile number of each pixel."""
         return np.repeat(np.arange(self.count), TILE_PX**2)
 
-    def of_frames(self, frames: Sequence[int], pixels: Ints) -> Floats32:
-        """(frames, pixels): grey levels of some of the pixels."""
+    def of_frames(self, frames: Sequence[int], pixels: Ints | slice = slice(None)) -> Floats32:
+        """(frames, pixels): grey levels of some frames, at all or some of the pixels."""
         return np.stack([self.level(frame)[pixels] for frame in frames], dtype=np.float32)
 
 

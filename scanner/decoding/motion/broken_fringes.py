@@ -101,7 +101,7 @@ def _residual_projection(shifts: Floats) -> Floats:
 
 def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise: NoiseModel) -> _FringeSample:
     times, shifts = plan.times_of(fringe)
-    levels = tiles.of_frames(times.tolist(), np.arange(len(tiles.tile))).astype(np.float64)
+    levels = tiles.of_frames(times.tolist()).astype(np.float64)
     mean = levels.mean(axis=0)
     seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
     down, across = (tiles.camera_px[seen] // _block_size(tiles)).astype(np.int64).T[::-1]

@@ -26,7 +26,7 @@ def equations_of_shifts(frames: FringeFrames, tiles: TileSample, pixels: Pixels,
     """Return the equations for the shift of each frame to the right and down."""
     row, column = np.divmod(pixels.number % TILE_PX**2, TILE_PX)
     inside = (np.minimum(row, column) >= _MARGIN) & (np.maximum(row, column) < TILE_PX - _MARGIN)
-    images = tiles.of_frames(frames.times.tolist(), np.arange(len(tiles.tile)))
+    images = tiles.of_frames(frames.times.tolist())
     place = pixels.number[inside]
     levels, right, down = (
         _filtered(images, *taps)[:, place] for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL))

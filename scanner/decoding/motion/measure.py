@@ -119,12 +119,10 @@ class MotionMeter:
         """Return the device whose motion explains more than that of the other if either alone explains about as much,
         as before a scene of little depth, and whether this is so. Return both devices otherwise.
         """
-        less, more = sorted(
-            np.split(_BOTH, [PER_DEVICE], axis=1), key=lambda device: self._along(trajectory, device).gained
-        )
-        gained = [self._along(trajectory, device).gained for device in (less, more)]
-        undecided = gained[0] > NEARLY_ALL * gained[1]
-        return more if undecided else _BOTH, undecided
+        devices = np.split(_BOTH, [PER_DEVICE], axis=1)
+        gained = [self._along(trajectory, device).gained for device in devices]
+        undecided = min(gained) > NEARLY_ALL * max(gained)
+        return devices[int(np.argmax(gained))] if undecided else _BOTH, undecided
 
     @cached_property
     def _is_overdetermined(self) -> bool:
