@@ -248,25 +248,21 @@ def _measure(
     variance: Floats32,
     position: Floats32,
 ) -> None:
-    """Compute a fringe's position (P,) within its period from its components (H, W), and its variance (P,) from noise
+    """Compute a fringe's position (P,) within its period from its components (P,), and its variance (P,) from noise
     that grows with the grey level.
 
     The polynomial gives the arc tangent of 0 to 1 to 1.7e-4 (that of `cv2.phase`).
     """
-    height, width = cosine.shape
-    for row in range(height):
-        of_cosine, of_sine, part = cosine[row], sine[row], slice(row * width, (row + 1) * width)
-        of_level, of_variance, of_position = level[part], variance[part], position[part]
-        for i in range(width):
-            across, up = scale * np.float32(of_cosine[i]), scale * np.float32(of_sine[i])
-            of_variance[i] = (at_black + per_level * of_level[i]) / max(across * across + up * up, _FAINTEST)
-            larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
-            ratio = smaller / max(larger, _FAINTEST)
-            square = ratio * ratio
-            angle = (((_ARCTAN_7 * square + _ARCTAN_5) * square + _ARCTAN_3) * square + _ARCTAN_1) * ratio
-            angle = _QUARTER_TURN - angle if abs(up) > abs(across) else angle
-            angle = _HALF_TURN - angle if across < _ZERO else angle
-            of_position[i] = px_per_radian * (_WHOLE_TURN - angle if up < _ZERO else angle)
+    for i in range(len(cosine)):
+        across, up = scale * np.float32(cosine[i]), scale * np.float32(sine[i])
+        variance[i] = (at_black + per_level * level[i]) / max(across * across + up * up, _FAINTEST)
+        larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
+        ratio = smaller / max(larger, _FAINTEST)
+        square = ratio * ratio
+        angle = (((_ARCTAN_7 * square + _ARCTAN_5) * square + _ARCTAN_3) * square + _ARCTAN_1) * ratio
+        angle = _QUARTER_TURN - angle if abs(up) > abs(across) else angle
+        angle = _HALF_TURN - angle if across < _ZERO else angle
+        position[i] = px_per_radian * (_WHOLE_TURN - angle if up < _ZERO else angle)
 
 
 @compiled

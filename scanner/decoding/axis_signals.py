@@ -20,7 +20,7 @@ class Signals:
 
     `words`: per code, (P,). `least` (codes, P): as in `GrayFold`, empty if the fringes correct wrong bits. `contrast`
     (codes, P): as in `GrayFold`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
-    `least` then covers the other bits. `components`: per fringe, longest period first, (H, W) each; multiplied by its
+    `least` then covers the other bits. `components`: per fringe, longest period first, (P,) each; multiplied by its
     entry in `scales` they are in grey levels, to which `corrections` apply. `brightest`, `middle` (P,): grey level when
     lit, and half-way between lit and unlit. `peak` (P,): maximum over the fringes. `log_exposure` (P,): None if all
     pixels were exposed alike. `rows` (P,): image row; empty if no correction depends on it.
@@ -43,18 +43,17 @@ class Signals:
     def fringe(self, number: int) -> tuple[Floats32, Floats32]:
         """Return the components A cos θ and A sin θ of a fringe in grey levels, (P,) each."""
         scale = np.float32(self.scales[number])
-        cosine, sine = ((scale * part.astype(np.float32)).reshape(-1) for part in self.components[number])
+        cosine, sine = (scale * part.astype(np.float32) for part in self.components[number])
         correction = self.corrections[number]
         if correction is None:
             return cosine, sine
         return correction.apply(cosine, sine, self.middle, self.brightest, self.rows)
 
     def corrected(self, number: int) -> tuple[Component, Component, np.float32]:
-        """Return the components of a fringe, (H, W) each, and the factor by which they are in grey levels."""
+        """Return the components of a fringe, (P,) each, and the factor by which they are in grey levels."""
         if self.corrections[number] is None:
             return *self.components[number], np.float32(self.scales[number])
-        cosine, sine = self.fringe(number)
-        return cosine.reshape(self.shape), sine.reshape(self.shape), np.float32(1)
+        return *self.fringe(number), np.float32(1)
 
 
 def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
@@ -77,7 +76,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             _stack([] if axis.corrects_bits else [select(fold.least_needed) for fold in codes], shape),
             _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
             [{bit: select(image).reshape(-1) for bit, image in fold.optional.items()} for fold in codes],
-            [(select(fold.cosine), select(fold.sine)) for fold in fringes],
+            [(select(fold.cosine).reshape(-1), select(fold.sine).reshape(-1)) for fold in fringes],
             [fold.scale for fold in fringes],
             [fold.correction for fold in fringes],
             rows,

@@ -69,7 +69,7 @@ def coordinate_maps(
         (wide_rows, own_rows), (wide_columns, own_columns) = (
             widened(part, _HALO, size) for part, size in ((rows, height), (columns, width))
         )
-        tile, wide, own = (rows, columns), (wide_rows, wide_columns), (own_rows, own_columns)
+        wide, own = (wide_rows, wide_columns), (own_rows, own_columns)
         # Lazily, so that the signals of x are freed before those of y are made.
         found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
         if moved is not None and spoilt is not None:
@@ -90,10 +90,10 @@ def coordinate_maps(
             surface = reason == np.uint8(MaskReason.KEPT)
             for c, shift in shaded:
                 correct_curvature_shift(c.value, c.variance, shift, surface, footprint, own)
-        x, y = (c.value[own] for c in found)
-        measured = [c.variance[own] for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
-        _note(x, y, measured[0], measured[-1], projector_px[tile], variance[tile])
-        reasons[tile] = reason[own]
+        measured = [c.variance for c, axis in zip(found, plan.axes, strict=True) if axis.is_measured]
+        corners = own_rows.start, own_columns.start, rows.start, rows.stop, columns.start, columns.stop
+        _note(found[0].value, found[1].value, measured[0], measured[-1], corners, projector_px, variance)
+        reasons[rows, columns] = reason[own]
         return np.stack([count_reasons(c.reason[own], CONTRADICTIONS) for c in found])
 
     counts = np.sum(in_tiles((height, width), decode), axis=0)
@@ -109,13 +109,25 @@ def _forget(value: Floats32, kept: Bools) -> None:
 
 @compiled
 def _note(
-    x: Floats32, y: Floats32, first: Floats32, second: Floats32, projector_px: Floats32, variance: Floats32
+    x: Floats32,
+    y: Floats32,
+    first: Floats32,
+    second: Floats32,
+    corners: tuple[int, int, int, int, int, int],
+    projector_px: Floats32,
+    variance: Floats32,
 ) -> None:
-    """Store both coordinates, and the mean of two variances; (H, W), (H, W, 2)."""
-    height, width = x.shape
-    for row in range(height):
-        of_x, of_y, of_first, of_second = x[row], y[row], first[row], second[row]
-        px, mean = projector_px[row], variance[row]
+    """Store a tile's coordinates, and the mean of two variances, (h, w), in the whole images, (H, W, 2) and (H, W).
+
+    `corners`: of what is stored, the first row and column within the tile, and the rows and columns of the image. Rows
+    of whole images are contiguous, which vectorised loops need.
+    """
+    from_row, from_column, top, bottom, left, right = corners
+    width = right - left
+    for row in range(bottom - top):
+        of_x, of_y = x[from_row + row, from_column:], y[from_row + row, from_column:]
+        of_first, of_second = first[from_row + row, from_column:], second[from_row + row, from_column:]
+        px, mean = projector_px[top + row, left:], variance[top + row, left:]
         for i in range(width):
             px[i, 0], px[i, 1] = of_x[i], of_y[i]
         for i in range(width):
