@@ -20,12 +20,10 @@ from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_fr
 from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
 from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
-from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS
 
 # Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-# Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
-_LEAST_EXPLAINED = 0.03
 _ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
@@ -76,7 +74,8 @@ class MotionMeter:
         contradicted = self._is_overdetermined and is_significant
         found = MotionFound(
             motion=fit.motion,
-            significant=contradicted and explained > _LEAST_EXPLAINED and max(gained) > self._by_late_frame(),
+            # Aliasing, ripple and blurred frames differ between pixels: a motion explains few percent of them.
+            significant=contradicted and explained > FEW and max(gained) > self._by_late_frame(),
             slow=event.slow,
             first=self._repeats * (event.first if event.slow else first),
             last=self._repeats * (event.last if event.slow else last),
