@@ -9,9 +9,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Ints, compiled
+from calib.numerics import Floats, Ints, compiled, in_slices, slices_of
 from scanner.errors import InputError
 from scanner.io.given_file import opened, refuse_bomb
+
+Floats32 = NDArray[np.float32]
 
 
 class _Column(NamedTuple):
@@ -40,6 +42,7 @@ _TYPES = {
 }
 _TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _PIECE = 1 << 15  # points per write, within the processor's cache
+_COUNTED = 1 << 18  # points counted at a time
 _LONGEST_HEADER = 1 << 16
 _COUNT = re.compile(r"[0-9]{1,12}")
 _END = b"end_header\n"
@@ -99,9 +102,9 @@ def write_room_ply(path: Path, cloud: PointCloud, frame: str = _ROOM_FRAME) -> N
 
 def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triangles: Ints | None) -> None:
     columns = _COLUMNS if match is None else (*_COLUMNS, _MATCH)
-    arrays = [cloud.points.reshape(-1, 3), cloud.normals.reshape(-1, 3), cloud.colours.reshape(-1, 3)]
-    arrays += [] if match is None else [match.reshape(-1, 1)]
-    there = np.isfinite(arrays[0][:, 2])
+    points, normals = (np.asarray(array, np.float32).reshape(-1, 3) for array in (cloud.points, cloud.normals))
+    colours, numbers = cloud.colours.reshape(-1, 3), None if match is None else np.asarray(match, np.int32).reshape(-1)
+    total = sum(in_slices(len(points), _COUNTED, lambda at: int(np.count_nonzero(np.isfinite(points[at, 2])))))
     vertices = np.empty(_PIECE, [(column.name, _TYPES[column.kind], len(column.components)) for column in columns])
     # The unit comes from a user file: it must not end the comment or the header.
     header = [
@@ -109,18 +112,17 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
         "format binary_little_endian 1.0",
         f"comment unit {' '.join(cloud.unit.split())} (of x, y, z)",
         f"comment {frame}",
-        f"element vertex {np.count_nonzero(there)}",
+        f"element vertex {total}",
         *(f"property {column.kind} {name}" for column in columns for name in column.components),
     ]
     if triangles is not None:
         header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
     with path.open("wb") as file:
         file.write("".join(f"{line}\n" for line in header).encode("ascii", errors="replace") + _END)
-        for start in range(0, len(there), _PIECE):
-            piece = slice(start, start + _PIECE)
-            count = 0
-            for column, array in zip(columns, arrays, strict=True):
-                count = _gather(there[piece], array[piece], vertices[column.name].reshape(_PIECE, -1))
+        into = [vertices[column.name].reshape(_PIECE, -1) for column in columns]
+        for piece in slices_of(len(points), _PIECE):
+            some = None if numbers is None else numbers[piece]
+            count = _gather(points[piece], normals[piece], colours[piece], some, *into[:3], into[-1])
             file.write(vertices[:count].data)
         if triangles is not None:
             faces = np.empty(len(triangles), _TRIANGLE)
@@ -129,16 +131,28 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
 
 
 @compiled
-def _gather(there: Bools, values: NDArray[np.generic], vertices: NDArray[np.generic]) -> int:
-    """Copy the existing rows of `values` (P, components) to the beginning of `vertices`, at any memory alignment.
-
-    Returns their number.
+def _gather(
+    points: Floats32,
+    normals: Floats32,
+    colours: NDArray[np.uint8],
+    match: Ints | None,
+    to_points: Floats32,
+    to_normals: Floats32,
+    to_colours: NDArray[np.uint8],
+    to_match: Ints,
+) -> int:
+    """Copy the points that are there (P, 3), with their normals, colours and matches (P,), to the beginning of arrays
+    of the same shapes, at any memory alignment; without matches, nothing goes to the last one. Returns their number.
     """
     count = 0
-    for i in range(len(there)):
-        if there[i]:
-            for component in range(values.shape[1]):
-                vertices[count, component] = values[i, component]
+    for i in range(len(points)):
+        if np.isfinite(points[i, 2]):
+            for axis in range(3):
+                to_points[count, axis] = points[i, axis]
+                to_normals[count, axis] = normals[i, axis]
+                to_colours[count, axis] = colours[i, axis]
+            if match is not None:
+                to_match[count, 0] = match[i]
             count += 1
     return count
 
