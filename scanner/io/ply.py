@@ -122,7 +122,7 @@ def _write(path: Path, cloud: PointCloud, frame: str, match: Ints | None, triang
         into = [vertices[column.name].reshape(_PIECE, -1) for column in columns]
         for piece in slices_of(len(points), _PIECE):
             some = None if numbers is None else numbers[piece]
-            count = _gather(points[piece], normals[piece], colours[piece], some, *into[:3], into[-1])
+            count = _gather(points[piece], normals[piece], colours[piece], some, into[0], into[1], into[2], into[-1])
             file.write(vertices[:count].data)
         if triangles is not None:
             faces = np.empty(len(triangles), _TRIANGLE)
