@@ -7,7 +7,7 @@ devices. An exchange is proven by exchanging the frames back, a duplicate by the
 anomaly that is assessed later by the coordinates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -80,22 +80,26 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     """Return whether exchanging two frames, one a suspect, removes most contradictions in the sample (frames, P)."""
     swing = np.ptp(levels, axis=0)
     lit = evenly_spread(np.flatnonzero(swing > _LEAST_SWING), TRIAL_PIXELS)
-    seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
-    before = total_contradiction(plan, seen, swing)
+    seen, swing = levels[:, lit], swing[lit]
+    most = LEFT_BY_EXCHANGE * total_contradiction(plan, seen, swing)
+    return any(left < most for _, _, left in _exchanges(plan, seen, swing, suspects))
+
+
+def _exchanges(
+    plan: SequencePlan, levels: Floats32, swing: Floats32, suspects: Sequence[int]
+) -> Iterator[tuple[tuple[int, int], float, float]]:
+    """Yield pairs of frames that differ, one a suspect, with their mean squared difference in swings (P,), and the
+    total contradiction of `levels` (frames, P) once they are exchanged.
+    """
     for first in suspects:
-        for second in range(len(seen)):
-            if _once_exchanged(plan, seen, swing, (first, second)) < LEFT_BY_EXCHANGE * before:
-                return True
-    return False
-
-
-def _once_exchanged(plan: SequencePlan, levels: Floats32, swing: Floats32, pair: tuple[int, int]) -> float:
-    """Return the total contradiction of `levels` (frames, P) with two frames exchanged."""
-    order = np.arange(len(levels))
-    order[[*pair]] = pair[::-1]
-    return total_contradiction(plan, levels[order], swing)
+        for second in range(len(levels)):
+            differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
+            if differ >= _DIFFERENT and not (second in suspects and second < first):
+                order = np.arange(len(levels))
+                order[[first, second]] = second, first
+                yield (first, second), differ, total_contradiction(plan, levels[order], swing)
 
 
 def _in_one_light(
@@ -167,14 +171,10 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     before = total_contradiction(plan, levels, swing)
     least, pair = total_contradiction(plan, alike.levels[:, few], swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
-    for first in suspects:
-        for second in range(len(levels)):
-            differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
-            if differ < _DIFFERENT or (second in suspects and second < first):
-                continue
-            left = tried[first, second] = _once_exchanged(plan, levels, swing, (first, second))
-            if before - left > HALF * differ and left < least:
-                least, pair = left, (first, second)
+    for exchange, differ, left in _exchanges(plan, levels, swing, suspects):
+        tried[exchange] = left
+        if before - left > HALF * differ and left < least:
+            least, pair = left, exchange
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
     if pair not in tried or tried[pair] > max(LEFT_BY_EXCHANGE * before, AS_GOOD * min(others, default=before)):
         return ""

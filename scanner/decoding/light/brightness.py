@@ -117,6 +117,9 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     for _ in range(_GUESSES):
         guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
         found = _gains(guesses, before=found)
+        if not found.are_harmful:
+            found = Gains(np.ones((count, 1)))
+            break
         alike = (levels / found.of_rows[back]).astype(np.float32)
     # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
     for _ in range(PASSES):
