@@ -16,7 +16,7 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
-from scanner.decoding.decoder_calibration import calibrated_decoders, modulation
+from scanner.decoding.decoder_calibration import calibrated_decoders, measured_widely, modulation
 from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
 from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
@@ -220,10 +220,11 @@ def check_and_calibrate(
         anomalies += _explained(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, observed.code_shifts):
-            for decoder, signals in zip(decoders, thin, strict=True):
-                anomalies += check_fringes(plan, decoder, signals)
+            measured = measured_widely(decoders, thin)
+            for decoder, of_axis in measured:
+                anomalies += check_fringes(plan, decoder, of_axis)
         accumulators.forget_contrasts()
-        return CalibratedDecoders(decoders, modulation(decoders, thin))
+        return CalibratedDecoders(decoders, modulation(of_axis for _, of_axis in measured))
 
 
 def _explained(

@@ -5,7 +5,7 @@ inverse differs, and a bit without an inverse has more than two levels. Subtract
 contradiction. Steps of fringes are equalised in brightness anyway, which leaves little of it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -46,34 +46,34 @@ def late_frame(plan: SequencePlan, levels: Floats32) -> tuple[float, int] | None
             share, rest = share_of_previous(plan, seen, off, _MOST, (frame,))
             if plan.shown[place - 1] not in frames and rest > _OF_BRIGHTNESS * _off_once_alike(seen, frames):
                 continue
-            if rest < least * most * off(seen) and _LEAST < share < _MOST - _LEAST:
-                best, least = (share, place), rest / (most * off(seen))
+            if rest < least * most and _LEAST < share < _MOST - _LEAST:
+                best, least = (share, place), rest / most
     return best
 
 
 def _unusual(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[tuple[int, ...], Off, float]]:
-    """Yield pairs and single bits of unusual contradiction, with its measure and the share of it that may remain, given
+    """Yield pairs and single bits of unusual contradiction, with its measure and how much of it may remain, given
     levels (frames, P).
     """
-    in_pairs = {frame for pair in plan.complements for frame in pair}
+    pairs = plan.complements
+    if len(pairs) >= MAJORITY:
+        squares = np.mean((sums_off(seen, pairs) / 2) ** 2, axis=1)
+        for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))):
+            yield pairs[number], _off_common(pairs, number), _LEFT_OF_PAIRS * float(squares[number])
+    in_pairs = {frame for pair in pairs for frame in pair}
     bits = sorted({frame for code in plan.codes for frame in code.frames} - in_pairs)
-    for groups, unusual, most in (
-        (
-            [(pair, _off_common(plan, number)) for number, pair in enumerate(plan.complements)],
-            _UNUSUAL_PAIR,
-            _LEFT_OF_PAIRS,
-        ),
-        ([((bit,), _off_two_levels(plan, bit)) for bit in bits], _UNUSUAL_BIT, _LEFT_OF_BITS),
-    ):
-        if len(groups) >= MAJORITY:
-            off = [of_group(seen) for _, of_group in groups]
-            least = max(_NOTABLE, unusual * float(np.median(off)))
-            yield from ((*group, most) for group, much in zip(groups, off, strict=True) if much > least)
+    if len(bits) >= MAJORITY and plan.white is not None and plan.black is not None:
+        of_bits = {bit: _off_two_levels(plan.white, plan.black, bit) for bit in bits}
+        found = {bit: off(seen) for bit, off in of_bits.items()}
+        usual = float(np.median([*found.values()]))
+        for bit, much in found.items():
+            if much > max(_NOTABLE, _UNUSUAL_BIT * usual):
+                yield (bit,), of_bits[bit], _LEFT_OF_BITS * much
 
 
-def _off_common(plan: SequencePlan, number: int) -> Off:
+def _off_common(pairs: Sequence[Sequence[int]], number: int) -> Off:
     """Return the squared deviation of a pair's mean light from that of the others."""
-    return lambda levels: float(np.mean((sums_off(levels, plan.complements)[number] / 2) ** 2))
+    return lambda levels: float(np.mean((sums_off(levels, pairs)[number] / 2) ** 2))
 
 
 def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
@@ -81,15 +81,13 @@ def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
     return np.inf if len(frames) == 1 else float(np.mean(left_by_gains(seen[list(frames)], np.mean(seen, axis=0)) ** 2))
 
 
-def _off_two_levels(plan: SequencePlan, bit: int) -> Off:
-    """Return the scatter of a bit's levels about two; 0 without white and black, or with few pixels."""
+def _off_two_levels(white: int, black: int, bit: int) -> Off:
+    """Return the scatter of a bit's levels about two; 0 if it has few pixels."""
 
     def off(levels: Floats32) -> float:
-        if plan.white is None or plan.black is None:
-            return 0.0
-        between = levels[plan.white] - levels[plan.black]
+        between = levels[white] - levels[black]
         lit = between > np.float32(0.5)
-        relative = (levels[bit] - levels[plan.black])[lit] / between[lit]
+        relative = (levels[bit] - levels[black])[lit] / between[lit]
         if len(relative) < FEWEST_PIXELS:
             return 0.0
         is_bright = relative > np.mean(np.quantile(relative, TAILS))
