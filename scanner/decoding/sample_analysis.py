@@ -28,6 +28,7 @@ from scanner.decoding.motion import (
     CodeShift,
     InconsistentPixels,
     MotionFound,
+    SeenFringes,
     blaming_shifts,
     broken_between,
     find_inconsistent_pixels,
@@ -110,7 +111,8 @@ def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[
         notes.append(inconsistent.message(accumulators.plan))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
-    motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
+    seen = SeenFringes(plan, tiles, (x, y), noise, saturation, projector_size)
+    motion = aside.submit(measure_motion, seen)
     aside.shutdown(wait=False)
     return Observations(
         levels,
@@ -118,9 +120,9 @@ def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[
         saturation,
         flicker,
         motion,
-        shifts_of_codes(plan, (x, y), noise, tiles.resting),
+        shifts_of_codes(seen),
         tuple(notes),
-        lambda: broken_between(plan, tiles, noise),
+        lambda: broken_between(seen),
         inconsistent,
     )
 
@@ -223,7 +225,6 @@ def check_and_calibrate(
             measured = measured_widely(decoders, thin)
             for decoder, of_axis in measured:
                 anomalies += check_fringes(plan, decoder, of_axis)
-        accumulators.forget_contrasts()
         return CalibratedDecoders(decoders, modulation(of_axis for _, of_axis in measured))
 
 

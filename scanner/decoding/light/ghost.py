@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.late_frame import late_frame
-from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.light.previous_picture import share_of_previous, sums_off, without_previous
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import TRIAL_PIXELS
+from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
@@ -94,7 +93,7 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64]) ->
             return Ghost(even, of_odd_rows=odd)
     if share:
         return Ghost(share)
-    late = late_frame(plan, thinned(levels, TRIAL_PIXELS))
+    late = late_frame(plan, evenly_spread(levels, TRIAL_PIXELS, axis=-1))
     return None if late is None else Ghost(*late)
 
 
@@ -104,7 +103,7 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
 
     The share is 0 if it is not significant, None if a small share improves nothing.
     """
-    seen = thinned(levels, TRIAL_PIXELS)
+    seen = evenly_spread(levels, TRIAL_PIXELS, axis=-1)
     if not seen.size:
         return None, 0.0
     kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]

@@ -58,7 +58,7 @@ def _unusual(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[tuple[int, ..
     pairs = plan.complements
     if len(pairs) >= MAJORITY:
         squares = np.mean((sums_off(seen, pairs) / 2) ** 2, axis=1)
-        for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))):
+        for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))).tolist():
             yield pairs[number], _off_common(pairs, number), _LEFT_OF_PAIRS * float(squares[number])
     in_pairs = {frame for pair in pairs for frame in pair}
     bits = sorted({frame for code in plan.codes for frame in code.frames} - in_pairs)

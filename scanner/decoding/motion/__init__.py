@@ -6,6 +6,7 @@ from scanner.decoding.motion.device_motion import SUSPECTED_PX, MotionFound, mov
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.period_slips import CodeShift
+from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.motion.refusals import (
     UNSEEN_MOTION,
     blaming_motion,
@@ -25,6 +26,7 @@ __all__ = [
     "Fit",
     "InconsistentPixels",
     "MotionFound",
+    "SeenFringes",
     "blaming_motion",
     "blaming_shifts",
     "broken_between",

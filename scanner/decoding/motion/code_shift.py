@@ -8,23 +8,19 @@ from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.period_slips import CodeShift, Offsets, moved_by_periods
-from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan, SequencePlan
+from scanner.decoding.motion.pixels import SeenFringes
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
 from scanner.decoding.significance import AS_GOOD, ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
 from scanner.decoding.subsampling import evenly_spread
 
 _LEAST_PX = 0.5
 
 
-def shifts_of_codes(
-    plan: SequencePlan, signals: tuple[Signals, Signals], noise: NoiseModel, resting: Bools
-) -> tuple[CodeShift, ...]:
-    """Return the significant shifts, from the signals of pixels (P,) of which only the `resting` ones (P,) count."""
-    found = [
-        each
-        for axis, of_axis in zip(plan.axes, signals, strict=True)
-        if (each := _offsets(axis, of_axis, noise, resting)) is not None
-    ]
-    by_periods = [*moved_by_periods(*found)] if len(found) == len(plan.axes) else []
+def shifts_of_codes(seen: SeenFringes) -> tuple[CodeShift, ...]:
+    """Return the significant shifts, from the pixels where nothing moved."""
+    offsets = (_offsets(axis, of_axis, seen.noise, seen.tiles.resting) for axis, of_axis in seen.axes)
+    found = [each for each in offsets if each is not None]
+    by_periods = [*moved_by_periods(*found)] if len(found) == len(seen.plan.axes) else []
     others = [each for each in found if each.axis not in [shift.axis for shift in by_periods]]
     # A finest bit that was exchanged with its inverse also shifts by half a period.
     shifted = [each for each in others if _LEAST_PX <= abs(each.mean_px) <= AS_GOOD * each.period / 2]
