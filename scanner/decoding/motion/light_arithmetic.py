@@ -20,7 +20,7 @@ from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
-from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, REFITS, SIGNIFICANT_SIGMAS
 
 # Least share of the lit pixels that rest: an object may cover more than half of them. These pixels tell the usual
 # deviation (a nonlinear camera, a projector that sharpens or dims fine stripes).
@@ -178,7 +178,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats,
         return (size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)).astype(np.float64)
 
     of = terms.astype(np.float64)
-    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), TRIMMED_FITS)
+    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), REFITS)
     return factors, (targets - factors.T @ of).astype(np.float32)
 
 

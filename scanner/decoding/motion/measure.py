@@ -17,13 +17,12 @@ from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS
-from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.significance import AS_GOOD, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
 
 # Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
 # Motion explains the residuals of a typical pixel; aliasing and ripple differ between pixels.
 _LEAST_EXPLAINED = 0.03
-_ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
 _BOTH = np.eye(COLUMNS)  # devices
@@ -155,7 +154,7 @@ class MotionMeter:
         """Refine a motion beyond first order (Gauss–Newton); also return how much of what is seen it explains."""
         at_first = self._along(trajectory, devices)
         found, share = at_first.found, trajectory.at(self._model.frames.times)[:, None]
-        for _ in range(_ROUNDS):
+        for _ in range(REFITS):
             moved_px = share * (self._pixels.by_motion @ devices @ found).T[self._model.frames.axis]
             equations = equations_of_motion(self._model.without(moved_px), self._pixels)
             more = equations.along(at_first.directions, known=found)

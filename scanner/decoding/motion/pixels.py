@@ -15,10 +15,9 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import FEWEST_COUNTED, REFITS, SIGNIFICANT_SIGMAS
 from scanner.decoding.subsampling import evenly_spread
 
-_FEWEST_IN_TILE = 30  # of 100, for a plane
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
 
@@ -128,12 +127,12 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     products = (terms[:, :, None] * terms[:, None]).reshape(len(terms), -1)
     on = usable.reshape(tiles.count, TILE_PX**2)
     seen, fit = np.where(on, projector_px.T.reshape(2, *on.shape), 0.0), on
-    for _ in range(TRIMMED_FITS):
+    for _ in range(REFITS):
         normal = (fit @ products).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
         planes: Floats = np.linalg.solve(normal, np.moveaxis((fit * seen) @ terms, 0, 2))
         off = np.sum((seen - np.moveaxis(planes, 2, 0) @ terms.T) ** 2, axis=0)
         count = np.count_nonzero(fit, axis=1)
         rough = np.sqrt(np.sum(fit * off, axis=1) / np.maximum(count, 1))
         fit = on & (off <= np.maximum(SIGNIFICANT_SIGMAS / sqrt(2) * rough, 1e-3)[:, None] ** 2)
-    smooth = (rough < MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
+    smooth = (rough < MOST_ROUGH_PX) & (count >= FEWEST_COUNTED)
     return planes, (fit & smooth[:, None]).reshape(-1)
