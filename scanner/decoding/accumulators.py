@@ -145,13 +145,6 @@ class Accumulators:
         for fold in self.codes:
             fold.contrast = cast(Image, cv2.add(half, half))
 
-    def forget_contrasts(self) -> None:
-        """Free the bits' contrasts on axes whose fringes correct wrong bits."""
-        for axis in self.plan.axes:
-            for fold in self.codes:
-                if axis.corrects_bits and fold.code in axis.codes:
-                    fold.least = fold.least[:0].copy()
-
     def forget_peaks(self, saturation: float) -> None:
         """Replace the peaks of the fringes by their maximum if none is clipped."""
         if self._fringe_peak is not None and (largest := self._fringe_peak.max()) < saturation:

@@ -7,10 +7,11 @@ their mean is the same share of white everywhere, known from the frames before t
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Image, median
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
@@ -44,15 +45,6 @@ class AmbientLightChange:
         """Return the added light of pixels (P,) in grey levels, from their levels in all frames (frames, P)."""
         return self.weights @ levels
 
-    def image(self, frames: Iterable[Image], shape: tuple[int, ...], plan: SequencePlan) -> Floats32:
-        """Return the added light (H, W), from the frames of a capture in the order in which they were shown."""
-        light = np.zeros(shape, np.float32)
-        for place, frame in enumerate(frames):
-            number = plan.shown[place]
-            if place == plan.shown.index(number):
-                cv2.addWeighted(light, 1, frame, float(self.weights[number]), 0, dst=light, dtype=cv2.CV_32F)
-        return light
-
     def undone(self, levels: Floats32) -> Floats32:
         """Return the frames (frames, P) without the change."""
         result = levels.copy()
@@ -66,14 +58,22 @@ class AmbientLightChange:
         return f"light of {abs(self.share):.0%} of the pattern's was switched {direction} before {when}"
 
 
-def without_light(
-    frames: Iterable[Image], light: Floats32, plan: SequencePlan, switch: AmbientLightChange
+def without_change(
+    frames: Callable[[], Iterable[Image]], plan: SequencePlan, switch: AmbientLightChange
 ) -> Iterator[Image]:
-    """Yield the frames (N, H, W) of a capture without the change; `light` (H, W): the added light."""
+    """Yield the frames (H, W) of a capture, which are read twice in the order in which they were shown, without the
+    change.
+    """
+    light: NDArray[Any] | None = None
+    for place, frame in enumerate(frames()):
+        number = plan.shown[place]
+        if place == plan.shown.index(number):
+            other, kept = (frame, 0) if light is None else (light, 1)
+            light = cv2.addWeighted(other, kept, frame, float(switch.weights[number]), 0, dtype=cv2.CV_32F)
     begin = plan.shown.index(switch.frame)
-    for place, frame in enumerate(frames):
+    for place, frame in enumerate(frames()):
         depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
-        yield frame if place < begin else cast(Image, cv2.subtract(frame, light, dtype=depth))
+        yield frame if place < begin or light is None else cast(Image, cv2.subtract(frame, light, dtype=depth))
 
 
 def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:

@@ -174,16 +174,14 @@ class Decoder:
 
         If that raises InputError, decode them unchanged: the apparent light change was something else.
         """
-        self._read(frames, corrections)
-        try:
-            return corrections, self._decode(frames, corrections, as_taken=True)
-        except InputError as without:
-            corrections = replace(corrections, switch=None)
-            self._read(frames, corrections)
+        errors = []
+        for tried in (corrections, replace(corrections, switch=None)):
+            self._read(frames, tried)
             try:
-                return corrections, self._decode(frames, corrections, as_taken=True)
-            except InputError:
-                raise without from None
+                return tried, self._decode(frames, tried, as_taken=True)
+            except InputError as error:
+                errors.append(error)
+        raise errors[0]
 
     @overload
     def _decode(self, frames: Image, corrections: FrameCorrections, *, as_taken: Literal[True]) -> Decoding: ...

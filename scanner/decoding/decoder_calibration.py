@@ -59,17 +59,23 @@ def agreeing(measured: Measured) -> Bools:
     return measured.orders.agree & measured.interval.possible & measured.well_lit
 
 
-def modulation(decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]) -> float | None:
+def measured_widely(
+    decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]
+) -> list[tuple[AxisDecoder, Measured]]:
+    """Return the decoders of axes with fringes, each with what it measures with the widest tolerances."""
+    return [
+        (decoder, replace(decoder, tolerances=widest_tolerances(decoder.plan)).measure(part))
+        for decoder, part in zip(decoders, signals, strict=True)
+        if decoder.plan.fringes
+    ]
+
+
+def modulation(measured: Iterable[Measured]) -> float | None:
     """Return the median amplitude of the shortest fringes relative to the level half-way between lit and unlit.
 
     1 for a sharp image of a projector without black level in a dark room; None without fringes.
     """
-    shares = []
-    for decoder, part in zip(decoders, signals, strict=True):
-        if decoder.plan.fringes:
-            measured = decoder.measure(part)
-            lit = measured.well_lit
-            shares.append(np.sqrt(measured.power(len(decoder.plan.fringes) - 1)[lit]) / np.maximum(part.middle[lit], 1))
+    shares = [np.sqrt(each.power(-1)[each.well_lit]) / np.maximum(each.level[each.well_lit], 1) for each in measured]
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from calib.numerics import Image
-from scanner.decoding.ambient_light_change import AmbientLightChange, without_light
+from scanner.decoding.ambient_light_change import AmbientLightChange, without_change
 from scanner.decoding.arrays import WHOLE, Part
 from scanner.decoding.light.camera_response import CameraResponse
 from scanner.decoding.light.ghost import Ghost, without_ghost
@@ -30,11 +31,8 @@ class FrameCorrections:
 
     def undone(self, frames: Image, plan: SequencePlan, part: Part = WHOLE) -> Iterator[Image]:
         """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W)."""
-        read = self._steady(frames, part)
-        if self.switch is None:
-            return read
-        light = self.switch.image(self._steady(frames, part), frames[0][part].shape, plan)
-        return without_light(read, light, plan, self.switch)
+        read = partial(self._steady, frames, part)
+        return read() if self.switch is None else without_change(read, plan, self.switch)
 
     def remarks(self, plan: SequencePlan) -> Iterator[str]:
         """Yield sentences for the operator."""

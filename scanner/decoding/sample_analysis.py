@@ -16,7 +16,7 @@ from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
-from scanner.decoding.decoder_calibration import calibrated_decoders, modulation
+from scanner.decoding.decoder_calibration import calibrated_decoders, measured_widely, modulation
 from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
 from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
@@ -28,6 +28,7 @@ from scanner.decoding.motion import (
     CodeShift,
     InconsistentPixels,
     MotionFound,
+    SeenFringes,
     blaming_shifts,
     broken_between,
     find_inconsistent_pixels,
@@ -110,7 +111,8 @@ def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[
         notes.append(inconsistent.message(accumulators.plan))
     plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
     aside = ThreadPoolExecutor(1)
-    motion = aside.submit(measure_motion, plan, tiles, (x, y), noise, saturation, projector_size)
+    seen = SeenFringes(plan, tiles, (x, y), noise, saturation, projector_size)
+    motion = aside.submit(measure_motion, seen)
     aside.shutdown(wait=False)
     return Observations(
         levels,
@@ -118,9 +120,9 @@ def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[
         saturation,
         flicker,
         motion,
-        shifts_of_codes(plan, (x, y), noise, tiles.resting),
+        shifts_of_codes(seen),
         tuple(notes),
-        lambda: broken_between(plan, tiles, noise),
+        lambda: broken_between(seen),
         inconsistent,
     )
 
@@ -220,10 +222,10 @@ def check_and_calibrate(
         anomalies += _explained(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, observed.code_shifts):
-            for decoder, signals in zip(decoders, thin, strict=True):
-                anomalies += check_fringes(plan, decoder, signals)
-        accumulators.forget_contrasts()
-        return CalibratedDecoders(decoders, modulation(decoders, thin))
+            measured = measured_widely(decoders, thin)
+            for decoder, of_axis in measured:
+                anomalies += check_fringes(plan, decoder, of_axis)
+        return CalibratedDecoders(decoders, modulation(of_axis for _, of_axis in measured))
 
 
 def _explained(

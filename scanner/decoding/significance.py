@@ -11,7 +11,7 @@ OUTLYING_SIGMAS = 3.0
 HUBER_SIGMAS = 2.0
 HUBER_ROUNDS = 6  # of reweighting a linear fit
 MEDIAN_ROUNDS = 20  # of reweighting that goes farther from least squares, to a median or a mode
-TRIMMED_FITS = 3  # each without the outliers of the one before
+REFITS = 3  # of a model, each from where the one before led, or without its outliers
 # Difference of −2 log likelihood beyond which a hypothesis is rejected: it is a hundredth as likely (2 ln 100 = 9.2).
 REJECTED = 9.0
 # Quantile that represents the brightest pixels without specular reflections, and those at both ends of a distribution.
@@ -20,6 +20,8 @@ ENDS = (1 - BRIGHTEST, BRIGHTEST)
 # With fewer pixels, cells or matches a few outliers would decide: the standard error of their median is an eighth of
 # their standard deviation.
 FEWEST_PIXELS = 100
+# With fewer, a share of them has a standard error of a tenth.
+FEWEST_COUNTED = 30
 # Of this many that measure the same, one that is wrong is outvoted.
 MAJORITY = 3
 # A few, more than half, and nearly all of what is compared.

@@ -4,7 +4,7 @@ Without its finest bits a Gray code is one of longer cells, whose edges are stil
 steps is left out.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -134,18 +134,12 @@ def _complete(axis: Axis, length: int, code: tuple[int, int, int], shown: set[in
 
 def _whole_fringes(axis: Axis, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> list[Phase]:
     """Return the fringes with all steps that were planned, and with as many as any other has."""
-    steps: dict[tuple[Axis, float], set[float]] = defaultdict(set)
-    for pattern in wanted:
-        if isinstance(pattern, Phase):
-            steps[pattern.axis, pattern.period].add(pattern.shift)
-    most = max(map(len, steps.values()), default=0)
-    of_axis = [pattern for pattern in once if isinstance(pattern, Phase) and pattern.axis == axis]
-    return [
-        pattern
-        for pattern in of_axis
-        if len(steps[axis, pattern.period]) == most
-        and {other.shift for other in of_axis if other.period == pattern.period} == steps[axis, pattern.period]
-    ]
+    steps, taken = (
+        Counter((pattern.axis, pattern.period) for pattern in patterns if isinstance(pattern, Phase))
+        for patterns in (wanted, once)
+    )
+    whole = {fringe for fringe, count in taken.items() if count == steps[fringe] == max(steps.values())}
+    return [p for p in once if isinstance(p, Phase) and p.axis == axis and (axis, p.period) in whole]
 
 
 def _balanced(

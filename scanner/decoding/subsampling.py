@@ -20,9 +20,10 @@ FARTHEST_PX = 16
 SEED = 20_240_229  # of all random choices, which must be the same in every run
 
 
-def evenly_spread(values: NDArray[Any], most: int = ENOUGH_PIXELS) -> NDArray[Any]:
-    """Return every k-th of the values (N, …), as many as possible up to `most`."""
-    return values[:: max(1, -(-len(values) // most))]
+def evenly_spread(values: NDArray[Any], most: int = ENOUGH_PIXELS, axis: int = 0) -> NDArray[Any]:
+    """Return every k-th of the values (N, …), or (…, N) along the last `axis`, as many as possible up to `most`."""
+    step = max(1, -(-values.shape[axis] // most))
+    return values[::step] if axis == 0 else np.ascontiguousarray(values[..., ::step])
 
 
 def at_random(count: int, most: int = ENOUGH_PIXELS) -> Ints:

@@ -5,7 +5,7 @@ All patterns along x together thus give one picture of the scene, those along y 
 axis is shown before all of the other, since no fringe observes a motion in between.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -48,7 +48,7 @@ def _half(plan: SequencePlan, axis: AxisPlan) -> Half:
 
 def _weights(axis: AxisPlan) -> dict[int, float]:
     weights: dict[int, float] = {}
-    groups = [*_fringe_means(axis)] or [
+    groups = [dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True)) for fringe in axis.fringes] or [
         dict.fromkeys(pair, 0.5) for pair in dict.fromkeys(pair for code in axis.codes for pair in code.pairs.values())
     ]
     for group in groups:
@@ -60,11 +60,6 @@ def _weights(axis: AxisPlan) -> dict[int, float]:
 def pairs_of(axis: AxisPlan) -> dict[int, tuple[int, int]]:
     """Return bit → frames of pattern and inverse, if a Gray code alone gives the coordinate."""
     return axis.codes[0].pairs if len(axis.codes) == 1 and not axis.fringes else {}
-
-
-def _fringe_means(axis: AxisPlan) -> Iterator[dict[int, float]]:
-    for fringe in axis.fringes:
-        yield dict(zip(fringe.frames, fringe.weights[0].tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,9 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
         return
     seen = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
-    width = _stripe_px(lit)
-    stripes = [width[pair] for pair in lit.of_pairs]
+    # Relative widths: the stripes of a bit are half as wide as those of the coarser one before it.
+    bits = {pair: (half.axis, bit) for half in lit.halves for bit, pair in pairs_of(half.axis).items()}
+    stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in lit.of_pairs)]
     shown = edges.beside(np.zeros(COLUMNS), REACH_PX)
     for chosen in (shown.scene, shown.border):
         moment = time_of_change([*lit.of_pairs.values()], chosen, first, stripes)
@@ -131,14 +132,6 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
         if AS_GOOD * moment.gained > 1 and groups not in seen:
             seen.add(groups)
             yield moment
-
-
-def _stripe_px(lit: EvenlyLit) -> dict[tuple[int, int], float]:
-    """Return the relative width of the stripes of each pair of a code."""
-    axes = [half.axis for half in lit.halves]
-    return {
-        pair: axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis in axes for bit, pair in pairs_of(axis).items()
-    }
 
 
 def _timing_of(lit: EvenlyLit, plan: SequencePlan, moment: TimeOfChange) -> _Timing:

@@ -19,14 +19,13 @@ from scanner.decoding.codes.gray_fold import FINE_BITS, GrayFold
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
-from scanner.decoding.significance import BRIGHTEST, OUTLYING_SIGMAS
+from scanner.decoding.significance import BRIGHTEST, FEWEST_COUNTED, OUTLYING_SIGMAS
 from scanner.decoding.subsampling import FARTHEST_PX, lines_of
 from scanner.errors import InputError
 
 # Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a
 # share of the brightest pixels (STRAY_PART), which matters for cameras with many bits and little noise.
 _LEAST_DIFFERENCE = 5.0
-_FEWEST_CHANGES = 30  # of a bit, before it is judged by their share
 # If the camera resolves the cells, nearly all changes are in a single bit; stripes finer than its pixels are not
 # checked.
 _MOSTLY_SINGLE = 0.8
@@ -79,7 +78,7 @@ def check_codes(
     bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
     for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, brightest, moved) for fold in folds):
         wrong = changes[~changes.adjacent()]
-        if len(wrong.bit) < _FEWEST_CHANGES:
+        if len(wrong.bit) < FEWEST_COUNTED:
             continue
         _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
         if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
@@ -183,7 +182,7 @@ def _is_unrelated(of_bit: Bools, wrong: _Changes, bit: int) -> bool:
     A single pair of cells that meet at an occlusion edge may differ in one bit by chance.
     """
     chosen = wrong[wrong.bit == bit]
-    if len(chosen.bit) < max(_FEWEST_CHANGES, MOST_BROKEN * np.count_nonzero(of_bit)):
+    if len(chosen.bit) < max(FEWEST_COUNTED, MOST_BROKEN * np.count_nonzero(of_bit)):
         return False
     _, counts = np.unique(np.minimum(chosen.before, chosen.after), return_counts=True)
     return bool(counts.max() < len(chosen.bit) / 2)

@@ -7,7 +7,7 @@ devices. An exchange is proven by exchanging the frames back, a duplicate by the
 anomaly that is assessed later by the coordinates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,19 +83,23 @@ def an_exchange_explains(plan: SequencePlan, levels: Floats32, suspects: Sequenc
     seen, swing = levels[:, lit], swing[lit]
     if not len(lit):
         return False
-    before = total_contradiction(plan, seen, swing)
+    most = LEFT_BY_EXCHANGE * total_contradiction(plan, seen, swing)
+    return any(left < most for _, _, left in _exchanges(plan, seen, swing, suspects))
+
+
+def _exchanges(
+    plan: SequencePlan, levels: Floats32, swing: Floats32, suspects: Sequence[int]
+) -> Iterator[tuple[tuple[int, int], float, float]]:
+    """Yield pairs of frames that differ, one a suspect, with their mean squared difference in swings (P,), and the
+    total contradiction of `levels` (frames, P) once they are exchanged.
+    """
     for first in suspects:
-        for second in range(len(seen)):
-            if _once_exchanged(plan, seen, swing, (first, second)) < LEFT_BY_EXCHANGE * before:
-                return True
-    return False
-
-
-def _once_exchanged(plan: SequencePlan, levels: Floats32, swing: Floats32, pair: tuple[int, int]) -> float:
-    """Return the total contradiction of `levels` (frames, P) with two frames exchanged."""
-    order = np.arange(len(levels))
-    order[[*pair]] = pair[::-1]
-    return total_contradiction(plan, levels[order], swing)
+        for second in range(len(levels)):
+            differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
+            if differ >= _DIFFERENT and not (second in suspects and second < first):
+                order = np.arange(len(levels))
+                order[[first, second]] = second, first
+                yield (first, second), differ, total_contradiction(plan, levels[order], swing)
 
 
 def _in_one_light(
@@ -106,24 +110,26 @@ def _in_one_light(
     There was none if the equalised frames are consistent, as a darker step of a fringe looks like light at the opposite
     one. Nor if lamps flicker and the unknown gain of white alone explains the frames about as well.
     """
+
+    def is_consistent(one: LitSample) -> bool:
+        return not contradictions(plan, one) and not may_be_switched(plan, one.levels)
+
+    def left(levels: Floats32) -> float:
+        return total_contradiction(plan, levels, shown.swing)
+
     best: tuple[LitSample, AmbientLightChange | None] = alike, None
-    if not contradictions(plan, alike) and not may_be_switched(plan, alike.levels):
+    if is_consistent(alike):
         return best
     for one in (alike, shown):
-        if not contradictions(plan, one) and not may_be_switched(plan, one.levels):
-            continue
-        switch = light_switch(
-            plan, one.levels, one.swing, lambda levels: total_contradiction(plan, levels, shown.swing)
-        )
+        switch = None if is_consistent(one) else light_switch(plan, one.levels, one.swing, left)
         if switch is not None:
             without = replace(one, levels=switch.undone(one.levels))
-            best = min(best, (without, switch), key=lambda each: total_contradiction(plan, each[0].levels, shown.swing))
+            best = min(best, (without, switch), key=lambda each: left(each[0].levels))
     flickers = not np.array_equal(alike.levels, shown.levels)
     if best[1] is None or plan.white is None or not flickers:
         return best
-    flickered = _with_white(plan, alike, 1 / _MOST_BRIGHTER, _MOST_BRIGHTER)
-    left = [total_contradiction(plan, one.levels, shown.swing) for one in (flickered, best[0])]
-    return (alike, None) if left[0] <= left[1] else best
+    flickered = _with_white(plan, plan.white, alike, 1 / _MOST_BRIGHTER)
+    return (alike, None) if left(flickered.levels) <= left(best[0].levels) else best
 
 
 def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
@@ -134,25 +140,24 @@ def _with_brighter_white(plan: SequencePlan, alike: LitSample) -> LitSample:
     """
     if plan.white is None:
         return alike
-
-    brighter = _with_white(plan, alike, 1, _MOST_BRIGHTER)
+    brighter = _with_white(plan, plan.white, alike, 1)
     left = [total_contradiction(plan, one.levels, alike.swing) for one in (brighter, alike)]
     return brighter if left[0] < HALF * left[1] else alike
 
 
-def _with_white(plan: SequencePlan, alike: LitSample, least: float, most: float) -> LitSample:
-    """Return the frames with white scaled to be most consistent, within limits."""
+def _with_white(plan: SequencePlan, white: int, alike: LitSample, least: float) -> LitSample:
+    """Return the frames with white scaled by `least` or more to be most consistent."""
 
-    def times(factor: float) -> LitSample:
+    def times(factor: float) -> Floats32:
         levels = alike.levels.copy()
-        levels[plan.white] *= np.float32(factor)
-        return replace(alike, levels=levels)
+        levels[white] *= np.float32(factor)
+        return levels
 
     def left(factor: float) -> float:
-        return total_contradiction(plan, times(factor).levels, alike.swing)
+        return total_contradiction(plan, times(factor), alike.swing)
 
-    found = minimize_scalar(left, bounds=(least, most), method="bounded", options={"xatol": 0.01})
-    return times(float(found.x))
+    found = minimize_scalar(left, bounds=(least, _MOST_BRIGHTER), method="bounded", options={"xatol": 0.01})
+    return replace(alike, levels=times(float(found.x)))
 
 
 def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Sequence[Anomaly]) -> str:
@@ -161,20 +166,15 @@ def _exchange(plan: SequencePlan, shown: LitSample, alike: LitSample, found: Seq
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
     equalised brightness explains as much, or if another exchange of one of them does nearly as well.
     """
-    few = evenly_spread(np.arange(len(shown.swing)), TRIAL_PIXELS)
-    levels, swing = shown.levels[:, few], shown.swing[few]
+    levels, swing, of_alike = (evenly_spread(n, TRIAL_PIXELS, -1) for n in (shown.levels, shown.swing, alike.levels))
     suspects = sorted({frame for anomaly in found for frame in anomaly.frames})
     before = total_contradiction(plan, levels, swing)
-    least, pair = total_contradiction(plan, alike.levels[:, few], swing), (0, 0)
+    least, pair = total_contradiction(plan, of_alike, swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
-    for first in suspects:
-        for second in range(len(levels)):
-            differ = float(np.mean(((levels[first] - levels[second]) / swing) ** 2))
-            if differ < _DIFFERENT or (second in suspects and second < first):
-                continue
-            left = tried[first, second] = _once_exchanged(plan, levels, swing, (first, second))
-            if before - left > HALF * differ and left < least:
-                least, pair = left, (first, second)
+    for exchange, differ, left in _exchanges(plan, levels, swing, suspects):
+        tried[exchange] = left
+        if before - left > HALF * differ and left < least:
+            least, pair = left, exchange
     others = [left for exchange, left in tried.items() if len({*exchange, *pair}) == 3]  # one frame in common
     if pair not in tried or tried[pair] > max(LEFT_BY_EXCHANGE * before, AS_GOOD * min(others, default=before)):
         return ""

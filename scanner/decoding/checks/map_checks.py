@@ -5,7 +5,6 @@ and projector see the same side of a surface, so that the map between them is ne
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from math import sqrt
 
@@ -13,16 +12,15 @@ import numpy as np
 
 from calib.numerics import Bools, Ints
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.axis_decoder import AxisDecoder
-from scanner.decoding.axis_signals import Signals
+from scanner.decoding.axis_decoder import AxisDecoder, Measured
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
-from scanner.decoding.fringes.phase_unwrapping import disagreements, widest_tolerances
+from scanner.decoding.fringes.phase_unwrapping import disagreements
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import lines_of
+from scanner.decoding.subsampling import MANY_PIXELS, lines_of
 from scanner.errors import InputError
 
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.
@@ -35,19 +33,15 @@ _UNRELATED = 0.2
 _MOST_SLIPS = 0.01
 _NEARLY = 0.25
 _MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
-_MOST_COMPARED = 100_000  # pixels of the whole image; FEWEST_PIXELS are then 0.1 % of it
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) -> Iterator[Anomaly]:
-    """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample.
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: Measured) -> Iterator[Anomaly]:
+    """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample
+    that was `measured` with the widest tolerances.
 
     Raises InputError if they do not agree at all.
     """
-    axis = decoder.plan
-    if not axis.fringes:
-        return
-    measured = replace(decoder, tolerances=widest_tolerances(axis)).measure(signals)
-    interval = measured.interval
+    axis, interval = decoder.plan, measured.interval
     lit = measured.well_lit & interval.possible
     if np.any(lit):
         # Slightly wrong gains of a lamp leave a fringe where there is only ambient light.
@@ -55,7 +49,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, signals: Signals) ->
         lit &= power > FEW**2 * np.quantile(power[lit], BRIGHTEST)
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return
-    for fringe, position in zip(axis.fringes[: decoder.finest + 1], decoder.wrapped(signals).positions, strict=False):
+    for fringe, position in zip(axis.fringes[: decoder.finest + 1], measured.orders.coordinates, strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
         found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
         if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < HALF * expected:
@@ -153,7 +147,7 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
     reach = max(_reach(axis, kept.shape) for axis in plan.axes)
     if 2 * reach >= min(kept.shape):
         return None
-    stride = max(1, round(sqrt(kept.size / _MOST_COMPARED)))
+    stride = max(1, round(sqrt(kept.size / MANY_PIXELS)))
     near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
     left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
     whole = kept[left] & kept[right] & kept[above] & kept[below]

@@ -117,6 +117,9 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     for _ in range(_GUESSES):
         guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
         found = _gains(guesses, before=found)
+        if not found.are_harmful:
+            found = Gains(np.ones((count, 1)))
+            break
         alike = (levels / found.of_rows[back]).astype(np.float32)
     # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
     for _ in range(PASSES):
@@ -232,7 +235,7 @@ def _weights(
     bands = _bands(design, left, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error
-    starts = _starts(len(rows))
+    starts = starts_of_bands(len(rows))
     centres = np.add.reduceat(rows, starts) / np.diff(starts, append=len(rows))
     every_row = np.arange(places.height)
     return _weights_from(np.array([np.interp(every_row, centres, term) for term in (terms + bands).T])), error
@@ -261,7 +264,7 @@ def _weights_from(terms: Floats) -> Floats:
     return weights
 
 
-def _starts(count: int) -> NDArray[np.int64]:
+def starts_of_bands(count: int) -> NDArray[np.int64]:
     """Return the first index of each band, of equally many pixels row by row; the projector may light part of the
     image.
     """
@@ -272,7 +275,7 @@ def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
     """Return the deviation of each band's terms from the common ones (bands, terms); None if insignificant or
     undetermined.
     """
-    starts = _starts(len(left))
+    starts = starts_of_bands(len(left))
     counts = np.diff(starts, append=len(left))
     if counts.min() < _FEWEST_PER_BAND:
         return None

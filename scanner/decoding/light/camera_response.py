@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.light.brightness import left_by_gains
-from scanner.decoding.light.lit_pixels import thinned
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
-from scanner.decoding.subsampling import TRIAL_PIXELS
+from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
@@ -74,8 +73,9 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     """
     if levels.shape[1] < FEWEST_PIXELS:
         return None
-    seen = levels / np.float32(top)
     has_pairs = len(plan.complements) >= MAJORITY
+    some: Floats32 = evenly_spread(levels, TRIAL_PIXELS, axis=-1) if has_pairs else levels
+    seen = some / np.float32(top)
     found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
     if found is None:
         return None
@@ -139,21 +139,19 @@ def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | Non
 
     Sums (pairs, P, _LEVELS) and swings (P, _LEVELS) are linear in the values of g.
     """
-    some = thinned(seen, TRIAL_PIXELS)
     first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
-    darkest, brightest = some.min(axis=0), some.max(axis=0)
-    if _unevenness(some[first] + some[second], brightest - darkest) < _NOTABLE:
+    darkest, brightest = seen.min(axis=0), seen.max(axis=0)
+    if _unevenness(seen[first] + seen[second], brightest - darkest) < _NOTABLE:
         return None
     swing = _interpolation(brightest) - _interpolation(darkest)
-    return _interpolation(some[first]) + _interpolation(some[second]), swing
+    return _interpolation(seen[first]) + _interpolation(seen[second]), swing
 
 
 def _left_by_gains(plan: SequencePlan, seen: Floats32) -> float:
     """Return how uneven the sums of pairs are, at pixels `seen` (frames, P), once all frames are equally bright."""
-    some = thinned(seen, TRIAL_PIXELS)
     pairs = np.array(plan.complements)
-    usual = some[pairs].sum(axis=1).mean(axis=0)
-    return _unevenness(np.stack([left_by_gains(some[pair], usual) for pair in pairs]), np.ptp(some, axis=0))
+    usual = seen[pairs].sum(axis=1).mean(axis=0)
+    return _unevenness(np.stack([left_by_gains(seen[pair], usual) for pair in pairs]), np.ptp(seen, axis=0))
 
 
 def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:

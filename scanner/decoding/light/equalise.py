@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Image, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Image, compiled
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32
 from scanner.decoding.fringes.single_fringe import is_unchecked
 from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
@@ -23,12 +23,13 @@ from scanner.decoding.light.brightness import (
     Places,
     gains_of_fringe,
     gains_of_pair,
+    starts_of_bands,
 )
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.medians import medians
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import MAJORITY
+from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY
 
 Levels = Image | Floats32
 
@@ -79,9 +80,9 @@ class PairEqualiser:
             of_stripes = gains_of_stripes(levels, [self._bits[each][self._lit] for each in coarser])
             if of_stripes is not None:
                 return of_stripes
-        if _is_steady(first, second, self._total, self._lit):
-            return Gains(np.ones((2, 1)))
         common: Floats32 = self._total[self._lit] / np.float32(2 * self._pairs)
+        if _is_steady(levels, common):
+            return Gains(np.ones((2, 1)))
         return gains_of_pair(levels, common, Places(self._rows[self._lit], self._height))
 
     def _begin_with_white_and_black(self) -> None:
@@ -102,38 +103,21 @@ class PairEqualiser:
             self._lit = lit_by(self._swing)
 
 
-def _is_steady(first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp]) -> bool:
-    """Whether the sum of a pair (P,) is uncorrelated with its difference at `lit` pixels, as in steady light.
+def _is_steady(levels: Floats32, common: Floats32) -> bool:
+    """Whether the sum of two frames (2, P) is uncorrelated with their difference, as in steady light.
 
-    `total` (P,): of the pairs before. A fast test that most pairs pass.
+    `common` (P,): the light that they share with others. A fast test that most pairs pass: over all pixels, and in most
+    bands of rows.
     """
-    products, squares = np.zeros(BANDS), np.full(BANDS, 1e-12)
-    _compare(first, second, total, lit, products, squares)
-    slopes = np.sort(np.abs(products) / squares)
+    if len(common) < FEWEST_PIXELS:
+        return True
+    sums, differences = levels[0] + levels[1], levels[0] - levels[1]
+    left = sums - (common @ sums) / max(common @ common, np.float32(NEGLIGIBLE)) * common
+    products, squares = np.add.reduceat([differences * left, differences**2], starts_of_bands(len(common)), axis=1)
+    squares += np.float32(NEGLIGIBLE)
     # A gain between the frames of a pair correlates their sum with their difference by as much as its half.
     is_even = abs(products.sum()) < LEAST_DIFFERENCE / 2 * squares.sum()
-    return bool(is_even and slopes[BANDS // 2] < LEAST_DIFFERENCE)
-
-
-@compiled
-def _compare(
-    first: Levels, second: Levels, total: Floats32, lit: NDArray[np.intp], products: Floats, squares: Floats
-) -> None:
-    """Accumulate, in bands of equally many lit pixels, the squared differences and their products with the sums'
-    residuals.
-
-    The residual is relative to the best fitting multiple of the total.
-    """
-    along, of_total = 0.0, 1e-12
-    for pixel in lit:
-        along += total[pixel] * (np.float32(first[pixel]) + np.float32(second[pixel]))
-        of_total += total[pixel] * total[pixel]
-    share = along / of_total
-    for i in range(len(lit)):
-        one, other = np.float32(first[lit[i]]), np.float32(second[lit[i]])
-        band = i * len(products) // len(lit)
-        products[band] += (one - other) * (one + other - share * total[lit[i]])
-        squares[band] += (one - other) * (one - other)
+    return bool(is_even and np.sort(np.abs(products) / squares)[BANDS // 2] < LEAST_DIFFERENCE)
 
 
 @dataclass(frozen=True)
@@ -235,10 +219,10 @@ def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> boo
     if is_odd:
         return False
     ordered = levels[np.argsort(np.mod(np.array(fringe.shifts) + 1e-9, 1))]
-    every, along = np.arange(len(common)), ordered @ common
+    along = ordered @ common
     of_pairs = along[:pairs] + along[pairs:]
     return bool(np.ptp(of_pairs) < LEAST_DIFFERENCE * of_pairs.min()) and all(
-        _is_steady(ordered[step], ordered[step + pairs], common, every) for step in range(pairs)
+        _is_steady(ordered[step::pairs], common) for step in range(pairs)
     )
 
 

@@ -4,23 +4,21 @@ Frame k shows (1 − g) P(k) + g P(k − 1). As the previous picture is known, g
 The right g makes the sums of pattern pairs, and of fringe steps, equal again.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from calib.numerics import Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.late_frame import late_frame
-from scanner.decoding.light.lit_pixels import thinned
+from scanner.decoding.light.previous_picture import share_of_previous, sums_off, without_previous
 from scanner.decoding.light.saturation_level import saturation_level
-from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import TRIAL_PIXELS
+from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
@@ -95,7 +93,7 @@ def find_ghost(plan: SequencePlan, levels: Floats32, rows: NDArray[np.int64]) ->
             return Ghost(even, of_odd_rows=odd)
     if share:
         return Ghost(share)
-    late = late_frame(plan, levels)
+    late = late_frame(plan, evenly_spread(levels, TRIAL_PIXELS, axis=-1))
     return None if late is None else Ghost(*late)
 
 
@@ -105,48 +103,23 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
 
     The share is 0 if it is not significant, None if a small share improves nothing.
     """
-    seen = thinned(levels, TRIAL_PIXELS)
+    seen = evenly_spread(levels, TRIAL_PIXELS, axis=-1)
     if not seen.size:
         return None, 0.0
-    before = [plan.shown[max(0, plan.shown.index(frame) - 1)] for frame in range(len(seen))]
-
-    def left(share: float) -> float:
-        return _uneven(plan, _without(seen, before, share)) / len(seen[0])
-
-    at_first = left(0.0)
-    if left(_LEAST) >= at_first:
-        return None, at_first
-    found = minimize_scalar(left, bounds=(0, _MOST), method="bounded", options={"xatol": 1e-3})
-    share = float(found.x)
-    # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
-    most = _LEFT if sum(map(len, _sums(plan))) > 2 else HALF * _LEFT
-    is_ghost = _LEAST < share < _MOST - _LEAST and found.fun < most * at_first
-    return (share if is_ghost else 0.0), at_first
-
-
-def _without(levels: Floats32, before: list[int], share: float) -> Floats32:
-    ratio = np.float32(share / (1 - share))
-    pictures: Floats32 = levels.copy()
-    for frame in range(1, len(pictures)):
-        pictures[frame] -= ratio * pictures[before[frame]]
-    return pictures
-
-
-def _uneven(plan: SequencePlan, pictures: Floats32) -> float:
-    """Return the squared deviations of the sums of pairs, and of evenly stepped fringes, relative to the pixels'
-    swings.
-
-    The worst sum is left out: a ghost affects all, a single brighter frame only one. Residuals of the steps from a
-    cosine are not used, because a nonlinear response leaves more.
-    """
-    off = [0.0]
-    for groups in _sums(plan):
-        light = np.stack([np.sum(pictures[list(frames)], axis=0) for frames in groups])
-        off += np.sum(((light - medians(light, axis=0)) / np.ptp(pictures, axis=0)) ** 2, axis=1).tolist()
-    return sum(off) - max(off)
-
-
-def _sums(plan: SequencePlan) -> list[Sequence[Sequence[int]]]:
-    """Return groups of frames whose sums should be equal, by kind: pairs, and fringes."""
     kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
-    return [groups for groups in kinds if len(groups) > 1]
+    sums = [groups for groups in kinds if len(groups) > 1]
+
+    def uneven(pictures: Floats32) -> float:
+        # The worst sum is left out: a ghost affects all, a single brighter frame only one. Residuals of the steps from
+        # a cosine are not used, because a nonlinear response leaves more.
+        swing = np.ptp(pictures, axis=0)
+        off = np.concatenate([[0.0], *(np.mean((sums_off(pictures, each) / swing) ** 2, axis=1) for each in sums)])
+        return float(off.sum() - off.max())
+
+    at_first = uneven(seen)
+    if uneven(without_previous(plan, seen, _LEAST)) >= at_first:
+        return None, at_first
+    share, left = share_of_previous(plan, seen, uneven, _MOST)
+    # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
+    most = _LEFT if sum(map(len, sums)) > 2 else HALF * _LEFT
+    return (share if _LEAST < share < _MOST - _LEAST and left < most * at_first else 0.0), at_first

@@ -26,8 +26,3 @@ def unclipped(levels: NDArray[Any], saturation: float) -> NDArray[np.intp]:
     lit = lit_by(swing)
     usable: Bools = (swing[lit] > 0) & (levels[:, lit].max(axis=0) < saturation)
     return lit[usable]
-
-
-def thinned(levels: Floats32, most: int) -> Floats32:
-    """Subsample the pixels of `levels` (frames, P) to at most `most`."""
-    return levels[:, evenly_spread(np.arange(levels.shape[1]), most)]

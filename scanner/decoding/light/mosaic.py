@@ -8,12 +8,10 @@ import numpy as np
 from calib.numerics import SIGMA_PER_MEDIAN, Image
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.light.lit_pixels import LIT
-from scanner.decoding.significance import BRIGHTEST, FEWEST_PIXELS
+from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
 from scanner.decoding.subsampling import ENOUGH_PIXELS
 
 BAYER_PX = 2  # to the next pixel of the same colour
-# Least difference of the filters, in logarithms, and largest scatter between blocks relative to it.
-_LEAST, _ALIKE = 0.1, 0.5
 
 
 def log_mosaic(lit: Image) -> Floats32 | None:
@@ -30,7 +28,7 @@ def log_mosaic(lit: Image) -> Floats32 | None:
     of_filters = np.median(logs, axis=0)
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(logs - of_filters), axis=0)
     differ = float(np.ptp(of_filters))
-    if differ < _LEAST or float(spread.max()) > _ALIKE * differ:
+    if differ < FEW or float(spread.max()) > HALF * differ:
         return None
     repeats = (-(-size // BAYER_PX) for size in lit.shape)
     whole = np.tile(of_filters.reshape(BAYER_PX, BAYER_PX), tuple(repeats))

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.samples import MOST_ALONG, TILE_PX, TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
@@ -42,15 +43,8 @@ class _FringeSample:
         power = np.maximum(np.sum((self.levels - self.levels.mean(axis=0)) ** 2, axis=0), 1e-9)
         count = np.bincount(self.block)
         big = count >= FEWEST_PIXELS
-        left = np.stack(
-            [
-                np.bincount(
-                    self.block,
-                    np.sum((_residual_projection(self.shifts + jump * after) @ self.levels) ** 2, axis=0) / power,
-                )
-                for jump in jumps
-            ]
-        )[:, big]
+        unexplained = (_residual_projection(self.shifts + jump * after) @ self.levels for jump in jumps)
+        left = np.stack([np.bincount(self.block, np.sum(rest**2, axis=0) / power) for rest in unexplained])[:, big]
         best = np.argmin(left, axis=0)
         common = np.mean(np.exp(2j * np.pi * jumps[best]))
         # Jumps differ between surfaces, but agree between blocks.
@@ -59,11 +53,12 @@ class _FringeSample:
         return float(np.mean(left[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
 
 
-def broken_between(plan: SequencePlan, tiles: TileSample, noise: NoiseModel) -> tuple[int, int] | None:
+def broken_between(seen: SeenFringes) -> tuple[int, int] | None:
     """Return the two frames between which a bump explains fringes that fit no cosine otherwise, or None."""
+    plan, tiles = seen.plan, seen.tiles
     if not plan.fringes or any(len(fringe.frames) <= COSINE_PARAMETERS for fringe in plan.fringes) or not tiles.count:
         return None
-    samples = [_fringe_sample(plan, fringe, tiles, noise) for fringe in plan.fringes]
+    samples = [_fringe_sample(plan, fringe, tiles, seen.noise) for fringe in plan.fringes]
     if any(np.count_nonzero(np.bincount(one.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for one in samples):
         return None
     times = sorted({int(time) for one in samples for time in one.times})
@@ -104,12 +99,7 @@ def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise:
     levels = tiles.of_frames(times.tolist()).astype(np.float64)
     mean = levels.mean(axis=0)
     seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
-    down, across = (tiles.camera_px[seen] // _block_size(tiles)).astype(np.int64).T[::-1]
-    _, block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)
+    side = np.maximum(np.array(tiles.shape[::-1]) / MOST_ALONG, TILE_PX) * _BLOCK_TILES
+    across, down = (tiles.camera_px[seen] // side).astype(np.int64).T
+    block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)[1]
     return _FringeSample(levels[:, seen], block.reshape(-1), times, shifts)
-
-
-def _block_size(tiles: TileSample) -> Floats:
-    """Return the size of a block in camera px, (2,)."""
-    size: Floats = np.maximum(np.array(tiles.shape[::-1]) / MOST_ALONG, TILE_PX) * _BLOCK_TILES
-    return size

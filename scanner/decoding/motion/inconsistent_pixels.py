@@ -16,7 +16,7 @@ from calib.numerics import Bools
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.light_arithmetic import RESTING, broken_fringes, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.light_arithmetic import RESTING, contradictions, frames_of_fine_bits
 from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
@@ -142,7 +142,9 @@ def _corrupted(
     harmless, or shows as a contradiction or a period slip. A lasting change may show in only some of the fringes.
     """
     fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
-    inconsistent = _any_of([broken_fringes(plan, fringes, levels[:, lit], noise, ~moved[lit])], lit)
+    frames = {fringe.frames for fringe in fringes}
+    groups = contradictions(plan, levels[:, lit], noise, ~moved[lit])
+    inconsistent = _any_of((each for of, each in groups if of in frames), lit)
     return inconsistent & _grown(moved, _WINDOW)
 
 

@@ -5,7 +5,7 @@ Its steps lie on a cosine, apart from the harmonics of a nonlinear brightness cu
 brighter than white or darker than black.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any, cast
@@ -20,7 +20,7 @@ from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
-from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, REFITS, SIGNIFICANT_SIGMAS
 
 # Least share of the lit pixels that rest: an object may cover more than half of them. These pixels tell the usual
 # deviation (a nonlinear camera, a projector that sharpens or dims fine stripes).
@@ -44,38 +44,23 @@ class _Group:
     times: float = 1.0
 
 
-def contradictions(plan: SequencePlan, levels: Floats32, noise: NoiseModel) -> list[tuple[tuple[int, ...], Bools]]:
+def contradictions(
+    plan: SequencePlan, levels: Floats32, noise: NoiseModel, resting: Bools | None = None
+) -> list[tuple[tuple[int, ...], Bools]]:
     """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
     (frames, P).
+
+    The `resting` pixels (P,) give the usual deviation; None if they are unknown.
     """
-    return _contradicting_pixels(_groups(plan, levels), levels, noise)
-
-
-def broken_fringes(
-    plan: SequencePlan, fringes: Iterable[Fringe], levels: Floats32, noise: NoiseModel, resting: Bools
-) -> Bools:
-    """Return the pixels (P,) at which some of the fringes are inconsistent; the `resting` pixels (P,) give the usual
-    deviation.
-    """
-    frames = {fringe.frames for fringe in fringes}
-    groups = (group for group in _groups(plan, levels) if group.frames in frames)
-    broken: Bools = np.any([each for _, each in _contradicting_pixels(groups, levels, noise, resting)], axis=0)
-    return broken
-
-
-def _contradicting_pixels(
-    groups: Iterable[_Group], levels: Floats32, noise: NoiseModel, resting: Bools | None = None
-) -> list[tuple[tuple[int, ...], Bools]]:
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    return [(group.frames, _contradicts(group, swing, sigma, resting)) for group in groups]
-
-
-def _contradicts(group: _Group, swing: Floats32, sigma: Floats32, resting: Bools | None) -> Bools:
-    deviation = np.abs(group.deviation) / swing
-    some = deviation if resting is None or not resting.any() else deviation[resting]
-    least = max(group.times * FEW, OUTLYING_SIGMAS * _usual_sigma(some))
-    return cast(Bools, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma))
+    found = []
+    for group in _groups(plan, levels):
+        deviation = np.abs(group.deviation) / swing
+        some = deviation if resting is None or not resting.any() else deviation[resting]
+        least = max(group.times * FEW, OUTLYING_SIGMAS * _usual_sigma(some))
+        found.append((group.frames, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma)))
+    return found
 
 
 def _usual_sigma(deviation: NDArray[np.floating[Any]]) -> float:
@@ -193,7 +178,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats,
         return (size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)).astype(np.float64)
 
     of = terms.astype(np.float64)
-    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), TRIMMED_FITS)
+    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), REFITS)
     return factors, (targets - factors.T @ of).astype(np.float32)
 
 

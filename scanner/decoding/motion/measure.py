@@ -8,23 +8,19 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Floats
-from scanner.decoding.axis_signals import Signals
-from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.frame_equations import UNKNOWNS, Projection, equations_of_motion
 from scanner.decoding.motion.fringe_frames import fringe_frames
 from scanner.decoding.motion.fringe_model import FringeModel
-from scanner.decoding.motion.pixels import Pixels, choose_pixels
+from scanner.decoding.motion.pixels import Pixels, SeenFringes, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
-from scanner.decoding.samples import TileSample
-from scanner.decoding.sequence_plan import COSINE_PARAMETERS, SequencePlan
-from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS
+from scanner.decoding.sequence_plan import COSINE_PARAMETERS
+from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
 
 # Significance that interreflection and ripple do not reach at rest.
 _SIGNIFICANT = 8.0
-_ROUNDS = 3  # of Gauss–Newton
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
 _BOTH = np.eye(COLUMNS)  # devices
@@ -157,7 +153,7 @@ class MotionMeter:
         """Refine a motion beyond first order (Gauss–Newton); also return how much of what is seen it explains."""
         at_first = self._along(trajectory, devices)
         found, share = at_first.found, trajectory.at(self._model.frames.times)[:, None]
-        for _ in range(_ROUNDS):
+        for _ in range(REFITS):
             moved_px = share * (self._pixels.by_motion @ devices @ found).T[self._model.frames.axis]
             equations = equations_of_motion(self._model.without(moved_px), self._pixels)
             more = equations.along(at_first.directions, known=found)
@@ -166,25 +162,18 @@ class MotionMeter:
         return Fit(devices @ found, devices @ equations.covariance(more) @ devices.T, at_first.gained), explained
 
 
-def measure_motion(
-    plan: SequencePlan,
-    tiles: TileSample,
-    signals: tuple[Signals, Signals],
-    noise: NoiseModel,
-    saturation: float,
-    projector_size: tuple[int, int],
-) -> MotionFound | None:
-    """Return the motion during a capture, from the signals of its tiles; None if too few smooth pixels see fringes."""
-    pixels = choose_pixels(plan, tiles, signals, noise, saturation, projector_size)
+def measure_motion(seen: SeenFringes) -> MotionFound | None:
+    """Return the motion during a capture; None if too few smooth pixels see fringes."""
+    pixels, plan, tiles = choose_pixels(seen), seen.plan, seen.tiles
     if pixels is None:
         return None
     frames, some = fringe_frames(plan), pixels.every_other
     model = FringeModel(frames, tiles.of_frames(frames.times.tolist(), some.number).astype(np.float64))
-    measured = MotionMeter(model, some, (tiles.shape[::-1], projector_size), plan.repeats).measure()
+    measured = MotionMeter(model, some, (tiles.shape[::-1], seen.projector_size), plan.repeats).measure()
     found = measured.motion
     if not measured.contradicted:
         return found
-    shifts = shifts_of_frames(plan, tiles, pixels, noise, measured.by_event)
+    shifts = shifts_of_frames(seen, pixels, measured.by_event)
     if not shifts.is_no_event or not (found.significant or shifts.are_distinct_from_light):
         return found
     one_by_one = moved_one_by_one(found, plan, shifts, pixels)

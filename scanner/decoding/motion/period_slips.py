@@ -5,12 +5,14 @@ its sides. A pinhole of focal length f that pans by u px moves the place X by u 
 the other axis by u X Y / f². This curvature reveals the turn itself, whatever whole periods are subtracted.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, quantile
+from calib.numerics import Bools, Floats, Ints
+from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.robust_fit import RobustFit, robust_fit
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
@@ -37,8 +39,8 @@ class Offsets:
     """
 
     axis: AxisPlan
-    centre: Floats
-    px: Floats
+    centre: Floats32
+    px: Floats32
     mean_px: float
     seen: Bools
 
@@ -49,66 +51,66 @@ class Offsets:
 
 
 @dataclass(frozen=True)
-class PeriodSlip:
-    """A motion of the middle of the picture along an axis by `px` or more, including whole periods.
+class CodeShift:
+    """Motion by `px` projector pixels or more along an axis, between the frames of its codes and those of its fringes.
 
-    `sure`: whether it was along this axis; otherwise it may have been along the other one alone, by another amount.
+    `px` is known only up to whole periods, and is a part of the motion if that happened during either group of frames.
+    `by_periods`: whether it includes whole periods of the longest fringe, which leave all pixels decodable. `sure`:
+    whether the motion was along this axis, rather than along the other one alone, by another amount.
     """
 
+    axis: AxisPlan
     px: float
-    sure: bool
+    by_periods: bool = False
+    sure: bool = True
 
 
-def moved_by_periods(x: Offsets, y: Offsets) -> tuple[PeriodSlip | None, PeriodSlip | None]:
-    """Return the motions along x and y that include whole periods; None for an axis without one."""
+def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
+    """Yield the motions along x and y that include whole periods."""
     axes, width = (x, y), x.axis.length
     seen = evenly_spread(np.flatnonzero(x.seen & y.seen), 4 * ENOUGH_PIXELS)  # some hundreds for each block
-    place = np.stack([(each.centre[seen] - (each.axis.length - 1) / 2) / width for each in axes], axis=1)
-    rows, offsets = [], []
-    for members in _blocks(place, y.axis.length / width):
-        for number, each in enumerate(axes):
-            offset = _offset(each, seen[members])
-            if offset is not None:
-                rows.append(_row(number, place[members]))
-                offsets.append(each.mean_px + offset)
-    if len(rows) < _FEWEST_BLOCKS:
-        return None, None
-    alone = _may_move_alone(x.axis, y.axis), _may_move_alone(y.axis, x.axis)
-    fit, moved, sure = _likeliest(np.array(rows), np.array(offsets), alone)
-    sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
-    of_x, of_y = (
-        _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], sigma[number - 2])
-        if moved[number]
-        else 0.0
-        for number, each in enumerate(axes)
+    place = np.stack(
+        [(each.centre[seen].astype(np.float64) - (each.axis.length - 1) / 2) / width for each in axes], axis=1
     )
-    return PeriodSlip(of_x, sure[0]) if of_x else None, PeriodSlip(of_y, sure[1]) if of_y else None
+    block = _block(place, y.axis.length / width)
+    of_axes = [_of_blocks(number, each, each.px[seen], place, block) for number, each in enumerate(axes)]
+    rows, offsets = (np.concatenate(parts) for parts in zip(*of_axes, strict=True))
+    if len(rows) < _FEWEST_BLOCKS:
+        return
+    alone = _may_move_alone(x.axis, y.axis), _may_move_alone(y.axis, x.axis)
+    fit, moved, sure = _likeliest(rows, offsets, alone)
+    sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
+    for number, each in enumerate(axes):
+        px = _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], sigma[number - 2])
+        if moved[number] and px:
+            yield CodeShift(each.axis, px, by_periods=True, sure=sure[number])
 
 
-def _blocks(place: Floats, height: float) -> list[Ints]:
-    """Return the pixels of each block, from places (P, 2) relative to the middle of the picture, in its widths."""
-    columns, rows = _BLOCKS
-    column = np.clip((place[:, 0] + 0.5) * columns, 0, columns - 1).astype(np.int64)
-    row = np.clip((place[:, 1] / height + 0.5) * rows, 0, rows - 1).astype(np.int64)
-    number = row * columns + column
-    ordered = np.argsort(number, kind="stable")
-    blocks = np.split(ordered, np.cumsum(np.bincount(number, minlength=columns * rows))[:-1])
-    return [members for members in blocks if len(members) >= FEWEST_PIXELS]
+def _block(place: Floats, height: float) -> Ints:
+    """Return the block (P,) of places (P, 2) relative to the middle of the picture, in its widths."""
+    relative = place / (1, height) + 0.5
+    column, row = np.clip(relative * _BLOCKS, 0, np.array(_BLOCKS) - 1).astype(np.int64).T
+    block: Ints = row * _BLOCKS[0] + column
+    return block
 
 
-def _offset(axis: Offsets, pixels: Ints) -> float | None:
-    """Return the offset of the fringe from the cells in a block; None if they are not filled evenly."""
-    low, high = (quantile(axis.px[pixels], share) for share in (_QUANTILE, 1 - _QUANTILE))
+def _of_blocks(number: int, axis: Offsets, px: Floats32, place: Floats, block: Ints) -> tuple[Floats, Floats]:
+    """Return the offsets (B,) of the fringe from the cells in blocks that these fill evenly, and their derivatives
+    (B, 8) by each parameter; from pixels with offsets `px` (P,) at places (P, 2) in blocks (P,).
+    """
+    order = np.lexsort((px, block))
+    first = np.flatnonzero(np.diff(block[order], prepend=-1))
+    count = np.diff(first, append=len(order))
+    low, high = (px[order][first + np.rint(q * (count - 1)).astype(np.int64)] for q in (_QUANTILE, 1 - _QUANTILE))
     filled = (high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
-    return (low + high) / 2 if abs(filled - 1) < _WIDTH_OFF else None
-
-
-def _row(number: int, place: Floats) -> Floats:
-    """Return the derivative (8,) of the offset of an axis by each parameter, averaged over places (P, 2)."""
-    (x, y), row = place.T, np.zeros(_COLUMNS)
-    row[_SLOPES * number : _SLOPES * (number + 1)] = 1, x.mean(), y.mean()
-    row[-2:] = np.mean(place * place[:, [number]], axis=0)
-    return row
+    even = (count >= FEWEST_PIXELS) & (np.abs(filled - 1) < _WIDTH_OFF)
+    terms = np.concatenate([place, place * place[:, [number]]], axis=1)[order]
+    x_and_y, bends = np.split(np.add.reduceat(terms, first) / count[:, None], 2, axis=1)
+    rows = np.zeros((len(first), _COLUMNS))
+    rows[:, _SLOPES * number] = 1
+    rows[:, _SLOPES * number + 1 : _SLOPES * (number + 1)] = x_and_y
+    rows[:, -2:] = bends
+    return rows[even], axis.mean_px + (low + high)[even] / 2
 
 
 def _may_move_alone(axis: AxisPlan, other: AxisPlan) -> bool:

@@ -1,5 +1,6 @@
 """Selection of the pixels at which motion is measured: well lit, on smooth surfaces, with rough coordinates."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import sqrt
@@ -14,12 +15,28 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.significance import SIGNIFICANT_SIGMAS, TRIMMED_FITS
+from scanner.decoding.significance import FEWEST_COUNTED, REFITS, SIGNIFICANT_SIGMAS
 from scanner.decoding.subsampling import evenly_spread
 
-_FEWEST_IN_TILE = 30  # of 100, for a plane
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7
+
+
+@dataclass(frozen=True)
+class SeenFringes:
+    """The frames of a capture in `tiles`, whose `signals` along x and y have P pixels; sizes are (width, height)."""
+
+    plan: SequencePlan
+    tiles: TileSample
+    signals: tuple[Signals, Signals]
+    noise: NoiseModel
+    saturation: float
+    projector_size: tuple[int, int]
+
+    @property
+    def axes(self) -> Iterator[tuple[AxisPlan, Signals]]:
+        """Both axes with their signals."""
+        return zip(self.plan.axes, self.signals, strict=True)
 
 
 @dataclass(frozen=True)
@@ -50,28 +67,19 @@ class Pixels:
         return Pixels(*(getattr(self, field.name)[::2] for field in fields(self)))
 
 
-def choose_pixels(
-    plan: SequencePlan,
-    tiles: TileSample,
-    signals: tuple[Signals, Signals],
-    noise: NoiseModel,
-    saturation: float,
-    projector_size: tuple[int, int],
-) -> Pixels | None:
-    """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown.
-
-    Sizes are (width, height).
-    """
-    if not tiles.count or not all(axis.fringes for axis in plan.axes):
+def choose_pixels(seen: SeenFringes) -> Pixels | None:
+    """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown."""
+    tiles, brightest = seen.tiles, seen.signals[0].peak
+    if not tiles.count or not all(axis.fringes for axis in seen.plan.axes):
         return None
-    usable = np.asarray(signals[0].peak < saturation) & tiles.resting
+    usable = np.asarray(brightest < seen.saturation) & tiles.resting
     coordinates = []
-    for axis, of_axis in zip(plan.axes, signals, strict=True):
-        coordinate, seen = _rough_coordinate(axis, of_axis, noise)
+    for axis, of_axis in seen.axes:
+        coordinate, visible = _rough_coordinate(axis, of_axis, seen.noise)
         if coordinate is None:
             return None
         coordinates.append(coordinate)
-        usable &= seen
+        usable &= visible
     projector_px = np.stack(coordinates, axis=1)
     planes, usable = _planes(tiles, projector_px, usable)
     number = evenly_spread(np.flatnonzero(usable))
@@ -86,8 +94,8 @@ def choose_pixels(
         camera_px,
         projector_px,
         gradient,
-        shifts_by_motion(camera_px, projector_px, gradient, camera_size, projector_size),
-        noise.variance(signals[0].middle[number]).astype(np.float64),
+        shifts_by_motion(camera_px, projector_px, gradient, camera_size, seen.projector_size),
+        seen.noise.variance(seen.signals[0].middle[number]).astype(np.float64),
     )
 
 
@@ -119,12 +127,12 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     products = (terms[:, :, None] * terms[:, None]).reshape(len(terms), -1)
     on = usable.reshape(tiles.count, TILE_PX**2)
     seen, fit = np.where(on, projector_px.T.reshape(2, *on.shape), 0.0), on
-    for _ in range(TRIMMED_FITS):
+    for _ in range(REFITS):
         normal = (fit @ products).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
         planes: Floats = np.linalg.solve(normal, np.moveaxis((fit * seen) @ terms, 0, 2))
         off = np.sum((seen - np.moveaxis(planes, 2, 0) @ terms.T) ** 2, axis=0)
         count = np.count_nonzero(fit, axis=1)
         rough = np.sqrt(np.sum(fit * off, axis=1) / np.maximum(count, 1))
         fit = on & (off <= np.maximum(SIGNIFICANT_SIGMAS / sqrt(2) * rough, 1e-3)[:, None] ** 2)
-    smooth = (rough < MOST_ROUGH_PX) & (count >= _FEWEST_IN_TILE)
+    smooth = (rough < MOST_ROUGH_PX) & (count >= FEWEST_COUNTED)
     return planes, (fit & smooth[:, None]).reshape(-1)

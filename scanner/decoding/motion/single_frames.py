@@ -11,13 +11,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.numerics import Floats, Ints
-from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import Disturbance, MotionFound
 from scanner.decoding.motion.fringe_frames import fringe_frames
 from scanner.decoding.motion.image_slopes import equations_of_shifts
-from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.pixels import Pixels, SeenFringes
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
-from scanner.decoding.samples import TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, BY_CHANCE, HALF
 
@@ -68,13 +66,11 @@ class FrameShifts:
         return self.shift_px @ shares, both @ self.covariance @ both.T
 
 
-def shifts_of_frames(
-    plan: SequencePlan, tiles: TileSample, pixels: Pixels, noise: NoiseModel, by_event: float
-) -> FrameShifts:
+def shifts_of_frames(seen: SeenFringes, pixels: Pixels, by_event: float) -> FrameShifts:
     """Measure the shifts of the frames of all fringes."""
-    frames = fringe_frames(plan)
+    frames = fringe_frames(seen.plan)
     count = len(frames.times)
-    equations = equations_of_shifts(frames, tiles, pixels, noise)
+    equations = equations_of_shifts(frames, seen.tiles, pixels, seen.noise)
     fit = equations.along(np.eye(2 * count))
     about_mean = np.kron(np.eye(2), np.eye(count) - 1 / count)
     return FrameShifts(
