@@ -24,7 +24,7 @@ from tests.support.things import ThingStation, between, config_for, decoded, in_
 
 pytestmark = pytest.mark.xdist_group("objects")  # what the module shares is made once
 
-CAMERA = (230, 192)
+CAMERA = (306, 256)
 
 
 @pytest.fixture(scope="module", autouse=True)
