@@ -35,6 +35,10 @@ class Footprints:
     direct: sparse.csr_array
     indirect: sparse.csr_array
 
+    def of(self, pixels: slice) -> "Footprints":
+        """Those of some pixels."""
+        return Footprints(self.direct[pixels], self.indirect[pixels])
+
 
 @dataclass(frozen=True)
 class _Seen:
@@ -78,26 +82,30 @@ class FootprintCaster:
             scene = replace(scene, blocks=(*scene.blocks, *blocks))
         return replace(self, camera=camera, light=ProjectorLight(scene, projector), painted=painted)
 
-    def cast(self) -> Footprints:
-        """The footprints of all pixels of the camera."""
+    def cast(self, bare: Footprints | None = None) -> Footprints:
+        """The footprints of all pixels of the camera; `bare`: those without the board, if they are known."""
         optics = self.camera.optics
         step = max(1, _STRIP_PIXELS // optics.width)
         strips = [range(row, min(row + step, optics.height)) for row in range(0, optics.height, step)]
-        parts = in_parallel(self.strip, strips)
+        parts = in_parallel(lambda rows: self.strip(rows, bare), strips)
         return Footprints(
             sparse.vstack([part.direct for part in parts], format="csr"),
             sparse.vstack([part.indirect for part in parts], format="csr"),
         )
 
-    def strip(self, rows: range) -> Footprints:
-        """The footprints of all pixels in some rows."""
-        centres = _pixel_centres(rows, self.camera.optics.width)
-        detailed = np.flatnonzero(self._detailed(rows))
+    def strip(self, rows: range, bare: Footprints | None = None) -> Footprints:
+        """The footprints of all pixels in some rows; `bare`: of the whole camera, without the board."""
+        width = self.camera.optics.width
+        centres = _pixel_centres(rows, width)
         offsets = (np.arange(self.samples) + 0.5) / self.samples - 0.5
         within = np.stack(np.meshgrid(offsets, offsets)).reshape(2, 1, -1)
-        seen = self._see((centres[:, detailed, None] + within).reshape(2, -1))
-        footprints = Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
-        return footprints if self.board is None else self._with_board(footprints, self.board, centres, within)
+        if bare is None:
+            detailed = np.flatnonzero(self._detailed(rows))
+            seen = self._see((centres[:, detailed, None] + within).reshape(2, -1))
+            room = Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
+        else:
+            room = bare.of(slice(rows.start * width, rows.stop * width))
+        return room if self.board is None else self._with_board(room, self.board, centres, within)
 
     def _with_board(self, room: Footprints, board: Board, centres: Floats, within: Floats) -> Footprints:
         """The same footprints with the board in front. Every pixel gets `samples` × `samples` rays."""

@@ -93,13 +93,14 @@ class Renderer:
         return replace(self, caster=caster, footprints=caster.cast(), turn=turn)
 
     def with_board(self, settings: SimulatedRigSettings) -> "Renderer":
-        """The view with the board of these settings, or none, in front of the room; only rays are cast again."""
+        """The view with the board of these settings, or none, in front of the room; only its rays are cast."""
         camera, projector = self.caster.camera, self.caster.light.projector
         board = None
         if settings.board.square_m:
             board = draw_board(settings.board, settings.seed, camera, projector, self.caster.light.scene)
         caster = replace(self.caster, board=board)
-        return replace(self, caster=caster, footprints=caster.cast())
+        bare = self.footprints if self.caster.board is None else None
+        return replace(self, caster=caster, footprints=caster.cast(bare))
 
     def _of_nodes(self, irradiance: Light) -> Light:
         image: Light = (self.footprints.indirect @ irradiance).reshape(self.shape)

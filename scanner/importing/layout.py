@@ -89,8 +89,7 @@ def candidates(
     for sequence, size in product(layout.sequences, sizes):
 
         def for_size(size: Size, sequence: SequenceOf = sequence) -> tuple[Pattern, ...]:
-            whole = sequence(size, cell, len(files.numbered) + len(missing))
-            return _beside(files, tuple(pattern for pattern in whole if pattern not in missing))
+            return _beside(files, sequence(size, cell, len(files.numbered) + len(missing)), missing)
 
         paths, patterns = _paths(files), for_size(size)
         if len(patterns) != len(paths):
@@ -121,10 +120,11 @@ def _unsized(pattern: Pattern) -> Pattern:
     return pattern
 
 
-def _beside(files: FrameFiles, patterns: tuple[Pattern, ...]) -> tuple[Pattern, ...]:
-    """White and black at the end, if they are separate files."""
+def _beside(files: FrameFiles, patterns: tuple[Pattern, ...], missing: tuple[Pattern, ...] = ()) -> tuple[Pattern, ...]:
+    """White and black at the end, if they are separate files; without the patterns that are `missing`."""
     own = tuple(p for p, path in ((White(), files.white), (Black(), files.black)) if path)
-    return (*(p for p in patterns if p not in own), *own)
+    elsewhere = (*own, *missing)  # usually none: thousands of sequences need not be compared
+    return (*(p for p in patterns if p not in elsewhere), *own) if elsewhere else patterns
 
 
 def _paths(files: FrameFiles) -> tuple[Path, ...]:

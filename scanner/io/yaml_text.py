@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ class _Loader(yaml.SafeLoader):
     """Safe YAML in which a repeated key is an error and numbers are those of YAML 1.2: 1e3 is one, 1:30 is not.
 
     Values behind aliases are counted at each occurrence, because ten lines of them can be billions of values. Integers
-    beyond 64 bits stay text, and control characters are replaced, because no reader uses them.
+    beyond 64 bits stay text, and control characters are replaced, because no reader uses them. Another `parser` of the
+    same text may be its source.
     """
 
     yaml_implicit_resolvers = {  # noqa: RUF012
@@ -41,8 +43,10 @@ class _Loader(yaml.SafeLoader):
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, parser: object = None) -> None:
         super().__init__(text)
+        for name in ("check_event", "peek_event", "get_event") if parser else ():
+            setattr(self, name, getattr(parser, name))
         self._values = 0
         self._values_in: dict[int, int] = {}
 
@@ -94,7 +98,7 @@ for _tag, _pattern in _NUMBERS.items():
 def parse_yaml(text: str, where: str) -> Any:
     """The value of a YAML text; `where` names its source in messages. Raises InputError."""
     try:
-        return yaml.load(text, _Loader)
+        return _loaded(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = f"{where}, line {mark.line + 1}, column {mark.column + 1}" if mark else where
@@ -105,6 +109,14 @@ def parse_yaml(text: str, where: str) -> Any:
         raise InputError(f"{where}: not valid YAML: {_words(str(error))}") from error
     except RecursionError as error:
         raise InputError(f"{where}: not usable YAML: brackets are nested too deeply") from error
+
+
+def _loaded(text: str) -> Any:
+    """Parsed by the C library where there is one, and again by PyYAML for better words about what it refuses."""
+    if yaml.__with_libyaml__:
+        with suppress(yaml.scanner.ScannerError, yaml.parser.ParserError):
+            return _Loader(text, yaml.CSafeLoader(text)).get_single_data()
+    return yaml.load(text, _Loader)
 
 
 def parse_mapping(text: str, where: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ PARSED = [command for command in OURS if command.why_not_run]
 
 # The documented rooms at a quarter of their size, with half the frames, and without light between their surfaces.
 SHRINK = 4
-SMALL = {"sequence": {"preset": "quick"}, "projector": {"width": 427, "height": 240}}
+SMALL = {"sequence": {"preset": "quick"}, "projector": {"width": 214, "height": 120}}
 # Of the simulated camera at its full size: with so few pixels a single capture needs to know it.
 PRINCIPAL_POINT_PX = (628.15, 527.15)
 # What depends on the images' size.

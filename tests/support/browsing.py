@@ -131,7 +131,7 @@ class Visit:
 @contextmanager
 def visiting(browser: Browser, address: str) -> Iterator[Visit]:
     """Open a page, and close it at the end."""
-    page = browser.new_page(viewport={"width": 1500, "height": 950})
+    page = browser.new_page(viewport={"width": 1200, "height": 700})
     page.set_default_timeout(PATIENCE_MS)
     visit = Visit(page)
     page.goto(address)

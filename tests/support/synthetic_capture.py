@@ -84,13 +84,7 @@ class Scene:
 
     def frame(self, pattern: Pattern, number: int) -> Image:
         """The frame that the camera records."""
-        rng = np.random.default_rng((self.seed, number))
-        levels = self.exposure * _light(_lit_alike(self), pattern) + self.ambient
-        variance = levels / self.electrons_per_level + self.read_noise**2
-        levels = levels + np.sqrt(variance) * rng.standard_normal(levels.shape, np.float32)
-        top = 2**self.depth_bits - 1
-        grey = np.clip(np.rint(levels * (top / 255)), 0, top).astype(np.uint8 if self.depth_bits == 8 else np.uint16)
-        return np.stack([grey // 2, grey, grey], axis=-1) if self.colour else grey
+        return _frame(self, pattern, number).copy()
 
     def frames(self, patterns: Sequence[Pattern]) -> list[Image]:
         """All frames of a sequence."""
@@ -121,6 +115,17 @@ class Scene:
         kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
         edge = cv2.morphologyEx(boxed, cv2.MORPH_GRADIENT, kernel)
         return (cv2.erode(lit, kernel, borderValue=0) > 0) & (edge == 0)
+
+
+@lru_cache(maxsize=512)
+def _frame(scene: Scene, pattern: Pattern, number: int) -> Image:
+    rng = np.random.default_rng((scene.seed, number))
+    levels = scene.exposure * _light(_lit_alike(scene), pattern) + scene.ambient
+    variance = levels / scene.electrons_per_level + scene.read_noise**2
+    levels = levels + np.sqrt(variance) * rng.standard_normal(levels.shape, np.float32)
+    top = 2**scene.depth_bits - 1
+    grey = np.clip(np.rint(levels * (top / 255)), 0, top).astype(np.uint8 if scene.depth_bits == 8 else np.uint16)
+    return np.stack([grey // 2, grey, grey], axis=-1) if scene.colour else grey
 
 
 def _lit_alike(scene: Scene) -> Scene:

@@ -125,12 +125,15 @@ def test_wrong_arguments_are_reported(
 @pytest.mark.skipif(not BOARDS.is_dir(), reason=f"the real captures are not there: {BOARDS}")
 @pytest.mark.xdist_group("real-captures")
 def test_real_boards_predict_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "boards"
-    assert main(["board", str(BOARDS), "--board", "chessboard:9x7", "--square", "75mm", "--out", str(out)]) == 0
+    out, some = tmp_path / "boards", tmp_path / "captures"
+    some.mkdir()
+    for number in (0, 2, 4):
+        (some / f"capture_{number}").symlink_to(BOARDS / f"capture_{number}")
+    assert main(["board", str(some), "--board", "chessboard:9x7", "--square", "75mm", "--out", str(out)]) == 0
     calibration = read_calibration(out / "calibration.yaml")
     # Local homographies and stereoCalibrate: 3455 and 1896 px, moving by 0.7 % with a board left out.
     assert 3415 < calibration.camera.focal_px[0] < 3465
     assert 1865 < calibration.projector.focal_px[0] < 1900
     assert 1.0 < calibration.sigma.camera.focal_px[0] < 10.0
     told = re.search(r"by the others to ([\d.]+) projector px", capsys.readouterr().out)
-    assert 0.02 < float(told[1]) < 0.3
+    assert 0.02 < float(told[1]) < 0.4  # by only two others

@@ -48,7 +48,7 @@ def outcome(patterns: Sequence[Pattern], frames: Sequence[Image]) -> str:
 
 @pytest.mark.parametrize(
     ("patterns", "one_in"),
-    [(BARE_CODE, 2), (THREE_SHIFTS, 13)],
+    [(BARE_CODE, 4), (THREE_SHIFTS, 29)],
     ids=["a code without inverses", "a code without inverses, three shifts"],
 )
 def test_any_two_frames_exchanged(patterns: Sequence[Pattern], one_in: int) -> None:
@@ -86,7 +86,7 @@ def test_any_two_frames_exchanged(patterns: Sequence[Pattern], one_in: int) -> N
         "both codes",
     ],
 )
-@settings(max_examples=2, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=1, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_a_selection_of_two_frames_exchanged(patterns: Sequence[Pattern], data: st.DataObject) -> None:
     i, j = data.draw(st.lists(st.integers(0, len(patterns) - 1), min_size=2, max_size=2, unique=True))

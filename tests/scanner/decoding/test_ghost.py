@@ -99,7 +99,7 @@ def test_wrong_frames_are_not_taken_for_late_ones(sequence: str) -> None:
     """Exchanged, repeated, inverted or brighter frames are left to other checks."""
     patterns = SEQUENCES[sequence]
     still = SCENE.frames(patterns)
-    for place in range(3, len(still), 7):
+    for place in range(3, len(still), 13):
         wrong = [{place: 255 - still[place]}, {place: np.rint(0.6 * still[place]).astype(np.uint8)}]
         for other in (place - 1, place - 2, len(still) - place // 2 - 1):
             wrong += [{place: still[other], other: still[place]}, {place: still[other]}]

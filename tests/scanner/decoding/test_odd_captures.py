@@ -178,8 +178,7 @@ def test_where_the_only_fringes_are_blurred_away_the_code_is_decoded_alone() -> 
     assert 0.2 < np.median(errors / decoding.matches.sigma_px[:, None]) < 1.0
 
 
-@pytest.mark.parametrize("steps", [5, 7])
-@pytest.mark.parametrize("gamma", [1.0, 2.2])
+@pytest.mark.parametrize(("steps", "gamma"), [(5, 1.0), (7, 2.2)])
 def test_flicker_in_an_odd_number_of_steps_is_found_and_is_no_motion(steps: int, gamma: float) -> None:
     scene, patterns = replace(SCENE, gamma=gamma), sequence_for(SCENE.projector, shifts=steps)
     frames = [np.rint(np.clip(frame, 0, 255)).astype(np.uint8) for frame in flickering(scene.frames(patterns))]

@@ -25,9 +25,7 @@ def verdict_of(made: SyntheticNetwork, captures: Mapping[tuple[str, str], Matche
     return verdict_on(SolvedNetwork(Captures({}, sizes), estimate, surfaces, 1.0, "baseline"))
 
 
-@pytest.mark.parametrize(
-    ("turned_px", "wavy", "grade"), [(0.0, 0.0, "good"), (0.0, 0.005, "good"), (1.0, 0.0, "refused")]
-)
+@pytest.mark.parametrize(("turned_px", "wavy", "grade"), [(0.0, 0.005, "good"), (1.0, 0.0, "refused")])
 def test_a_camera_turned_between_two_projectors_is_reported(turned_px: float, wavy: float, grade: str) -> None:
     """Walls with waves of half a centimetre are not reported."""
     made = random_network(np.random.default_rng(1), 2, 2, RoomOptions(boxes=1, count=4_000, wavy=wavy))

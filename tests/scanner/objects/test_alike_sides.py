@@ -17,7 +17,7 @@ from tests.support.things import ThingStation, between, config_for, decoded, in_
 
 pytestmark = pytest.mark.xdist_group("objects")
 
-CAMERA = (306, 256)
+CAMERA = (230, 192)
 Solved = tuple[list[ThingStation], SolvedObject]
 
 

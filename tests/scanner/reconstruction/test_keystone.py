@@ -92,7 +92,7 @@ def worst_px(found: np.ndarray, true: np.ndarray) -> float:
     return float(np.linalg.norm(off - np.rint(np.median(off, axis=0)), axis=1).max())
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(
     st.floats(0.012, 0.04),
     st.sampled_from(["top", "bottom", "left", "right"]),
@@ -166,8 +166,9 @@ def worst_from(found: np.ndarray, true: np.ndarray) -> float:
 
 def test_keystone_correction_is_undone_before_calibration(tmp_path: Path) -> None:
     """If ignored, the error would be 45 %, with a sigma of 1.5 %."""
+    plain = {"furniture": False, "interreflection": False, "ambient": 0}
     settings = {
-        "rig": {"backend": "simulated", "seed": 0, "panel": {"keystone": 0.02}},
+        "rig": {"backend": "simulated", "seed": 0, **plain, "panel": {"keystone": 0.02}},
         "camera": {"width": 612, "height": 512, "principal_point": {"known": [313.82, 263.32]}},
         "projector": {"width": 427, "height": 240},
         "corner": {"squareness_deg": 0},
@@ -179,7 +180,7 @@ def test_keystone_correction_is_undone_before_calibration(tmp_path: Path) -> Non
     assert verdict is not None
     (said,) = [note for note in verdict.notes if "keystone" in note]
     assert "2.0 % narrower" in said
-    with open_rig(SimulatedRigSettings(seed=0), (612, 512), (427, 240)) as as_it_is:
+    with open_rig(SimulatedRigSettings.model_validate({"seed": 0} | plain), (612, 512), (427, 240)) as as_it_is:
         assert as_it_is.truth is not None
         true = as_it_is.truth.camera.focal_px[0]
     sigma = found.sigma.camera.focal_px

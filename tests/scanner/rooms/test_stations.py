@@ -45,17 +45,17 @@ def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample,
         sigma_px=np.full(inside.sum(), 0.03),
     )
     write_matches(tmp_path / "elsewhere.npz", matches)
-    captures = read_stations([*example.files[:2], tmp_path / "elsewhere.npz", example.files[3]], example.config, QUIET)
+    captures = read_stations([example.files[0], tmp_path / "elsewhere.npz", example.files[3]], example.config, QUIET)
     solved = solve_room(captures, given_rig(tmp_path / "rig.yaml", example.config), example.config, QUIET)
     assert [stranger.name for stranger in solved.outlier_stations] == [str(tmp_path / "elsewhere.npz")]
     assert solved.outlier_stations[0].cause in ("another room", "no overlap")  # and of the same rig
-    assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 1, 3)}
+    assert {station.name for station in solved.stations} == {str(example.files[k]) for k in (0, 3)}
 
 
 def test_rejected_stations_are_retried_with_the_estimated_rig(
     example: SolvedExample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    captures = read_stations(example.files, example.config, QUIET)
+    captures = read_stations([example.files[k] for k in (0, 2, 3)], example.config, QUIET)
     known = example.solved.calibration
     given = replace(known, translation=known.translation / known.baseline, unit="baseline")
     rigs: list[Calibration] = []

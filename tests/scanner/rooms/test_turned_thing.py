@@ -10,7 +10,7 @@ from scanner.rooms.solve import solve_room
 from scanner.ui import Terminal
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
 
-CAMERA = (306, 256)
+CAMERA = (230, 192)
 
 
 def solved(stations: list[ThingStation]) -> SolvedRoom:

@@ -29,7 +29,7 @@ _LOOPBACK_DEVICES = [
     for each in Path("/sys/class/video4linux").glob("video*/name")
     if "loopback" in each.read_text().lower()
 ]
-CAMERA, PROJECTOR = (640, 480), (854, 480)
+CAMERA, PROJECTOR = (448, 336), (640, 360)
 _USUAL = Conditions(sending_jitter_ms=8)
 
 
@@ -45,13 +45,20 @@ def webcam(port: int) -> Iterator[CameraProcess]:
     with ExitStack() as running:
         screen = running.enter_context(virtual_screen(PROJECTOR))
         running.enter_context(shown_on(screen))
-        settings = LoopbackSettings(camera_size=CAMERA, conditions=_USUAL, webcam=WebcamSettings(port=port))
+        settings = LoopbackSettings(
+            camera_size=CAMERA,
+            room=SimulatedRigSettings(seed=0, furniture=False, interreflection=False),
+            conditions=_USUAL,
+            webcam=WebcamSettings(port=port),
+        )
         yield running.enter_context(camera_process(screen, settings))
 
 
 @pytest.fixture(scope="module")
 def truth() -> Calibration:
-    known = true_calibration(place_room(SimulatedRigSettings(seed=0), CAMERA, PROJECTOR))
+    known = true_calibration(
+        place_room(SimulatedRigSettings(seed=0, furniture=False, interreflection=False), CAMERA, PROJECTOR)
+    )
     assert known is not None
     return known
 
@@ -66,6 +73,7 @@ def config(tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> Path:
 rig: {{backend: opencv, camera: "http://127.0.0.1:{port}/video", refresh_hz: 60}}
 camera: {{width: {CAMERA[0]}, height: {CAMERA[1]}}}
 projector: {{width: {PROJECTOR[0]}, height: {PROJECTOR[1]}}}
+sequence: {{preset: quick}}
 corner: {{squareness_deg: 0}}
 """
     )
