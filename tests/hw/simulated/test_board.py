@@ -34,6 +34,25 @@ def test_the_board_appears_at_its_true_corners(room: SimulatedRoom) -> None:
     assert np.count_nonzero(changed.data) > 1000
 
 
+def test_a_board_hides_the_room_and_the_board_before_it(room: SimulatedRoom) -> None:
+    """Its inside is the same whatever is behind it, and beside it the room is as it was."""
+    small, large = ({"square_m": side, "columns": 5, "rows": 4} for side in (0.05, 0.08))
+    white = np.full(SIZES[1][::-1], 255, np.uint8)
+    bare, first, second = (
+        each.renderer.render(white) for each in (room, room.under(board=small), room.under(board=large))
+    )
+    assert np.array_equal(room.under(board=small).under(board=large).renderer.render(white), second)
+    posed = room.under(board=small)
+    board, camera = posed.renderer.caster.board, posed.room.camera
+    x, y = np.meshgrid(np.arange(SIZES[0][0]), np.arange(SIZES[0][1]))
+    _, hit = board.intersect(camera.centre, camera.rays(np.stack([x.ravel(), y.ravel()]).astype(float)))
+    on = hit.reshape(x.shape).astype(np.uint8)
+    inside, near = cv2.erode(on, np.ones((5, 5), np.uint8)) > 0, cv2.dilate(on, np.ones((5, 5), np.uint8)) > 0
+    assert np.array_equal(first[~near], bare[~near])
+    squares = np.quantile(first[inside], [0.1, 0.9])
+    assert 0.03 < squares[0] / squares[1] < 0.1  # the room would shine through black squares
+
+
 def test_rays_meet_the_board_which_is_slightly_bent(room: SimulatedRoom) -> None:
     camera, projector = room.room.camera, room.room.projector
     board = draw_board(BoardSettings(square_m=0.06, bend=0.01), 1, camera, projector, room.room.scene)
