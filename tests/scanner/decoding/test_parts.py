@@ -170,7 +170,7 @@ def test_the_middle_of_an_unevenly_filled_arc(turned: float, width: float, kept:
     turns = rng.uniform(-width / 2, width / 2, 3000)
     turns = turns[(turns < width / 6) | (rng.uniform(size=len(turns)) < kept)]
     noisy = turned + 2 * np.pi * (turns + rng.normal(0, 0.003, len(turns)))
-    off = np.angle(np.exp(1j * (middle_of(noisy, width) - turned))) / (2 * np.pi)
+    off = np.angle(np.exp(1j * (middle_of(noisy.astype(np.float32), width) - turned))) / (2 * np.pi)
     assert abs(off) < 0.015
 
 
