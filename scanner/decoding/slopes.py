@@ -10,4 +10,3 @@ import numpy as np
 LEVEL, SLOPE = np.array(
     [[0.037659, 0.249153, 0.426375, 0.249153, 0.037659], [-0.109604, -0.276691, 0.0, 0.276691, 0.109604]]
 )
-REACH = len(LEVEL) // 2  # taps to either side

@@ -10,11 +10,12 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, compiled
 from scanner.decoding.arrays import NEGLIGIBLE, Floats32
-from scanner.decoding.slopes import LEVEL, REACH, SLOPE
+from scanner.decoding.slopes import LEVEL, SLOPE
 
 TILE_PX = 16  # side of a tile, over which the shift is taken as constant
 _OF_LIGHT, _OF_SHIFT = 2, 2  # unknowns of a tile: g and o, and d
-_WINDOW = TILE_PX + 2 * REACH
+_REACH = 2  # taps of the filters to either side
+_WINDOW = TILE_PX + 2 * _REACH
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ def _sample(
     not turned: cubic interpolation shifts ramps by up to 0.05 px.
     """
     height, width = before.shape
-    middle = np.float32((tile_px - 1) / 2 + REACH)
+    middle = np.float32((tile_px - 1) / 2 + _REACH)
     u, v = int(np.floor(place[0] - middle)), int(np.floor(place[1] - middle))
     for y in range(_WINDOW + 1):
         row = min(max(v + y, 0), height - 1)
@@ -178,9 +179,9 @@ def _sample(
     right, down = np.float32(place[0] - middle - u), np.float32(place[1] - middle - v)
     zoom, roll = np.float32(turned[0, 0] - 1), np.float32(turned[1, 0])
     for y in range(_WINDOW):
-        row = min(max(top + y - REACH, 0), height - 1)
+        row = min(max(top + y - _REACH, 0), height - 1)
         for x in range(_WINDOW):
-            mean[y, x] = before[row, min(max(left + x - REACH, 0), width - 1)]
+            mean[y, x] = before[row, min(max(left + x - _REACH, 0), width - 1)]
         for x in range(_WINDOW):
             further, lower = np.float32(x) - middle, np.float32(y) - middle
             across = right + zoom * further - roll * lower
@@ -199,7 +200,7 @@ def _filter(
     for y in range(_WINDOW):
         for x in range(TILE_PX):
             level, slope, change = np.float32(0), np.float32(0), np.float32(0)
-            for k in range(2 * REACH + 1):
+            for k in range(2 * _REACH + 1):
                 level += taps[0, k] * (mean[y, x + k] - usual)
                 slope += taps[1, k] * mean[y, x + k]
                 change += taps[0, k] * difference[y, x + k]
@@ -207,7 +208,7 @@ def _filter(
     for y in range(TILE_PX):
         for x in range(TILE_PX):
             level, by_x, by_y, change = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-            for k in range(2 * REACH + 1):
+            for k in range(2 * _REACH + 1):
                 level += taps[0, k] * across[0, y + k, x]
                 by_x += taps[0, k] * across[1, y + k, x]
                 by_y += taps[1, k] * across[0, y + k, x]

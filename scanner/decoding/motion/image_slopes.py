@@ -15,16 +15,17 @@ from scanner.decoding.motion.fringe_frames import FringeFrames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.samples import TILE_PX, TileSample
-from scanner.decoding.slopes import LEVEL, REACH, SLOPE
+from scanner.decoding.slopes import LEVEL, SLOPE
 
 # Noise reduction by the taps along both axes, as a factor of the variance.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
+_MARGIN = len(LEVEL) // 2
 
 
 def equations_of_shifts(frames: FringeFrames, tiles: TileSample, pixels: Pixels, noise: NoiseModel) -> FrameEquations:
     """Return the equations for the shift of each frame to the right and down."""
     row, column = np.divmod(pixels.number % TILE_PX**2, TILE_PX)
-    inside = (np.minimum(row, column) >= REACH) & (np.maximum(row, column) < TILE_PX - REACH)
+    inside = (np.minimum(row, column) >= _MARGIN) & (np.maximum(row, column) < TILE_PX - _MARGIN)
     images = tiles.of_frames(frames.times.tolist())
     place = pixels.number[inside]
     levels, right, down = (
@@ -40,6 +41,6 @@ def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
     filtered = images.reshape(len(images), -1, TILE_PX, TILE_PX)
     # A matrix product of a few taps made OpenBLAS warn of invalid values that do not exist.
     for axis, taps in ((2, down), (3, across)):
-        shifted = (tap * np.roll(filtered, REACH - k, axis) for k, tap in enumerate(taps.astype(np.float32)))
+        shifted = (tap * np.roll(filtered, _MARGIN - k, axis) for k, tap in enumerate(taps.astype(np.float32)))
         filtered = reduce(np.add, shifted)
     return filtered.reshape(images.shape)
