@@ -56,8 +56,14 @@ class Signals:
         return *self.fringe(number), np.float32(1)
 
 
-def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDArray[Any]]) -> Iterator[Signals]:
-    """Return the signals of x, then of y, at the pixels that `select` picks from an (H, W) image, as a 2-D array."""
+def signals_of(
+    accumulators: Accumulators,
+    select: Callable[[NDArray[Any]], NDArray[Any]],
+    axes: Sequence[AxisPlan] | None = None,
+) -> Iterator[Signals]:
+    """Return the signals of x, then of y, or of other `axes`, at the pixels that `select` picks from an (H, W) image,
+    as a 2-D array.
+    """
     middle, peak, log_exposure = select(accumulators.middle), select(accumulators.peak), accumulators.log_exposure
     shape = middle.shape[0], middle.shape[1]
     brightest, half_lit = _stack([select(accumulators.brightest), middle], shape)
@@ -86,7 +92,7 @@ def signals_of(accumulators: Accumulators, select: Callable[[NDArray[Any]], NDAr
             exposure,
         )
 
-    return map(of_axis, accumulators.plan.axes)
+    return map(of_axis, axes or accumulators.plan.axes)
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:

@@ -57,7 +57,8 @@ def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> Fi
     x, y = accumulators.plan.axes
     if x.fringes and y.fringes:
         pixels = at_random(maps.reason.size, MANY_PIXELS)
-        of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels]))
+        finest = [replace(axis, codes=(), fringes=axis.fringes[-1:]) for axis in (x, y)]
+        of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels], finest))
         return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
     pixels, levels = sample.pixels, sample.levels
     column, row = maps.projector_px.reshape(-1, 2)[pixels].T
@@ -89,8 +90,8 @@ def _where_kept(
 
 
 def _of_fringe(signals: Signals) -> Floats32:
-    """Return the amplitude (P,) of the finest fringe."""
-    cosine, sine = signals.fringe(len(signals.components) - 1)
+    """Return the amplitude (P,) of the only fringe."""
+    cosine, sine = signals.fringe(0)
     return np.hypot(cosine, sine)
 
 

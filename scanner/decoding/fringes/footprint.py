@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.special import fdtrc
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, in_parallel
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
 from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
@@ -65,17 +65,21 @@ def _equations(shaded: Sequence[tuple[Floats32, Floats32]], log_lit: Floats32, u
     bends = [_band(value) for value, _ in shaded]
     inner = _inner(usable & np.all([np.abs(bend) < _JUMP_PX for bend in bends], axis=0), tile_px)
     count, chosen = len(UNITS), inner.astype(np.float32)
-    products = np.zeros((len(usable) // tile_px, 2 * count + 1, 2 * count + 1))
-    images = np.empty((len(products[0]), *usable.shape), np.float32)
-    for bend, (value, log_amplitude) in zip(bends, shaded, strict=True):
+    rows = 2 * count + 1
+
+    def products(axis: int) -> Floats32:
+        value, log_amplitude = shaded[axis]
+        images = np.empty((rows, *usable.shape), np.float32)
         # Instrumental variable: it depends on the albedo, but neither on the noise of the amplitude nor on the
         # correlated ripples that interreflection causes in amplitude and phase.
         for image, (of, unit) in zip(images, product((log_lit, log_amplitude), UNITS), strict=False):
             np.multiply(_band(shading_shift(value, of, usable, unit)), chosen, out=image)
-        np.multiply(bend, chosen, out=images[-1])
-        tiles = images.reshape(len(images), -1, tile_px**2).swapaxes(0, 1)
-        products += tiles @ tiles.swapaxes(1, 2)
-    return _Tiles(products[:, :count, count:-1], products[:, :count, -1])
+        np.multiply(bends[axis], chosen, out=images[-1])
+        tiles = images.reshape(rows, -1, tile_px**2).swapaxes(0, 1)
+        return tiles @ tiles.swapaxes(1, 2)
+
+    of_both = np.stack(in_parallel(products, range(len(shaded)))).sum(axis=0, dtype=np.float64)
+    return _Tiles(of_both[:, :count, count:-1], of_both[:, :count, -1])
 
 
 def _not_round(tiles: _Tiles) -> Footprint | None:
