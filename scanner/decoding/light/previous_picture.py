@@ -34,12 +34,11 @@ def without_previous(
     """Return the frames (frames, P) without a share of the previous picture in some of them, or in all; the picture
     before the first one is dark.
     """
-    pictures: Floats32 = levels / np.float32(1 - share)
-    for frame in range(len(levels)):
+    pictures: Floats32 = levels.copy()
+    for frame in range(len(levels)) if frames is None else frames:
         place = plan.shown.index(frame)
-        if frames is not None and frame not in frames:
-            pictures[frame] = levels[frame]
-        elif place:
+        pictures[frame] /= np.float32(1 - share)
+        if place:
             pictures[frame] -= np.float32(share / (1 - share)) * pictures[plan.shown[place - 1]]
     return pictures
 

@@ -101,7 +101,7 @@ def _of_blocks(number: int, axis: Offsets, px: Floats32, place: Floats, block: I
     order = np.lexsort((px, block))
     first = np.flatnonzero(np.diff(block[order], prepend=-1))
     count = np.diff(first, append=len(order))
-    low, high = (px[order][first + np.rint(q * (count - 1)).astype(np.int64)] for q in (_QUANTILE, 1 - _QUANTILE))
+    low, high = (px[order[first + np.rint(q * (count - 1)).astype(np.int64)]] for q in (_QUANTILE, 1 - _QUANTILE))
     filled = (high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
     even = (count >= FEWEST_PIXELS) & (np.abs(filled - 1) < _WIDTH_OFF)
     terms = np.concatenate([place, place * place[:, [number]]], axis=1)[order]
