@@ -22,7 +22,10 @@ _MOST_CHANGED = 0.1
 _CHANGED_OF_CONTRAST = 0.25
 _TILE_PX = 16
 _FEWEST_TILES = 4
+_LIT = 0.25  # of the brightest: more than indirect light, less than what walls at a slant send back
 _SMOOTHING_PX = 1.0
+# White noise loses this factor of its sigma to smoothing, but next to nothing in sums along smooth slopes.
+_SMOOTHED = 2 * np.sqrt(np.pi) * _SMOOTHING_PX
 _ROUNDS = 10
 _BLACK_OF_ALL = 0.02
 _LEAST_GAIN = 1e-3
@@ -77,11 +80,12 @@ def compare(before: Image, now: Image) -> Comparison:
     by_x, by_y = (_tiles(cv2.Sobel(smooth, cv2.CV_64F, *order, ksize=1, scale=0.5)) for order in ((1, 0), (0, 1)))
     off = _tiles(difference)
     across, along = _motion(by_x, by_y, off)
-    noise = float(np.median(np.abs(off))) * SIGMA_PER_MEDIAN
-    strength = np.sum(across[1] ** 2, axis=1)
-    tells = np.sqrt(strength) * _SURE_PX > max(noise, 1e-9)
     left = np.sqrt(np.mean((off - along) ** 2, axis=1))
     sees = np.ptp(_tiles(smooth), axis=1) > 0.1 * contrast
+    # Not of all tiles: unlit ones may be free of noise, and then a compression's specks would tell of motion.
+    noise = _SMOOTHED * SIGMA_PER_MEDIAN * float(np.median(np.abs(off - along)[sees])) if np.any(sees) else np.inf
+    strength = np.sum(across[1] ** 2, axis=1)
+    tells = np.sqrt(strength) * _SURE_PX > max(noise, 1e-9)
     sees |= left > _CHANGED_OF_CONTRAST * contrast
     changed = float(np.mean(left[sees] > _CHANGED_OF_CONTRAST * contrast)) if np.count_nonzero(sees) else 0.0
     moved = float(np.median(np.abs(across[0][tells]))) if np.count_nonzero(tells) >= _FEWEST_TILES else None
@@ -91,7 +95,8 @@ def compare(before: Image, now: Image) -> Comparison:
 def scale_of(brightest: Image, projector_size: tuple[int, int]) -> float:
     """About how many camera pixels wide a projector pixel is, by the pixels that white (H, W[, 3]) lights."""
     grey = _grey(brightest)
-    lit = np.count_nonzero(grey > np.mean(np.percentile(grey, [2, 99.9])))
+    dark, bright = np.percentile(grey, [2, 99.9])
+    lit = np.count_nonzero(grey > dark + _LIT * (bright - dark))
     return float(np.sqrt(lit / (projector_size[0] * projector_size[1])))
 
 
