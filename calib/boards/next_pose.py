@@ -126,5 +126,4 @@ def _information(found: Estimate, state: State) -> Floats:
         whole += rows.T @ rows / variance
     pose = slice(SHARED, None)
     across = whole[:SHARED, pose]
-    information: Floats = whole[:SHARED, :SHARED] - across @ np.linalg.solve(whole[pose, pose], across.T)
-    return information
+    return whole[:SHARED, :SHARED] - across @ np.linalg.solve(whole[pose, pose], across.T)

@@ -46,8 +46,7 @@ def _corner_sigmas(fit: Fit, absorbed: float) -> Floats:
         squares.append(typical**2 * residual.size)
         freedom.append(max(residual.size - absorbed, 1.0))
     variances = _drawn_together(np.array(squares), np.array(freedom))
-    sigmas: Floats = np.maximum(np.sqrt(variances), _LEAST_CORNER_PX)
-    return sigmas
+    return np.maximum(np.sqrt(variances), _LEAST_CORNER_PX)
 
 
 def _long_waves(
@@ -70,8 +69,7 @@ def _drawn_together(squares: Floats, freedom: Floats) -> Floats:
     Its prior is around the median of all, which one odd view does not move.
     """
     usual = np.median(squares[freedom > 0] / freedom[freedom > 0])
-    drawn: Floats = (squares + _PRIOR_FREEDOM * usual) / (freedom + _PRIOR_FREEDOM)
-    return drawn
+    return (squares + _PRIOR_FREEDOM * usual) / (freedom + _PRIOR_FREEDOM)
 
 
 def _as_cells(view: View, sigma_px: float) -> Cells:

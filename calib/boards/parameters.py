@@ -77,8 +77,7 @@ class State:
     def flex_columns(self) -> Ints:
         """Columns of all views' flex, (V, 3)."""
         starts = SHARED + PER_VIEW * np.arange(len(self.boards)) + PER_POSE
-        columns: Ints = (starts[:, None] + np.arange(PER_FLEX)).astype(np.int32)
-        return columns
+        return (starts[:, None] + np.arange(PER_FLEX)).astype(np.int32)
 
     def bend_of(self, view: int) -> Floats:
         """The board's bend in a view, (7,)."""

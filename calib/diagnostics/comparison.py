@@ -56,8 +56,7 @@ class Difference:
     @property
     def sigmas(self) -> Floats:
         """Lengths over their sigmas, (N,); huge where none is known."""
-        sigmas: Floats = self.length / np.maximum(self.length_sigma, 1e-300)
-        return sigmas
+        return self.length / np.maximum(self.length_sigma, 1e-300)
 
 
 def compare(
@@ -134,8 +133,7 @@ def _seen(rig: Calibration, pixels: Floats, depth: Floats) -> tuple[Floats, Matc
 
 
 def _centred(points: Floats, weight: Floats) -> Floats:
-    centred: Floats = points - np.average(points, axis=0, weights=weight**2)
-    return centred
+    return points - np.average(points, axis=0, weights=weight**2)
 
 
 def _similarity(points: Floats, onto: Floats, weight: Floats, *, metric: bool) -> tuple[Floats, float]:

@@ -93,14 +93,12 @@ def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> 
 
 def _turn(right_deg: float, up_deg: float) -> Floats:
     """Camera's axes: x right, y down. Walking to the right turns the corner about y, climbing turns it about x."""
-    turn: Floats = Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
-    return turn
+    return Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
 
 
 def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Floats:
     """The new camera centre in the present frame, the zero of X = vertex + turn (X_now − vertex_now)."""
-    step: Floats = pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
-    return step
+    return pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
 
 
 def _sigma_by_curvature(refinement: Refinement) -> float:
@@ -143,8 +141,7 @@ def _slants(state: State, capture: int) -> Floats:
     centres = np.stack([np.zeros(3), -state.rotation.T @ state.translation])
     directions = centres - vertex
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    slants: Floats = directions @ state.normals(capture).T
-    return slants
+    return directions @ state.normals(capture).T
 
 
 def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:

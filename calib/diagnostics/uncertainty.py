@@ -35,8 +35,7 @@ class Along:
     @property
     def covariance(self) -> Floats:
         """Their part of the covariance, (21, 21)."""
-        covariance: Floats = (self.steps * self.probability[:, None]).T @ self.steps
-        return covariance
+        return (self.steps * self.probability[:, None]).T @ self.steps
 
 
 NOWHERE = Along(np.zeros((0, SHARED)), np.zeros(0))

@@ -27,8 +27,7 @@ def homogeneous(points: Floats) -> Floats:
 
 def dehomogenise(points: Floats) -> Floats:
     """(..., 3) → (..., 2)."""
-    inhomogeneous: Floats = points[..., :2] / points[..., 2:]
-    return inhomogeneous
+    return points[..., :2] / points[..., 2:]
 
 
 def normalisation(points: Floats) -> Floats:
@@ -47,8 +46,7 @@ def homography_between(source: Floats, target: Floats) -> Floats:
     """H (3, 3) with target ~ H source for points (N, 2), by the normalised direct linear transform."""
     before, after = normalisation(source), normalisation(target)
     (moments,) = _moments(source, target, np.zeros(len(source), np.int32), before, after, labels=1)
-    homography: Floats = np.linalg.inv(after) @ homography_from_gram(_gram_of_moments(moments)) @ before
-    return homography
+    return np.linalg.inv(after) @ homography_from_gram(_gram_of_moments(moments)) @ before
 
 
 def mapped(homography: Floats, points: Floats) -> Floats:
@@ -74,8 +72,7 @@ def _gram_of_moments(moments: Floats) -> Floats:
     plain, by_u, by_v = (moments[:, 2, :, axis] for axis in (2, 0, 1))
     by_both = moments[:, 0, :, 0] + moments[:, 1, :, 1]
     zero = np.zeros((3, 3))
-    gram: Floats = np.block([[plain, zero, -by_u], [zero, plain, -by_v], [-by_u, -by_v, by_both]])
-    return gram
+    return np.block([[plain, zero, -by_u], [zero, plain, -by_v], [-by_u, -by_v, by_both]])
 
 
 def homography_from_gram(gram: Floats) -> Floats:

@@ -38,8 +38,7 @@ def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
     ]
     same, none = (sum((each == value).astype(np.int8) for each in around) for value in (found, NO_FACE))
     told = (padded[1:-1, 1:-1] >= 0) & (same >= _SURROUNDED) & (same + none == len(around))
-    drawn: Ints = np.where(told, found, NO_FACE).astype(np.int32)
-    return drawn
+    return np.where(told, found, NO_FACE).astype(np.int32)
 
 
 def read(raster: Raster, told: Ints, pixels: Floats) -> Ints:

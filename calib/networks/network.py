@@ -82,8 +82,7 @@ class Device:
 
     @property
     def _lean(self) -> Floats:
-        lean: Floats = self.warp[2:] / self.size
-        return lean
+        return self.warp[2:] / self.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,5 +116,4 @@ class Network:
 
 def turned_by(points: Floats) -> Floats:
     """How points (N, 3) follow a turn about the axes: ω × X for each axis ω, (N, 3, 3), components by rows."""
-    turned: Floats = np.swapaxes(cross(np.eye(3)[None], points[:, None]), 1, 2)
-    return turned
+    return np.swapaxes(cross(np.eye(3)[None], points[:, None]), 1, 2)

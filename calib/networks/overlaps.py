@@ -98,5 +98,4 @@ class Overlaps:
             if hub in pair:
                 pixels = pixels_of(matches, pair.index(hub))
                 on_planes[raster.numbers(pixels[matches.labels >= 0])[0]] = True
-        loose: Bools = ~on_planes.reshape(raster.height, raster.width)
-        return loose
+        return ~on_planes.reshape(raster.height, raster.width)

@@ -30,8 +30,7 @@ def triangulated(camera: Device, projector: Device, camera_px: Floats, projector
         for device, pixels in ((camera, camera_px), (projector, projector_px))
     )
     depth = nearest_depths(rays, back, camera.pose.translation - projector.pose.translation)[0]
-    points: Floats = camera.pose.translation + depth[:, None] * rays
-    return points
+    return camera.pose.translation + depth[:, None] * rays
 
 
 def placed(points: Floats, pixels: Floats, size: Size) -> Device | None:

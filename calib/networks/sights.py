@@ -89,8 +89,7 @@ def points_on(pixels: Floats, device: Device, plane: RoomPlane) -> Floats:
     """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
     rays, _, _ = device.rays(pixels)
     _, depth = _meet(rays, device.pose, plane)
-    points: Floats = (rays * depth[:, None]) @ device.pose.rotation.T + device.pose.translation
-    return points
+    return (rays * depth[:, None]) @ device.pose.rotation.T + device.pose.translation
 
 
 def _meet(rays: Floats, pose: Motion, plane: RoomPlane) -> tuple[Floats, Floats]:

@@ -39,8 +39,7 @@ def robust_sigma(residual: Floats) -> float:
 
 def biweight(residual: Floats) -> Floats:
     """Tukey's weights (N,), 1 for a residual of zero and 0 beyond 4.7 robust sigmas."""
-    weights: Floats = np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
-    return weights
+    return np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
 
 
 def influence_on(jacobian: Floats, residual: Floats) -> Floats:
@@ -50,8 +49,7 @@ def influence_on(jacobian: Floats, residual: Floats) -> Floats:
     estimating equations Σ ψ(r) J = 0 by implicit differentiation (Huber 1981, section 6.3).
     """
     scores = (biweight_slope(residual)[:, None] * jacobian).T
-    influence: Floats = np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores
-    return influence
+    return np.linalg.pinv(scores @ jacobian, hermitian=True) @ scores
 
 
 def biweight_slope(residual: Floats) -> Floats:
@@ -65,8 +63,7 @@ def _relative(residual: Floats) -> Floats:
     scale = _TUKEY * robust_sigma(residual)
     if scale == 0.0:
         return np.where(residual == 0.0, 0.0, np.inf)
-    relative: Floats = residual / scale
-    return relative
+    return residual / scale
 
 
 def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floats:
@@ -92,8 +89,7 @@ def robust_covariance(jacobian: Floats, residual: Floats, cluster: Ints) -> Floa
 def blocks(pixel: Ints, side_px: int) -> Ints:
     """The square block of `side_px` pixels of each pixel (N, 2), as labels (N,) from 0 without gaps."""
     column, row = np.moveaxis(pixel // side_px, -1, 0)
-    labels: Ints = np.unique(row * (int(column.max()) + 1) + column, return_inverse=True)[1].astype(np.int64)
-    return labels
+    return np.unique(row * (int(column.max()) + 1) + column, return_inverse=True)[1].astype(np.int64)
 
 
 # The median length of a 2-D normal deviate, in its sigmas: sqrt(2 ln 2).

@@ -49,8 +49,7 @@ class Residuals:
     def weight(self) -> Floats:
         """Of each, under Huber's loss, (N,)."""
         size = np.abs(self.off) / self.sigma
-        weight: Floats = huber_weights(size) / self.sigma**2
-        return weight
+        return huber_weights(size) / self.sigma**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,5 +237,4 @@ def _filling(found: Sequence[Residuals], count: int) -> Floats:
             pairs[view] += 1
     share = pairs / (pairs + 1)
     flat = (np.sqrt(share)[:, None, None] * sums).reshape(-1, 6 * count)
-    filling: Floats = flat.T @ flat
-    return filling
+    return flat.T @ flat

@@ -108,8 +108,7 @@ def normal_centre(view: View) -> Floats:
     behind = middle * (1 + _BEHIND * view.grain / float(np.linalg.norm(middle)))
     drawn = _TOWARDS_MIDDLE * len(across)
     pull = np.einsum("nij,nj->i", across, view.patch_points) + drawn * behind
-    centre: Floats = np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
-    return centre
+    return np.linalg.solve(across.sum(axis=0) + drawn * np.eye(3), pull)
 
 
 @compiled

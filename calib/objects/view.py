@@ -91,8 +91,7 @@ class View:
         """
         there = np.isfinite(self.points[..., 2]).astype(np.uint8)
         square = np.ones((_WINDOW, _WINDOW), np.uint8)
-        inner: Bools = cv2.erode(there, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
-        return inner
+        return cv2.erode(there, square, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
 
     def facing(self, flat: Ints) -> Floats:
         """Cosine of the slant (N,)."""

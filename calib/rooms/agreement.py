@@ -80,8 +80,7 @@ def gain(seen: Sequence[Agreement], thinned: float = 1.0) -> Floats:
 
 
 def _nats_of_marks(count: Ints) -> Floats:
-    nats: Floats = np.clip(_NATS_PER_MARK * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
-    return nats
+    return np.clip(_NATS_PER_MARK * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
 
 
 def nats_of_tilt(rotations: Floats) -> Floats:

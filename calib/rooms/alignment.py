@@ -176,8 +176,7 @@ def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
     own = about.T @ matrix @ about
     turns, shifts = np.trace(own[:3, :3]) / 3, np.trace(own[3:, 3:]) / 3
     damped = own + _DAMPING * np.diag([turns] * 3 + [shifts] * 3) + 1e-12 * np.eye(6)
-    step: Floats = about @ -np.linalg.solve(damped, about.T @ gradient)
-    return step
+    return about @ -np.linalg.solve(damped, about.T @ gradient)
 
 
 @compiled

@@ -95,8 +95,7 @@ def _middle(columns: Floats) -> Floats:
     cross = np.zeros((len(normals), 3, 3))
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = normals[:, 2], -normals[:, 1], normals[:, 0]
     cross -= cross.transpose(0, 2, 1)
-    found: Floats = np.linalg.lstsq(cross.reshape(-1, 3), turns.reshape(-1), rcond=None)[0].astype(np.float64)
-    return found
+    return np.linalg.lstsq(cross.reshape(-1, 3), turns.reshape(-1), rcond=None)[0].astype(np.float64)
 
 
 def _apart(pixels: Floats, relative: Floats) -> float:

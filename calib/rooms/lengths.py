@@ -87,8 +87,7 @@ def distance(estimate: RoomEstimate, first: RoomPoint, second: RoomPoint) -> Mea
 def centre_of(estimate: RoomEstimate, plane: int) -> Floats:
     """The middle (3,) of the visible part of a plane, by cells; NaN without any."""
     points = [patch.points(estimate.room) for patch in estimate.patches if patch.plane == plane]
-    centre: Floats = np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
-    return centre
+    return np.concatenate(points).mean(axis=0) if points else np.full(3, np.nan)
 
 
 def _sigma(estimate: RoomEstimate, gradient: Floats) -> float:

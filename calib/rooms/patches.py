@@ -58,8 +58,7 @@ class Patch:
         rays, _ = unproject(room.rig.camera, self.cells.camera_px)
         _, _, depths = self.predict(room)
         place = room.places[self.station]
-        points: Floats = (rays * depths[:, :1]) @ place.rotation.T + place.translation
-        return points
+        return (rays * depths[:, :1]) @ place.rotation.T + place.translation
 
     def columns(self, room: Room) -> Ints:
         """The room's columns that it depends on, (30,): those of the rig, its station's place and its plane."""

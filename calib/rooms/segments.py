@@ -87,8 +87,7 @@ def _cells(points: NDArray[np.float32], normals: NDArray[np.float32], noise: flo
     def tiled(values: NDArray[np.float32]) -> Floats:
         cut = values[: rows * side, : columns * side].astype(np.float64)
         in_cells = cut.reshape(rows, side, columns, side, 3).swapaxes(1, 2)
-        flat: Floats = in_cells.reshape(rows * columns, side * side, 3)
-        return flat
+        return in_cells.reshape(rows * columns, side * side, 3)
 
     at, towards = tiled(points), tiled(normals)
     there = np.isfinite(at[..., 2]) & np.isfinite(towards[..., 2])

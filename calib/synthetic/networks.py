@@ -118,5 +118,4 @@ def _by_label(count: int) -> Ints:
 
 
 def _before(points: Floats, at: Motion) -> Floats:
-    before: Floats = (points - at.translation) @ at.rotation
-    return before
+    return (points - at.translation) @ at.rotation

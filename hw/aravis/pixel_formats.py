@@ -90,8 +90,7 @@ def pixel_format(name: str) -> PixelFormat:
 
 def _as_image(pixels: NDArray[Any]) -> Image:
     """The same pixels in a contiguous array."""
-    image: Image = np.ascontiguousarray(pixels)
-    return image
+    return np.ascontiguousarray(pixels)
 
 
 def _unpack(data: Bytes, bits: int, count: int) -> Image:

@@ -114,5 +114,4 @@ def mixed_share(frame: Floats, others: Sequence[Floats], tolerance: float) -> fl
 def _across(frame: Floats) -> Floats:
     """Differences (M,) between neighbours."""
     first, second = np.split(frame, 2)
-    difference: Floats = first - second
-    return difference
+    return first - second

@@ -64,8 +64,7 @@ class Light:
         bright = float(np.percentile(contrast, _BRIGHT_PERCENTILE))
         difference = (grey(self.black[-1]) - grey(self.black[-2])).reshape(-1)
         noise = max(1.0, robust_sigma(difference - np.median(difference)))
-        lit: Bools = contrast > max(_DIRECT * bright, _SEEN * noise)
-        return lit
+        return contrast > max(_DIRECT * bright, _SEEN * noise)
 
     @cached_property
     def clipped(self) -> Bools:

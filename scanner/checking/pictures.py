@@ -79,8 +79,7 @@ def _grey_picture(light: Light) -> Pixels:
 def _reduced(mask: Bools, picture: Pixels) -> Bools:
     height, width = picture.shape[:2]
     share = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    reduced: Bools = np.asarray(share) > 0.5
-    return reduced
+    return np.asarray(share) > 0.5
 
 
 def _tinted(picture: Pixels, where: Bools, colour: tuple[int, int, int], opacity: float = _OPACITY) -> Pixels:

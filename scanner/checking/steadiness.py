@@ -111,5 +111,4 @@ def _change(axis: Axis, before: Levels, now: Levels, place: tuple[Ints, Ints]) -
 def _phase(axis: Axis, levels: Levels, place: tuple[Ints, Ints]) -> Floats:
     """(P,) in cycles."""
     first, second, third, fourth = (levels[axis, step / _STEPS][place] for step in range(_STEPS))
-    phase: Floats = np.arctan2(fourth - second, first - third) / (2 * np.pi)
-    return phase
+    return np.arctan2(fourth - second, first - third) / (2 * np.pi)

@@ -144,5 +144,4 @@ def _slope(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[fl
     far, near = _inverse_depths(calibration, depths)
     middle = sqrt(far * near)
     moved = _seen_at(pixels, 1.001 * middle, calibration) - _seen_at(pixels, middle, calibration)
-    share: Floats = np.abs(moved[:, axis]) / np.maximum(np.hypot(moved[:, 0], moved[:, 1]), 1e-12)
-    return share
+    return np.abs(moved[:, axis]) / np.maximum(np.hypot(moved[:, 0], moved[:, 1]), 1e-12)

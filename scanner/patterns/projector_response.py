@@ -34,8 +34,7 @@ class ProjectorResponse:
         from scipy.interpolate import PchipInterpolator  # slow to import and rarely needed
 
         sampled = np.linspace(0, LEVELS - 1, len(self.light))
-        light: Floats = PchipInterpolator(sampled, self.light)(np.arange(LEVELS))
-        return light
+        return PchipInterpolator(sampled, self.light)(np.arange(LEVELS))
 
     @cached_property
     def compensation(self) -> NDArray[np.uint8]:

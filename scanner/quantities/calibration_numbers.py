@@ -171,8 +171,7 @@ def intrinsic_errors_percent(calibration: Calibration, truth: Calibration) -> Fl
     def four(of: Calibration) -> Floats:
         return np.array([np.mean(of.camera.focal_px), np.mean(of.projector.focal_px), *of.projector.principal_point_px])
 
-    percent: Floats = 100 * (four(calibration) / four(truth) - 1)
-    return percent
+    return 100 * (four(calibration) / four(truth) - 1)
 
 
 def _at(sigmas: tuple[float, ...] | None, index: int) -> float | None:

@@ -32,10 +32,8 @@ class Clocks:
     def changes(self, number: int) -> Floats:
         """Return when the slots of a loop begin, and the last one ends, (slots + 1,) in the camera's time."""
         loop, shifts = self.loops[number], self.shifts_s[number]
-        times: Floats = loop.start_s + loop.slot_s * np.arange(len(shifts)) + shifts
-        return times
+        return loop.start_s + loop.slot_s * np.arange(len(shifts)) + shifts
 
     def row_delays(self, rows: Floats, middle_row: float) -> Floats:
         """Return the delay of rows relative to the middle row, in seconds."""
-        delays: Floats = (rows - middle_row) * self.line_s
-        return delays
+        return (rows - middle_row) * self.line_s

@@ -24,8 +24,7 @@ def margin_s(clocks: Clocks) -> float:
 def exposure_begins(samples: VideoSamples, clocks: Clocks, numbers: Ints, rows: Floats) -> Floats:
     """Return when rows of frames begin to be exposed, (n, rows)."""
     delays = clocks.row_delays(rows, samples.middle_row)
-    begins: Floats = samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
-    return begins
+    return samples.times_s[numbers][:, None] + delays - clocks.exposure_s / 2
 
 
 def shown_reversed(samples: VideoSamples, programme: Programme, clocks: Clocks, numbers: Ints) -> Bools:

@@ -62,8 +62,7 @@ class VideoSamples:
         most = float(np.percentile(self.range, _WELL_LIT))
         if most < _LEAST_RANGE:
             raise InputError(f"{self.video.path}: nothing in it changes its brightness: no start mark was filmed")
-        lit: Bools = self.range > _LIT * most
-        return lit
+        return self.range > _LIT * most
 
 
 def take_samples(video: VideoFile, progress: Progress) -> VideoSamples:

@@ -34,8 +34,7 @@ class Shares:
 def predicted(times: Floats, changes: Floats, delays: Floats, exposure_s: float) -> Floats:
     """Shares (M, R) of what follows the `changes` (M,) in frames of `times` (M,), in rows with `delays` (R,)."""
     after = (times - changes)[:, None] + delays + exposure_s / 2
-    share: Floats = np.clip(after / exposure_s, 0, 1)
-    return share
+    return np.clip(after / exposure_s, 0, 1)
 
 
 def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shares:
@@ -69,8 +68,7 @@ def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shar
 
 def summed(group: Ints, values: Floats, groups: int) -> Floats:
     """(groups,): the sum of the values (n,) of each group."""
-    sums: Floats = np.bincount(group, values, minlength=groups).astype(np.float64)
-    return sums
+    return np.bincount(group, values, minlength=groups).astype(np.float64)
 
 
 def misfit(samples: VideoSamples, shares: Shares, clocks: Clocks) -> Floats:
@@ -84,8 +82,7 @@ def misfit(samples: VideoSamples, shares: Shares, clocks: Clocks) -> Floats:
 
 def loss(off: Floats) -> Floats:
     """Soft L1, as `least_squares` has it."""
-    soft: Floats = 2 * ROBUST**2 * (np.sqrt(1 + (off / ROBUST) ** 2) - 1)
-    return soft
+    return 2 * ROBUST**2 * (np.sqrt(1 + (off / ROBUST) ** 2) - 1)
 
 
 def _picture(samples: VideoSamples, clocks: Clocks, begins: float, ends: float) -> tuple[Light, Bools]:

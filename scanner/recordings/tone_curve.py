@@ -28,8 +28,7 @@ class ToneCurve:
         straight = level - self.contrast * level * (1 - level) * (2 * level - 1)
         toe = _SRGB_TOE * (self.exponent - 1) / (_SRGB_EXPONENT - 1)
         black = (toe / (1 + toe)) ** self.exponent if toe > 0 else 0.0
-        light: Floats = (((straight + toe) / (1 + toe)) ** self.exponent - black) / (1 - black)
-        return light
+        return (((straight + toe) / (1 + toe)) ** self.exponent - black) / (1 - black)
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,7 @@ class LumaCodes:
         highest = 255
         while highest < self.white:
             highest = 2 * highest + 1
-        levels: Floats = np.clip((np.arange(highest + 1) - self.black) / (self.white - self.black), 0, 1)
-        return levels
+        return np.clip((np.arange(highest + 1) - self.black) / (self.white - self.black), 0, 1)
 
     def light(self, curve: ToneCurve) -> NDArray[np.float32]:
         """(codes,): the light of each; exactly 1 where it was clipped."""

@@ -116,5 +116,4 @@ def _roughness(nodes: tuple[int, int]) -> Floats:
     difference = np.zeros((len(pairs), number.size))
     difference[np.arange(len(pairs)), pairs[:, 0]] = 1.0
     difference[np.arange(len(pairs)), pairs[:, 1]] = -1.0
-    rough: Floats = difference.T @ difference
-    return rough
+    return difference.T @ difference

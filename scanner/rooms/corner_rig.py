@@ -142,5 +142,4 @@ def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
 
 def _observed(corner: Uncertainty) -> Bools:
     """The columns that a corner determines, (21,)."""
-    observed: Bools = np.diag(corner.covariance) > _HELD**2
-    return observed
+    return np.diag(corner.covariance) > _HELD**2

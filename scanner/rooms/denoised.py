@@ -47,8 +47,7 @@ def _smoothed(points: NDArray[np.float32], on: Bools, plane: Floats) -> Floats:
         kept = np.where(supported, np.clip(1 - noise / np.maximum(variance, noise), 0.0, 1.0), 1.0)
         deviation = mean + kept * (deviation - mean)
     inverse = np.where(supported, of_plane + deviation, 1 / depth)
-    smoothed: Floats = (rays / inverse[..., None])[on]
-    return smoothed
+    return (rays / inverse[..., None])[on]
 
 
 def _summed(values: Floats) -> Floats:

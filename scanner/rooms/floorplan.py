@@ -178,8 +178,7 @@ def _crossing(one: WallLine, other: WallLine) -> Floats | None:
     if abs(turn) < np.sin(np.radians(_MEET_DEG)) * np.linalg.norm(first) * np.linalg.norm(second):
         return None
     apart = other.start - one.start
-    crossing: Floats = one.start + first * float(apart[0] * second[1] - apart[1] * second[0]) / turn
-    return crossing
+    return one.start + first * float(apart[0] * second[1] - apart[1] * second[0]) / turn
 
 
 def _nearer_end(wall: WallLine, point: Floats) -> tuple[int, float]:

@@ -178,8 +178,7 @@ def _seen_all_round(seen: Sequence[CaptureView], places: dict[int, Motion], midd
         points = points[np.isfinite(points[:, 2])] @ place.rotation.T + place.translation
         azimuth = np.degrees(np.arctan2(points[:, 1] - middle[1], points[:, 0] - middle[0])) % 360
         count += np.bincount((azimuth * _BINS / 360).astype(np.int64) % _BINS, minlength=_BINS)
-    found: Bools = count > 0.1 * np.median(count[count > 0])
-    return found
+    return count > 0.1 * np.median(count[count > 0])
 
 
 def _turn(calibration: Calibration, side: str) -> str:

@@ -286,5 +286,4 @@ def _end_of_common_edge(first: Floats, second: Floats) -> Floats:
 
 def _quaternion(rotation: Floats) -> Floats:
     """w, x, y, z."""
-    wxyz: Floats = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return wxyz
+    return Rotation.from_matrix(rotation).as_quat(scalar_first=True)

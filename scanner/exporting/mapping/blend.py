@@ -41,8 +41,7 @@ def _from_edge(view: ProjectorView, shown: Bools) -> Floats:
     inside = np.pad(shown & (steps < _EDGE), 1).astype(np.uint8)
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     # Pixels at the very edge need a projector, too.
-    found: Floats = np.where(shown, np.maximum(distance, 0.5), 0.0) / len(shown)
-    return found
+    return np.where(shown, np.maximum(distance, 0.5), 0.0) / len(shown)
 
 
 def _at(view: ProjectorView, distance: Floats, points: Floats) -> Floats:
@@ -54,5 +53,4 @@ def _at(view: ProjectorView, distance: Floats, points: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = 1 / map_coordinates(1 / view.depth, at, order=1, cval=np.nan)
         same = np.abs(depth - before[..., 2]) < _SAME * before[..., 2]
-    found: Floats = np.where(same, map_coordinates(distance, at, order=1, cval=0.0), 0.0)
-    return found
+    return np.where(same, map_coordinates(distance, at, order=1, cval=0.0), 0.0)

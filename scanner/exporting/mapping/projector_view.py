@@ -50,8 +50,7 @@ def projector_views(scene: Scene) -> list[ProjectorView]:
 
 def rays_of(projector: StoredDevice) -> Floats:
     """Directions (H, W, 3) of a projector's pixels in the scene's frame, their length along its axis is one."""
-    rays: Floats = projector.intrinsics.unproject(pixel_grid(projector.intrinsics.size)) @ projector.place.rotation.T
-    return rays
+    return projector.intrinsics.unproject(pixel_grid(projector.intrinsics.size)) @ projector.place.rotation.T
 
 
 def pixel_grid(size: Size) -> Floats:
