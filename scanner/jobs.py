@@ -17,7 +17,7 @@ from scanner import pipeline
 from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
-from scanner.io import read_calibration
+from scanner.io import read_calibration, refuse_other_sizes
 from scanner.reconstruction import is_calibration, lenses_of, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import Operator, Progress, Terminal
@@ -165,15 +165,8 @@ def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[
     Raises InputError if it is of another rig.
     """
     calibration = read_calibration(path)
-    for name, device, expected in (
-        ("camera", calibration.camera, recording.camera_size),
-        ("projector", calibration.projector, recording.projector_size),
-    ):
-        if device.size != expected:
-            raise InputError(
-                f"{path}: its {name} is {device.size}, but the capture's is {expected}: this calibration belongs to "
-                "another rig"
-            )
+    found, expected = calibration.sizes, (recording.camera_size, recording.projector_size)
+    refuse_other_sizes(path, found, expected, "the capture's", ": this calibration belongs to another rig")
     if config.earlier:
         raise InputError(
             "'earlier' adds captures to calibrate from, and --calibration replaces calibrating: give one "

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry.camera import Intrinsics
+from calib.geometry.camera import Intrinsics, Size
 from calib.numerics import Floats
 
 
@@ -59,6 +59,11 @@ class Calibration:
             raise ValueError("rotation must be orthonormal with determinant +1")
         if not np.linalg.norm(self.translation) > 0:
             raise ValueError("translation must not be zero: camera and projector would be in one place")
+
+    @property
+    def sizes(self) -> tuple[Size, Size]:
+        """Of the images of camera and projector."""
+        return self.camera.size, self.projector.size
 
     @property
     def one_camera(self) -> bool:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from scanner.capture import CAPTURE_FILE, Recording, open_capture
 from scanner.errors import InputError
+from scanner.io import refuse_other_sizes
 
 
 def read_folders(folders: Sequence[Path]) -> list[Recording]:
@@ -19,17 +20,10 @@ def read_folders(folders: Sequence[Path]) -> list[Recording]:
     for i, place in enumerate(places):
         if place in places[:i]:
             raise InputError(f"{recordings[i].folder}: given twice; a board counted twice would make sigmas too small")
-    first = recordings[0]
+    first, why = recordings[0], ": captures that are calibrated together come from one unchanged rig"
     for other in recordings[1:]:
-        for name, found, expected in (
-            ("camera", other.camera_size, first.camera_size),
-            ("projector", other.projector_size, first.projector_size),
-        ):
-            if found != expected:
-                raise InputError(
-                    f"{other.folder}: its {name} is {found}, that of {first.folder} {expected}: captures that are "
-                    "calibrated together come from one unchanged rig"
-                )
+        sizes, expected = ((each.camera_size, each.projector_size) for each in (other, first))
+        refuse_other_sizes(other.folder, sizes, expected, f"that of {first.folder}", why)
     return recordings
 
 

@@ -1,12 +1,11 @@
 """Calibrate several cameras and projectors together, from captures of their pairs."""
 
 from argparse import Namespace
-from functools import partial
 
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.networks.job import network, scan_network
+from scanner.networks.job import scan_network
 from scanner.networks.solve import KnownDistance
 from scanner.networks.verdict import verdict_on
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, default_out
@@ -21,8 +20,7 @@ def run(args: Namespace) -> None:
     config = load_config(args.config, args.set)
     if not args.captures and args.config is None:
         raise InputError("give captures of pairs, or --config FILE with the devices to take them")
-    how = partial(network, args.captures) if args.captures else scan_network
-    solved = how(config, out, known=known, overwrite=args.overwrite, terminal=terminal)
+    solved = scan_network(config, out, folders=args.captures, known=known, overwrite=args.overwrite, terminal=terminal)
     estimate = solved.estimate
     for name in estimate.names:
         focal, sigma = estimate.intrinsics(name).focal_px[0], float(estimate.sigmas(name)[0])

@@ -7,7 +7,7 @@ from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.quantities import calibration_table, shown_unit
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.jobs import room
+from scanner.rooms.jobs import scan_room
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import Terminal
 
@@ -16,10 +16,10 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, RefusalError."""
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set)
-    solved = room(
-        args.stations,
+    solved = scan_room(
         config,
         args.out,
+        stations=args.stations,
         calibration=args.calibration,
         overwrite=args.overwrite,
         terminal=terminal,

@@ -58,7 +58,7 @@ def _room(args: Namespace, config: Config, terminal: Terminal) -> None:
     from scanner.rooms.jobs import scan_room
 
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
-    show_room(scan_room(config, args.stations, out, overwrite=args.overwrite, terminal=terminal), out, terminal)
+    show_room(scan_room(config, out, number=args.stations, overwrite=args.overwrite, terminal=terminal), out, terminal)
 
 
 def _resume(args: Namespace, terminal: Terminal) -> None:

@@ -10,7 +10,7 @@ from calib.diagnostics import Difference, SystematicErrors, compare
 from calib.geometry import Calibration, Intrinsics, Matches, Size, intersect
 from calib.numerics import Floats
 from scanner.errors import InputError
-from scanner.io import MATCHES_FILE, read_calibration, read_matches
+from scanner.io import MATCHES_FILE, read_calibration, read_matches, refuse_other_sizes
 from scanner.measuring.scene_errors import rig_errors
 from scanner.quantities import UNKNOWN_UNIT, metres_per, parse_length
 from scanner.results import CALIBRATION_FILE, read_uncertainty
@@ -60,10 +60,8 @@ def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comp
     one, other = _read(first), _read(second)
     if one.calibration.unit == UNKNOWN_UNIT != other.calibration.unit:
         first, second, one, other = second, first, other, one
-    for name in ("camera", "projector"):
-        sizes = [getattr(each.calibration, name).size for each in (one, other)]
-        if sizes[0] != sizes[1]:
-            raise InputError(f"{second}: its {name} is {sizes[1]}, but that of {first} {sizes[0]}: these are two rigs")
+    sizes = other.calibration.sizes, one.calibration.sizes
+    refuse_other_sizes(second, *sizes, f"that of {first}", ": these are two rigs")
     units = [each.calibration.unit for each in (one, other)]
     metric = UNKNOWN_UNIT not in units
     if metric:

@@ -22,7 +22,7 @@ from scanner.configuration.sections import (
     SequenceSettings,
 )
 from scanner.errors import InputError
-from scanner.io import Section, parse_yaml, read_yaml, validate
+from scanner.io import Section, parse_yaml, read_yaml, refuse_other_sizes, validate
 from scanner.patterns import PresetName
 
 # Of an unknown camera only the image's centre is known; real principal points deviate by a few per cent.
@@ -121,12 +121,8 @@ class Config(Section):
 
     def refuse_other_sizes(self, path: Path, camera: Size, projector: Size) -> None:
         """Raise InputError if the content of `path` belongs to devices of other sizes."""
-        for name, size, expected in (
-            ("camera", camera, self.camera_size),
-            ("projector", projector, self.projector_size),
-        ):
-            if size != expected:
-                raise InputError(f"{path}: its {name} is {size}, but the configuration's is {expected}")
+        expected = self.camera_size, self.projector_size
+        refuse_other_sizes(path, (camera, projector), expected, "the configuration's")
 
     def principal_point(self, camera_size: Size) -> PrincipalPoint:
         """Return the prior of the camera's principal point, for images of that size.

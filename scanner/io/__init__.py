@@ -2,6 +2,7 @@
 
 from scanner.io.atomic_file import new_file, new_files, refuse_existing
 from scanner.io.calibration_file import parse_calibration, read_calibration, write_calibration
+from scanner.io.device_sizes import refuse_other_sizes
 from scanner.io.disk_space import require_space
 from scanner.io.durable import exchange, sync, sync_open, sync_tree
 from scanner.io.given_file import (

@@ -65,6 +65,6 @@ def _decoded(path: Path, config: Config, progress: Progress, calibration: Calibr
 def given_rig(path: Path, config: Config) -> RigStart:
     """A calibration file of the rig, with its covariance if the file states one. Raises InputError."""
     given = read_calibration(path)
-    config.refuse_other_sizes(path, given.camera.size, given.projector.size)
+    config.refuse_other_sizes(path, *given.sizes)
     in_baselines: Calibration = replace(given, translation=given.translation / given.baseline, unit=UNKNOWN_UNIT)
     return RigStart(in_baselines, read_uncertainty(path, given), {}, given)

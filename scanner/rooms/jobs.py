@@ -21,49 +21,40 @@ from scanner.ui import Terminal
 _SILENT = Terminal(quiet=True)
 
 
-def room(
-    stations: Sequence[Path],
+def scan_room(
     config: Config,
     out: Path,
     *,
+    stations: Sequence[Path] = (),
+    number: int = 0,
     calibration: Path | None = None,
     overwrite: bool = False,
     terminal: Terminal = _SILENT,
 ) -> SolvedRoom:
-    """Put stations of one unchanged rig together, in any order. With a `calibration`, none has to show a corner.
-
-    Raises InputError, RefusalError.
-    """
-    config.principal_point(config.camera_size)
-    open3d()  # fail early if it is missing
-    known = given_rig(calibration, config) if calibration else None
-    with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder, writing_refusals(folder, config):
-        captures = read_stations(stations, config, terminal, known.given if known else None)
-        start = known or rig_from_corners(captures, config, terminal)
-        if any(each.only_axis for each in captures):
-            start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
-        solved = solve_room(captures, start, config, terminal)
-        save_room(solved, folder, config, terminal)
-        _refuse_ambiguous(solved)
-    return solved
-
-
-def scan_room(
-    config: Config, number: int, out: Path, *, overwrite: bool = False, terminal: Terminal = _SILENT
-) -> SolvedRoom:
-    """Scan a room from `number` stations, between which the rig is moved as a whole.
+    """Join `stations` of one unchanged rig, in any order; or capture `number` of them, between which it is moved as a
+    whole. With a `calibration`, none of the `stations` has to show a corner.
 
     Raises InputError, DeviceError, RefusalError.
     """
     config.principal_point(config.camera_size)
-    check_stations(config, number, terminal)
-    open3d()
-    made = new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note)
+    open3d()  # fail early if it is missing
+    known = given_rig(calibration, config) if calibration else None
+    if not stations:
+        check_stations(config, number, terminal)
+    made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
     with made as folder, writing_refusals(folder, config):
-        captures, start = take_stations(config, number, folder, terminal)
+        if stations:
+            captures = read_stations(stations, config, terminal, known.given if known else None)
+            start = known or rig_from_corners(captures, config, terminal)
+        else:
+            captures, start = take_stations(config, number, folder, terminal)
+        if any(each.only_axis for each in captures):
+            start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)
-        _refuse_ambiguous(solved)
+        verdict = verdict_on(solved)
+        if verdict.grade == "refused":
+            raise RefusalError(f"{verdict.headline} {verdict.reasons[0]}", verdict.advice)
     return solved
 
 
@@ -76,9 +67,3 @@ def writing_refusals(folder: Path, config: Config) -> Iterator[None]:
         verdict = Verdict("refused", refusal.reason, (), refusal.advice)
         write_refusal(folder / REFUSAL_FILE, provenance(folder, config).entries({}) | verdict_entries(verdict))
         raise
-
-
-def _refuse_ambiguous(solved: SolvedRoom) -> None:
-    verdict = verdict_on(solved)
-    if verdict.grade == "refused":
-        raise RefusalError(f"{verdict.headline} {verdict.reasons[0]}", verdict.advice)

@@ -9,7 +9,7 @@ import pytest
 from scanner.configuration import Config
 from scanner.io import write_matches
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.jobs import room
+from scanner.rooms.jobs import scan_room
 from tests.support.whole_room import PROJECTOR, TrueStation, stations
 
 CAMERA = (306, 256)
@@ -54,4 +54,4 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> SolvedExample:
         }
     )
     out = folder / "room"
-    return SolvedExample(true, room(files, config, out), out, files, config)
+    return SolvedExample(true, scan_room(config, out, stations=files), out, files, config)

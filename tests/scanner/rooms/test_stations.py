@@ -17,7 +17,7 @@ from scanner.results import Decoded, GivenMatches
 from scanner.rooms import live, solve
 from scanner.rooms.contents import RigStart
 from scanner.rooms.document import given_rig, read_stations
-from scanner.rooms.jobs import room
+from scanner.rooms.jobs import scan_room
 from scanner.rooms.solve import segment_capture, solve_room
 from scanner.ui import Terminal
 from tests.scanner.rooms.conftest import CAMERA, SolvedExample
@@ -119,7 +119,7 @@ def test_without_open3d_nothing_is_started(
 
     monkeypatch.setattr("calib.numerics.open3d_module.import_module", missing)
     with pytest.raises(Exception, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
-        room(example.files, example.config, tmp_path / "out")
+        scan_room(example.config, tmp_path / "out", stations=example.files)
     assert not (tmp_path / "out").exists()
 
 
