@@ -7,10 +7,10 @@ with a real camera.
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from math import inf
 from types import ModuleType
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -112,7 +112,7 @@ def connect(settings: GPhotoRigSettings, size: tuple[int, int], refresh_hz: floa
     return GPhotoCamera(settings, size, refresh_hz)
 
 
-class GPhotoCamera:
+class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
     """A camera from opening to closing (a context manager), with exposures triggered one at a time.
 
     The delay from trigger to exposure is unknown; it is only known when the exposure is over. Raises DeviceError if
@@ -142,9 +142,6 @@ class GPhotoCamera:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -102,7 +103,7 @@ def connect(settings: OpenCVRigSettings, size: tuple[int, int], refresh_hz: floa
     return OpenCVCamera(settings, size, refresh_hz)
 
 
-class OpenCVCamera:
+class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
     """A streaming camera from opening to closing (a context manager).
 
     Raises DeviceError if there is none, or if its frames are not of `size`, (width, height).
@@ -128,9 +129,6 @@ class OpenCVCamera:
             self._capture.release()
             raise
         self.reader = FrameReader(self.name, self._read, self._capture.release)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.reader.close()

@@ -104,7 +104,7 @@ class ExposureControl(Protocol):
         """
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Rig:
     """A projector and a camera, fixed relative to each other; `others` are of further cameras in its light.
 

@@ -7,11 +7,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 _PLACES_BEFORE_A_CORNER = 8
 
 
-class _Part(BaseModel):
+class Settings(BaseModel):
+    """A part of a configuration: immutable, and a key that it does not know is an error."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class BumpSettings(_Part):
+class BumpSettings(Settings):
     """Someone knocks once against a simulated device."""
 
     device: Literal["camera", "projector"] = Field(default="projector", description="The device.")
@@ -22,7 +24,7 @@ class BumpSettings(_Part):
     direction_deg: float = Field(default=0.0, description="Where to: 0 right, 90 down.")
 
 
-class DriftSettings(_Part):
+class DriftSettings(Settings):
     """A simulated device turns slowly, as a warming projector does."""
 
     device: Literal["camera", "projector"] = Field(default="projector", description="The device.")
@@ -35,7 +37,7 @@ class DriftSettings(_Part):
     direction_deg: float = Field(default=0.0, description="Where to: 0 right, 90 down.")
 
 
-class LightSettings(_Part):
+class LightSettings(Settings):
     """The light in the simulated room is switched."""
 
     frame: int = Field(
@@ -46,7 +48,7 @@ class LightSettings(_Part):
     )
 
 
-class PasserSettings(_Part):
+class PasserSettings(Settings):
     """A person walks through the simulated picture."""
 
     width_m: float = Field(
@@ -56,7 +58,7 @@ class PasserSettings(_Part):
     last_frame: int = Field(default=0, ge=0, description="The frame in which it leaves on the right.")
 
 
-class PushedSettings(_Part):
+class PushedSettings(Settings):
     """A box in front of the simulated corner is pushed to the right."""
 
     width_m: float = Field(
@@ -66,7 +68,7 @@ class PushedSettings(_Part):
     by_m: float = Field(default=0.0, ge=0.0, le=2.0, description="How far it is pushed.")
 
 
-class BoardSettings(_Part):
+class BoardSettings(Settings):
     """A printed board in front of the simulated rig or on its floor."""
 
     kind: Literal["chessboard", "charuco"] = Field(default="chessboard", description="What is printed on it.")
@@ -86,7 +88,7 @@ class BoardSettings(_Part):
     )
 
 
-class ThingSettings(_Part):
+class ThingSettings(Settings):
     """A thing that the simulated rig looks at instead of a room."""
 
     kind: Literal["none", "lump", "ball", "vase", "plate", "box", "file"] = Field(
@@ -108,7 +110,7 @@ class ThingSettings(_Part):
     gloss: float = Field(default=0.0, ge=0.0, le=5.0, description="Strength of the highlight.")
 
 
-class PanelSettings(_Part):
+class PanelSettings(Settings):
     """How the simulated projector distorts its picture."""
 
     scale: float = Field(
@@ -121,10 +123,8 @@ class PanelSettings(_Part):
     mirrored: bool = Field(default=False, description="Left and right exchanged, as in rear projection.")
 
 
-class SimulatedRigSettings(BaseModel):
+class SimulatedRigSettings(Settings):
     """A simulated projector and camera in a simulated room."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     backend: Literal["simulated"] = "simulated"
     seed: int = Field(0, ge=0, description="Draws room, furniture, rig and places.")
@@ -286,10 +286,8 @@ class SimulatedRigSettings(BaseModel):
 USUAL_EXPOSURE_US = 2e6 / 60  # two refresh periods of most projectors
 
 
-class CameraRigSettings(BaseModel):
+class CameraRigSettings(Settings):
     """Settings of every rig of real devices: a projector that is a screen, and a camera of a backend."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     slow: ClassVar[bool] = False  # a frame takes a second or longer
 

@@ -7,9 +7,9 @@ that lost packets arrives with a status instead of an error; a wait for a frame 
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from statistics import median
-from typing import Any, Self
+from typing import Any
 
 from hw.aravis.devices import Aravis, GLib, list_cameras, open_camera
 from hw.aravis.frame_clock import FrameClock
@@ -39,7 +39,7 @@ def connect(settings: AravisRigSettings, size: tuple[int, int], refresh_hz: floa
     return camera
 
 
-class AravisCamera:
+class AravisCamera(AbstractContextManager["AravisCamera"]):
     """A camera from opening to closing (a context manager), with exposures triggered one at a time.
 
     `size` is (width, height) of the frames, `exposure_us` the first exposure. Later exposures are rounded to whole
@@ -74,9 +74,6 @@ class AravisCamera:
             self.highest_level = (1 << self._format.bits) - 1
             self._stream = start(self._camera, self.name, settings)
             self.identity = read_back(self._camera, self.name)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -2,15 +2,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from hw.settings import USUAL_EXPOSURE_US, SimulatedRigSettings
+from hw.settings import USUAL_EXPOSURE_US, Settings, SimulatedRigSettings
 
 
-class Conditions(BaseModel):
+class Conditions(Settings):
     """Conditions that may change while the camera runs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     latency_ms: float = Field(default=50.0, ge=0.0, le=500.0, description="How late light follows the screen.")
     jitter_ms: float = Field(default=0.0, ge=0.0, le=100.0, description="Every picture's light is later by up to this.")
@@ -36,10 +34,8 @@ class Conditions(BaseModel):
     )
 
 
-class WebcamSettings(BaseModel):
+class WebcamSettings(Settings):
     """Properties of a webcam, which is served as Motion JPEG at http://ADDRESS:PORT/video."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     port: int = Field(ge=1, le=65535, description="Where it is served.")
     frames_per_s: float = Field(default=30.0, gt=0.0, le=240.0, description="Its rate.")
@@ -50,10 +46,8 @@ class WebcamSettings(BaseModel):
     queue: int = Field(default=3, ge=0, le=30, description="Frames that wait before one leaves.")
 
 
-class LoopbackSettings(BaseModel):
+class LoopbackSettings(Settings):
     """The camera of the loopback rig and the room that it looks at."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     camera_size: tuple[int, int] = Field(description="Width and height of the sensor in pixels.")
     room: SimulatedRigSettings = Field(

@@ -6,10 +6,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +116,7 @@ def list_screens() -> list[Screen]:
     return screens
 
 
-class ScreenProjector:
+class ScreenProjector(AbstractContextManager["ScreenProjector"]):
     """A projector that is a screen of this computer, from opening to closing (a context manager).
 
     `wanted`: the screen's number, name or geometry; None for the only one of `size`, (width, height); or an X display,
@@ -141,9 +141,6 @@ class ScreenProjector:
         except BaseException:
             self._process.end()
             raise
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -12,15 +12,7 @@ from hw.timing.streaming import StreamAcquisition
 from hw.timing.timed_rig import Tally, TimedRig
 
 
-@dataclass
-class _Lost:
-    """Counts of repeated and dropped frames at the begin of the last capture."""
-
-    repeated: int = 0
-    dropped: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class StreamedRig(TimedRig):
     """A rig with a streaming camera, which takes stable frames."""
 
@@ -30,7 +22,8 @@ class StreamedRig(TimedRig):
     timing: StreamTiming
     rest: RestingLight
     acquisition: StreamAcquisition
-    _before: _Lost = field(default_factory=_Lost)
+    _lost_before: tuple[int, int] = field(default=(0, 0), init=False)
+    """Counts of repeated and dropped frames at the begin of the last capture."""
 
     @property
     def latency_s(self) -> float:
@@ -58,8 +51,8 @@ class StreamedRig(TimedRig):
             "frame_period_ms": round(1e3 * self.timing.period_s, 2),
             "missed_in_flight": self.acquisition.stable_frames.missed,
             "doubted_frames": self.acquisition.doubted,
-            "repeated_frames": reader.repeated - self._before.repeated,
-            "dropped_frames": reader.dropped - self._before.dropped,
+            "repeated_frames": reader.repeated - self._lost_before[0],
+            "dropped_frames": reader.dropped - self._lost_before[1],
             "averaged_frames": self.streaming.average,
         }
 
@@ -67,7 +60,7 @@ class StreamedRig(TimedRig):
         self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
     ) -> Iterator[Frames]:
         reader = self.streaming.reader
-        self._before.repeated, self._before.dropped = reader.repeated, reader.dropped
+        self._lost_before = reader.repeated, reader.dropped
         return ((frame,) for frame in self.acquisition.frames(images, exposures_us, redundancy))
 
 

@@ -83,14 +83,7 @@ def _rehearsed_pipelined(
     return None
 
 
-@dataclass
-class _LastMode:
-    """Whether the acquisition of the last frames was pipelined."""
-
-    pipelined: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class SynchronisedRig(TimedRig):
     """A rig with triggered cameras, which expose together. Acquisition is pipelined where that works and each camera
     takes one frame of each picture; otherwise it is sequential. `verified` repeats frames that contain another picture,
@@ -102,7 +95,8 @@ class SynchronisedRig(TimedRig):
     timing: Timing
     sequential: SequentialAcquisition
     verified: PipelinedAcquisition | None = None
-    _last_mode: _LastMode = field(default_factory=_LastMode)
+    _was_pipelined: bool = field(default=False, init=False)
+    """Whether the acquisition of the last frames was."""
 
     @property
     def pipelined(self) -> PipelinedAcquisition | None:
@@ -122,16 +116,16 @@ class SynchronisedRig(TimedRig):
     @property
     def least_s(self) -> float:
         """The exposure and, in sequential acquisition, the latency."""
-        return self.sequential.exposure_s + (0.0 if self._last_mode.pipelined else self.timing.latency_s)
+        return self.sequential.exposure_s + (0.0 if self._was_pipelined else self.timing.latency_s)
 
     def _acquired(
         self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
     ) -> Iterator[Frames]:
         verified = self.verified if redundancy and not exposures_us else None
         if verified is not None and verified.possible:
-            self._last_mode.pipelined = verified.rhythm.pipelines
+            self._was_pipelined = verified.rhythm.pipelines
             return verified.frames(images, redundancy)
-        self._last_mode.pipelined = False
+        self._was_pipelined = False
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
@@ -139,7 +133,7 @@ class SynchronisedRig(TimedRig):
             "delay_ms": round(1e3 * self.timing.delay_s, 2),
             "overlapping": self.timing.overlaps,
         }
-        if self.pipelined is not None and self._last_mode.pipelined:
+        if self.pipelined is not None and self._was_pipelined:
             found |= {
                 "pictures_in_flight": self.pipelined.rhythm.outstanding,
                 "missed_in_flight": self.pipelined.missed,

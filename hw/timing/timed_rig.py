@@ -37,21 +37,14 @@ class Tally:
         return self.elapsed_s / max(1, self.taken)
 
 
-@dataclass
-class _Lately:
-    """How the last frames were taken."""
-
-    ahead: Ahead[Frames] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class TimedRig(Rig):
     """A rig of real devices with a measured latency. Subclasses handle the kinds of cameras."""
 
     lost_advice: ClassVar[str]
     """Advice if many frames have to be repeated."""
 
-    _lately: _Lately = field(default_factory=_Lately)
+    _ahead: Ahead[Frames] | None = field(default=None, init=False)
 
     @property
     def latency_s(self) -> float:
@@ -86,13 +79,13 @@ class TimedRig(Rig):
         If they can be verified, frames are prefetched in a thread. Otherwise each is taken on request.
         """
         frames = self._acquired(images, exposures_us, redundancy)
-        self._lately.ahead = Ahead(frames, MOST_AHEAD) if redundancy else None
-        return iter(self._lately.ahead or frames)
+        self._ahead = Ahead(frames, MOST_AHEAD) if redundancy else None
+        return iter(self._ahead or frames)
 
     def stop(self) -> None:
         """Stop prefetching and wait until no frame is being taken, before the devices are closed."""
-        if self._lately.ahead is not None:
-            self._lately.ahead.stop()
+        if self._ahead is not None:
+            self._ahead.stop()
 
     @property
     def overhead(self) -> float:
@@ -101,7 +94,7 @@ class TimedRig(Rig):
 
     def account(self) -> Mapping[str, object]:
         """Latency, repetitions and overhead of the frames so far, for the recording."""
-        ahead = self._lately.ahead
+        ahead = self._ahead
         return {
             "synchronisation": {
                 "latency_ms": round(1e3 * self.latency_s, 2),

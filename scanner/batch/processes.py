@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Self
 
 from scanner.batch.listing import Job
 from scanner.batch.rows import Row
@@ -42,7 +41,7 @@ class _Worker:
         self.connection.close()
 
 
-class Processes:
+class Processes(contextlib.AbstractContextManager["Processes"]):
     """`count` of them (None: one for each processor), of `memory_bytes` each (None: an equal share of what there is),
     for as long as the context lasts.
     """
@@ -51,9 +50,6 @@ class Processes:
         self._count = count or os.cpu_count() or 1
         self._memory_bytes = memory_bytes or _all_memory() / self._count
         self._workers: list[_Worker] = []
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         while self._workers:

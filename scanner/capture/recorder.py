@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
 from io import FileIO
@@ -49,15 +50,12 @@ def _recorded(stream: Stream, folder: Path) -> Iterator[tuple[Pattern, Frame]]:
         os.fsync(listing)
 
 
-class _Syncing:
+class _Syncing(AbstractContextManager["_Syncing"]):
     """Waits for the disk in a thread of its own, for what was written last."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="sync")
         self._pending: Future[None] | None = None
-
-    def __enter__(self) -> "_Syncing":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown()

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from math import prod
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from hw.rig import Frame
 from scanner.networks.captures import Pair
@@ -64,7 +64,7 @@ def nobody(_: Sight, __: Frame | None) -> None:
     """Does nothing."""
 
 
-class Watched:
+class Watched(AbstractContextManager["Watched"]):
     """The captures of pairs that are taken together: `scanner.ui.Progress` that passes on to another, and tells
     `on_sight` of each frame.
 
@@ -89,9 +89,6 @@ class Watched:
     def decoded(self, pair: Pair, capture: Decoded) -> None:
         """All of it is known."""
         self._tell(Sight.of(pair, capture))
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
