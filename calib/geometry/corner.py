@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry.relative_pose import cross
+from calib.geometry.relative_pose import cross, nearest_rotation
 from calib.numerics import Floats
 
 
@@ -32,9 +32,7 @@ class Corner:
 
         The nearest rotation (Schönemann 1966); left-handed legs are swapped first.
         """
-        u, _, vt = np.linalg.svd(self.legs if np.linalg.det(self.legs) > 0 else self.legs[[0, 2, 1]])
-        nearest: Floats = u @ vt
-        return nearest
+        return nearest_rotation(self.legs if np.linalg.det(self.legs) > 0 else self.legs[[0, 2, 1]])
 
     @property
     def up(self) -> Floats:

@@ -39,6 +39,17 @@ class Motion:
         return np.concatenate([turn, tangent_basis(ahead).T @ (there - ahead), [np.log(other.length / self.length)]])
 
 
+def nearest_rotation(matrix: Floats) -> Floats:
+    """The rotations (..., 3, 3) nearest to matrices (..., 3, 3).
+
+    Of Σ a bᵀ it is the one that turns the vectors b nearest to those a (Kabsch, "A solution for the best rotation to
+    relate two sets of vectors", 1976).
+    """
+    u, _, vt = np.linalg.svd(matrix)
+    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return np.asarray(u @ vt)
+
+
 @compiled
 def rotation_about(vector: Floats) -> Floats:
     """The rotation (3, 3) about a vector (3,) by its length in radians.

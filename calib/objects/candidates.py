@@ -14,6 +14,7 @@ from calib.objects.joint import WIDE, settled
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
+from calib.rooms.marked_poses import rigid
 
 _SEARCHED = 8
 _SOME = 250  # patches
@@ -50,19 +51,17 @@ def _voted(here: Floats, there: Floats, grain: float) -> list[Motion]:
         voters = np.append(voters[second[seed][voters] > 0], seed)
         if len(voters) < _FEWEST:
             continue
-        pose = _rigid(here[voters], there[voters])
+        pose = _moved(here[voters], there[voters])
         for _ in range(2):
             near = np.linalg.norm(there @ pose.rotation.T + pose.translation - here, axis=1) < _COMPATIBLE * grain
             if np.count_nonzero(near) >= _FEWEST:
-                pose = _rigid(here[near], there[near])
+                pose = _moved(here[near], there[near])
         if not any(near_each_other(pose, other, grain) for _, other in found):
             found.append((int(np.count_nonzero(near)), pose))
     return [pose for _, pose in sorted(found, key=lambda each: -each[0])[:_KEPT]]
 
 
-def _rigid(here: Floats, there: Floats) -> Motion:
-    """The motion of `there` (N, 3) onto `here` (Kabsch 1976)."""
-    middle, other = here.mean(axis=0), there.mean(axis=0)
-    u, _, vt = np.linalg.svd((here - middle).T @ (there - other))
-    rotation = u @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))]) @ vt
-    return Motion(rotation, middle - rotation @ other)
+def _moved(here: Floats, there: Floats) -> Motion:
+    """The motion of `there` (N, 3) onto `here`."""
+    (rotation,), (translation,) = rigid(here[None], there[None])
+    return Motion(rotation, translation)

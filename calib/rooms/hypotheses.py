@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Motion, nearest_rotation
 from calib.numerics import Bools, Floats, Ints
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import normal_equations, settled
@@ -173,11 +173,9 @@ def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floa
 
 
 def _fitted(rotation: Floats, a: Floats, b: Floats, area: Ints) -> Floats:
-    """The closest rotation that aligns matching normals, large planes first (Kabsch 1976)."""
+    """The closest rotation that aligns matching normals, large planes first."""
     weight = np.where(a @ rotation @ b.T > _LIKE_NORMALS, np.sqrt(area), 0.0)
-    u, _, vt = np.linalg.svd(a.T @ weight @ b)
-    turned: Floats = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return turned
+    return nearest_rotation(a.T @ weight @ b)
 
 
 def _translations(a: Floats, b: Floats, alike: Bools, area: Ints, reach: float) -> Floats:

@@ -5,7 +5,7 @@ Fischler and Bolles, "Random sample consensus", 1981; the pose through three poi
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Motion, nearest_rotation
 from calib.numerics import Bools, Floats
 from calib.rooms.agreement import COARSE
 from calib.rooms.marks import alike
@@ -43,22 +43,20 @@ def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[M
     three = three[wide & (np.abs(sides[0] - sides[1]).max(axis=1) < 2 * within[three].min(axis=1))]
     if len(three) == 0:
         return None, np.zeros(len(here), np.bool_)
-    rotations, translations = _through(here[three], there[three])
+    rotations, translations = rigid(here[three], there[three])
     off = np.einsum("kij,nj->kni", rotations, there) + translations[:, None] - here
     near = np.linalg.norm(off, axis=2) < within
     best = near[int(np.argmax(np.count_nonzero(near, axis=1)))]
     for _ in range(_ROUNDS):
-        rotation, translation = (each[0] for each in _through(here[best][None], there[best][None]))
+        rotation, translation = (each[0] for each in rigid(here[best][None], there[best][None]))
         best = np.linalg.norm(there @ rotation.T + translation - here, axis=1) < within
         if np.count_nonzero(best) < 3:
             return None, best
     return Motion(rotation, translation), best
 
 
-def _through(here: Floats, there: Floats) -> tuple[Floats, Floats]:
+def rigid(here: Floats, there: Floats) -> tuple[Floats, Floats]:
     """Rotations (K, 3, 3) and translations (K, 3) that bring points `there` (K, M, 3) nearest to those `here`."""
     middle, other = here.mean(axis=1), there.mean(axis=1)
-    u, _, vt = np.linalg.svd(np.swapaxes(here - middle[:, None], 1, 2) @ (there - other[:, None]))
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotations: Floats = u @ vt
+    rotations = nearest_rotation(np.swapaxes(here - middle[:, None], 1, 2) @ (there - other[:, None]))
     return rotations, middle - np.einsum("kij,kj->ki", rotations, other)
