@@ -16,6 +16,7 @@ _Cosine = Annotated[Number, Field(ge=-2, le=2)]
 _Length = Annotated[Number, Field(ge=-1e12, le=1e12)]
 Unit = Annotated[str, Field(min_length=1, max_length=20, pattern=r"^[^\[\]\n\t]+$")]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
+Point = tuple[_Length, _Length, _Length]
 _ROUNDED = 1e-6  # rounding error of a rotation written with few digits
 
 
@@ -23,7 +24,7 @@ class PlacedEntry(Entry):
     """A pose: X_room = rotation X + translation."""
 
     rotation: tuple[_Row, _Row, _Row]
-    translation: tuple[_Length, _Length, _Length]
+    translation: Point
 
     def place(self, what: str) -> Motion:
         """Raises InputError about `what` if the rotation is invalid."""
