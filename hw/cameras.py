@@ -11,7 +11,7 @@ from hw.rig import Camera
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """A camera that was found: its name and a description.
+    """A camera, or a screen, that was found: its name and a description.
 
     `rig`: lines for a configuration's section `rig` that select it, empty if it cannot be used now. `size`: (width,
     height) of its images, None if unknown.

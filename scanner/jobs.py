@@ -20,9 +20,8 @@ from scanner.errors import InputError
 from scanner.io import read_calibration, refuse_other_sizes
 from scanner.reconstruction import is_calibration, lenses_of, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
-from scanner.ui import Operator, Progress, Terminal
+from scanner.ui import SILENT, Operator, Progress, Terminal
 
-_SILENT = Terminal(quiet=True)
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
 
 
@@ -33,7 +32,7 @@ def scan(
     captures: int = 1,
     masks: Path | None = None,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
     operator: Operator | None = None,
     progress: Progress | None = None,
     on_cloud: pipeline.OnCloud | None = None,
@@ -77,7 +76,7 @@ def resume(
     overrides: Sequence[str] = (),
     masks: Path | None = None,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
 ) -> tuple[Scan, Path]:
     """Complete the capture of an interrupted scan, and make a result of all its captures.
 
@@ -113,7 +112,7 @@ def replay(
     masks: Path | None = None,
     overwrite: bool = False,
     keep_recording: bool = True,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
 ) -> Scan:
     """Reconstruct from a recorded capture; a given `calibration` is used as it is.
 
@@ -142,7 +141,7 @@ def replay(
 
 
 def calibrate(
-    matches: Sequence[Path], config: Config, out: Path, *, overwrite: bool = False, terminal: Terminal = _SILENT
+    matches: Sequence[Path], config: Config, out: Path, *, overwrite: bool = False, terminal: Terminal = SILENT
 ) -> Scan:
     """Calibrate from matches files or result folders of one unchanged rig, the newest last, and reconstruct.
 

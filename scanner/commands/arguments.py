@@ -92,7 +92,7 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument(
         "folder", type=Path, metavar="DIR", help="folder with the frames, or a recording (mp4, mov, mkv)"
     )
-    parser.add_argument("--from", dest="layout", metavar="FORMAT", help="program that took the frames (default: all)")
+    parser.add_argument("--from", metavar="FORMAT", help="program that took the frames (default: all)")
     parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
     parser.add_argument("--cell", metavar="PX", help="projector pixels in a cell of the Gray code (default: 1)")
     parser.add_argument(

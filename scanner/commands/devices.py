@@ -15,16 +15,6 @@ _ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: h
 
 
 @dataclass(frozen=True)
-class _Device:
-    """A device: its name, its capabilities, and the configuration lines that select it."""
-
-    name: str
-    abilities: str
-    rig: tuple[str, ...]
-    size: str
-
-
-@dataclass(frozen=True)
 class Found:
     """Cameras and screens `described` by heading, the configuration `lines` that choose the first of each, and the
     `problems` of the search. `nothing`: no camera was found, and screens cannot be listed.
@@ -58,15 +48,15 @@ def run(args: Namespace) -> None:
 def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> Found:
     """Look for cameras that these backends reach, and for screens."""
     problems: list[str] = []
-    cameras: list[_Device] = []
+    cameras: list[CameraInfo] = []
     for backend in backends:
         try:
             with terminal.step(f"Looking for cameras ({backend.name})"):
-                cameras += map(_camera, backend.load().list_cameras())
+                cameras += backend.load().list_cameras()
         except DeviceError as error:
             problems.append(str(error))
     described = {"Cameras": [*(_lines_of(cameras) or ["none found"]), *problems, _ADDRESSES]}
-    screens: list[_Device] | None = None
+    screens: list[CameraInfo] | None = None
     try:
         with terminal.step("Looking for screens"):
             screens = [_screen(screen) for screen in list_screens()]
@@ -79,11 +69,11 @@ def find_devices(terminal: Terminal, backends: Sequence[Backend] = BACKENDS) -> 
     return Found(described, lines, problems, not cameras and screens is None)
 
 
-def _lines_of(devices: Sequence[_Device]) -> list[str]:
-    return [line for device in devices for line in (device.name, device.abilities) if line]
+def _lines_of(devices: Sequence[CameraInfo]) -> list[str]:
+    return [line for device in devices for line in (device.name, device.about and f"  {device.about}") if line]
 
 
-def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterator[str]:
+def _to_paste(cameras: Sequence[CameraInfo], screens: Sequence[CameraInfo]) -> Iterator[str]:
     """YAML that chooses the first of each; the others stand behind it as comments."""
     if not cameras and not screens:
         return
@@ -93,18 +83,14 @@ def _to_paste(cameras: Sequence[_Device], screens: Sequence[_Device]) -> Iterato
     for devices in (cameras, screens):
         for number, device in enumerate(devices):
             yield from (f"  {'# ' if number else ''}{line}" for line in device.rig)
-    for devices in (cameras, screens):
+    for key, devices in (("camera", cameras), ("projector", screens)):
         for number, device in enumerate(devices):
             if device.size:
-                yield f"{'# ' if number else ''}{device.size}"
+                width, height = device.size
+                yield f"{'# ' if number else ''}{key}: {{width: {width}, height: {height}}}"
 
 
-def _camera(found: CameraInfo) -> _Device:
-    size = "" if found.size is None else f"camera: {{width: {found.size[0]}, height: {found.size[1]}}}"
-    return _Device(found.name, f"  {found.about}", found.rig, size)
-
-
-def _screen(screen: Screen) -> _Device:
+def _screen(screen: Screen) -> CameraInfo:
     rate = () if screen.refresh_hz else ("refresh_hz: 60",)
     rig = (f'screen: "{screen.geometry}"', *rate)
-    return _Device(str(screen), "", rig, f"projector: {{width: {screen.width}, height: {screen.height}}}")
+    return CameraInfo(str(screen), "", rig, (screen.width, screen.height))

@@ -40,7 +40,8 @@ def run(args: Namespace) -> None:
         import_recording.run(args)
         return
     every = (*LAYOUTS, *fringe_layouts(_periods(args.periods)))
-    layouts = every if args.layout is None else (_named(every, args.layout),)
+    name = getattr(args, "from")  # a word of Python's
+    layouts = every if name is None else (_named(every, name),)
     given = Given(_size(args.projector), _number(args.cell, "--cell", "a number of pixels", _MOST_CELL_PX))
     terminal = Terminal(quiet=args.quiet)
     output = OutputFolder(args.out) if args.out else None
@@ -53,7 +54,7 @@ def run(args: Namespace) -> None:
 
     found, rejected = recognise(files, layouts, given, look, terminal)
     chosen = _only_one(files, found, rejected, _number(args.order, "--order", "a number of the list", _MOST_ORDERS))
-    if args.layout is None:
+    if name is None:
         terminal.show(_table(every, chosen, found, rejected))
     unused = [*files.left_out, *(path for path in files.numbered if path not in chosen.files)]
     left_out = f"; left out: {', '.join(path.name for path in unused)}" if unused else ""

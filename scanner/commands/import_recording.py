@@ -7,19 +7,12 @@ from scanner.recordings import import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
-_OF_FRAMES = {
-    "layout": "--from",
-    "projector": "--projector",
-    "cell": "--cell",
-    "periods": "--periods",
-    "frames": "--frames",
-    "order": "--order",
-}
+_OF_FRAMES = ("from", "projector", "cell", "periods", "frames", "order")
 
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError."""
-    given = [option for name, option in _OF_FRAMES.items() if getattr(args, name) is not None]
+    given = [f"--{option}" for option in _OF_FRAMES if getattr(args, option) is not None]
     if given:
         raise InputError(f"{', '.join(given)}: only for a folder of frames, not for a recording")
     if args.sequence is None:

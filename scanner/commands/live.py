@@ -3,20 +3,21 @@
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 
+from calib.geometry import Calibration
 from hw.rig import Rig
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
 from scanner.live.cloud import LiveCloud
-from scanner.live.jobs import LiveResult, Watcher, Watchers, Wishes, scan_live
+from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.texts import account_text, result_texts, round_texts
 from scanner.live.watching import Account
-from scanner.quantities import parse_length
+from scanner.quantities import parse_length, parse_seconds
 from scanner.results import default_out
 from scanner.shown_text import shown
 from scanner.ui import Terminal
@@ -44,7 +45,7 @@ def run(args: Namespace) -> None:
             depths=_depths(args.depths, unit),
             overwrite=args.overwrite,
             terminal=terminal,
-            watcher=Watchers(_TerminalOutput(terminal, unit), *page),
+            watcher=_TerminalOutput(terminal, unit, page),
         )
     _show(found, out, args, terminal)
     if found.ended_by is not None:
@@ -52,10 +53,10 @@ def run(args: Namespace) -> None:
 
 
 @contextmanager
-def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
+def _page(args: Namespace, terminal: Terminal) -> Iterator[Watcher]:
     """The page that looks, if one is wanted. Raises InputError if it cannot be had."""
     if not args.page:
-        yield ()
+        yield Watcher()
         return
     require_viser()
     from scanner.console.live_view import LiveView  # viser is an extra
@@ -65,26 +66,32 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Sequence[Watcher]]:
         served.server.gui.main_panel.dock_left()
         view = LiveView(served.server)
         announce_page(served.address, args.host, terminal, browser=not args.no_browser)
-        yield (view,)
+        yield view
 
 
 class _TerminalOutput(Watcher):
-    """Prints a line about the clouds every other second."""
+    """Prints a line about the clouds every other second, and passes everything on to a page."""
 
-    def __init__(self, terminal: Terminal, unit: str) -> None:
-        self._terminal, self._unit = terminal, unit
+    def __init__(self, terminal: Terminal, unit: str, page: Watcher) -> None:
+        self._terminal, self._unit, self._page = terminal, unit, page
         self._told_s = time.monotonic()
 
-    def on_rig(self, _: Rig) -> None:
+    def begin(self, calibration: Calibration, wishes: Wishes) -> None:
+        self._page.begin(calibration, wishes)
+
+    def on_rig(self, rig: Rig) -> None:
         self._told_s = time.monotonic()
+        self._page.on_rig(rig)
 
     def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
+        self._page.on_round(cloud, account)
         if time.monotonic() - self._told_s >= _EVERY_S:
             self._told_s = time.monotonic()
             self._terminal.show(*round_texts(cloud, account, self._unit))
 
     def tell(self, sentence: str) -> None:
         self._terminal.show(sentence)
+        self._page.tell(sentence)
 
 
 def _keep_on_enter(wishes: Wishes) -> None:
@@ -98,13 +105,8 @@ def _show(found: LiveResult, out: Path, args: Namespace, terminal: Terminal) -> 
 
 
 def _seconds(text: str | None) -> float | None:
-    if text is None:
-        return None
-    try:
-        seconds = float(text.removesuffix("s"))
-    except ValueError:
-        seconds = -1.0
-    if not 0 <= seconds < float("inf"):
+    seconds = None if text is None else parse_seconds("--every", text)
+    if seconds is not None and not 0 <= seconds < float("inf"):
         raise InputError(f"--every: expected a time, as in 2s, found {shown(text)}")
     return seconds
 

@@ -10,6 +10,7 @@ from calib.geometry import Size
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.patterns import SEQUENCE_FILE, Pattern, write_sequence
+from scanner.quantities import parse_seconds
 from scanner.recordings import CONTAINERS, Programme, programme_of, write_player_video
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
@@ -55,15 +56,7 @@ def _programme(args: Namespace, patterns: tuple[Pattern, ...], size: tuple[int, 
             f"--video {args.video}: expected a file name ending in {' or '.join(CONTAINERS)}; it is written into --out"
         )
     try:
-        return programme_of(patterns, Size(*size), _seconds(args.hold), _LOOPS if args.loops is None else args.loops)
+        hold_s = _HOLD_S if args.hold is None else parse_seconds("--hold", args.hold)
+        return programme_of(patterns, Size(*size), hold_s, _LOOPS if args.loops is None else args.loops)
     except ValueError as error:
         raise InputError(f"--hold, --loops: {error}") from error
-
-
-def _seconds(text: str | None) -> float:
-    if text is None:
-        return _HOLD_S
-    try:
-        return float(text.removesuffix("s"))
-    except ValueError as error:
-        raise InputError(f"--hold {text}: expected seconds, as in 0.2s") from error

@@ -28,11 +28,10 @@ from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
 from scanner.rooms.document import given_rig
-from scanner.ui import Progress, Terminal
+from scanner.ui import SILENT, Progress, Terminal
 
 # Rounds without a usable cloud after which an unattended run gives up.
 _PATIENCE = 100
-_SILENT = Terminal(quiet=True)
 
 
 class Watcher:
@@ -72,33 +71,6 @@ class Wishes:
         return self.number is not None or self.now.is_set()
 
 
-class Watchers(Watcher):
-    """Several observers."""
-
-    def __init__(self, *watchers: Watcher) -> None:
-        self._watchers = watchers
-
-    def begin(self, calibration: Calibration, wishes: Wishes) -> None:
-        """As of each."""
-        for each in self._watchers:
-            each.begin(calibration, wishes)
-
-    def on_rig(self, rig: Rig) -> None:
-        """As of each."""
-        for each in self._watchers:
-            each.on_rig(rig)
-
-    def on_round(self, cloud: LiveCloud | None, account: Account) -> None:
-        """As of each."""
-        for each in self._watchers:
-            each.on_round(cloud, account)
-
-    def tell(self, sentence: str) -> None:
-        """As of each."""
-        for each in self._watchers:
-            each.tell(sentence)
-
-
 @dataclass
 class LiveResult:
     """The kept stations. `ended_by`: the error that ended the job early, None if there was none."""
@@ -117,7 +89,7 @@ def scan_live(
     wishes: Wishes,
     depths: tuple[float, float] | None = None,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
     progress: Progress | None = None,
     watcher: Watcher,
 ) -> LiveResult:

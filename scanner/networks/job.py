@@ -13,9 +13,7 @@ from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown,
 from scanner.networks.verdict import verdict_on
 from scanner.results import new_result
 from scanner.rooms.jobs import writing_refusals
-from scanner.ui import Progress, Terminal
-
-_SILENT = Terminal(quiet=True)
+from scanner.ui import SILENT, Progress, Terminal
 
 
 def scan_network(
@@ -25,7 +23,7 @@ def scan_network(
     folders: Sequence[Path] = (),
     known: KnownDistance | None = None,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
     progress: Progress | None = None,
     on_sight: OnSight = nobody,
 ) -> SolvedNetwork:

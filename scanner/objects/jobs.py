@@ -14,9 +14,7 @@ from scanner.results import new_result
 from scanner.rooms.document import given_rig, read_stations
 from scanner.rooms.jobs import writing_refusals
 from scanner.rooms.live import check_stations, take_object_stations
-from scanner.ui import Terminal
-
-_SILENT = Terminal(quiet=True)
+from scanner.ui import SILENT, Terminal
 
 
 def scan_object(
@@ -28,7 +26,7 @@ def scan_object(
     number: int = 0,
     fill: bool = False,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
 ) -> tuple[SolvedObject, Surface | None]:
     """Join `stations` of a thing, in any order; or capture `number` of them, between which it is turned.
 

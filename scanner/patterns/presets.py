@@ -1,6 +1,6 @@
 """The named sequences, for any size of the projector. See docs/decoding.md."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 from scanner.patterns.pattern import Code, Pattern, sequence_for
@@ -20,14 +20,7 @@ class Preset:
 
     def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
         """The sequence for a projector of (width, height)."""
-        return sequence_for(
-            projector_size,
-            code=self.code,
-            cell=self.cell,
-            inverses=self.inverses,
-            periods=self.periods,
-            shifts=self.shifts,
-        )
+        return sequence_for(projector_size, **asdict(self))
 
 
 # Two periods whose ratio is far from simple fractions (1.382, or 2.39) seldom agree on a wrong fringe order, so that a

@@ -3,6 +3,7 @@
 import re
 
 from scanner.errors import InputError
+from scanner.shown_text import shown
 
 UNKNOWN_UNIT = "baseline"
 METRES = {
@@ -57,3 +58,11 @@ def parse_length(text: str, unit: str) -> float:
             "a unit"
         )
     return number * METRES[given] / metres_per(unit)
+
+
+def parse_seconds(option: str, text: str) -> float:
+    """'0.2s', or a number → seconds. Raises InputError that names the `option`."""
+    try:
+        return float(text.removesuffix("s"))
+    except ValueError as error:
+        raise InputError(f"{option} {shown(text)}: expected seconds, as in 0.2s") from error

@@ -16,9 +16,7 @@ from scanner.rooms.live import check_stations, take_stations
 from scanner.rooms.save import save_room
 from scanner.rooms.solve import solve_room
 from scanner.rooms.verdict import verdict_on
-from scanner.ui import Terminal
-
-_SILENT = Terminal(quiet=True)
+from scanner.ui import SILENT, Terminal
 
 
 def scan_room(
@@ -29,7 +27,7 @@ def scan_room(
     number: int = 0,
     calibration: Path | None = None,
     overwrite: bool = False,
-    terminal: Terminal = _SILENT,
+    terminal: Terminal = SILENT,
 ) -> SolvedRoom:
     """Join `stations` of one unchanged rig, in any order; or capture `number` of them, between which it is moved as a
     whole. With a `calibration`, none of the `stations` has to show a corner.

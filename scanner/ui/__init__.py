@@ -5,4 +5,4 @@ from scanner.ui.fitting import for_screen
 from scanner.ui.log_file import LogFile, keep_off_the_terminal
 from scanner.ui.operator import Operator
 from scanner.ui.progress import Progress
-from scanner.ui.terminal import Terminal
+from scanner.ui.terminal import SILENT, Terminal

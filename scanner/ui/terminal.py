@@ -95,3 +95,6 @@ class Terminal:
         hidden = self._quiet or not self._err.is_terminal
         text = TextColumn("{task.description:<28}")
         return Progress(text, *columns, TimeElapsedColumn(), console=self._err, disable=hidden)
+
+
+SILENT = Terminal(quiet=True)
