@@ -29,7 +29,8 @@ class Part:
         """The shell command, relative to the present folder."""
         own = Path(sys.prefix).resolve() == _FOLDER / ".venv"
         if own and self.target:
-            return f"make {self.target}" if _is_here(_FOLDER) else f"make -C {shlex.quote(str(_FOLDER))} {self.target}"
+            there = "" if Path.cwd() == _FOLDER else f"-C {shlex.quote(str(_FOLDER))} "
+            return f"make {there}{self.target}"
         words = [_from_here(Path(sys.executable)), "-m", "pip", "install"]
         if (_FOLDER / "pyproject.toml").is_file():
             words += ["-e", f"{_from_here(_FOLDER)}[{self.extra}]"]
@@ -37,10 +38,6 @@ class Part:
             words.append(f"roomscan[{self.extra}]")
         system = f"sudo apt-get install {shlex.join(self.system)} && " if self.system else ""
         return system + shlex.join(words)
-
-
-def _is_here(folder: Path) -> bool:
-    return Path.cwd() == folder
 
 
 def _from_here(path: Path) -> str:

@@ -94,7 +94,8 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     variance = _variance(by_shared, rest.covariance) + _variance(jacobian[:, :, pose], of_pose)
     if found.prior.flex:
         variance += _variance(jacobian[:, :, -PER_FLEX:], found.prior.flex**2 * np.eye(PER_FLEX))
-    variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, _usual_px(found)) ** 2
+    usual_px = float(np.median([noise.smooth_px for noise in found.noise]))  # more is an error of the view, not noise
+    variance += 2 * levels.cells[0] + min(found.noise[left_out].smooth_px, usual_px) ** 2
     # Outliers among the cells are down-weighted, as by Huber's loss.
     square = np.minimum(np.sum(residual**2, axis=1), 9 * np.maximum(variance, np.median(np.sum(residual**2, axis=1))))
     return Prediction(view.name, float(np.sqrt(square.mean())), float(np.sqrt(variance.mean())), moved)
@@ -110,11 +111,6 @@ def _usual_levels(found: Estimate, view: int) -> Levels:
     own = independent[view] * min(1.0, _EXCUSED * usual / float(np.median(independent[view])))
     corners = found.levels.corners
     return Levels(np.minimum(corners[[view]], _EXCUSED * np.median(corners)), (own,))
-
-
-def _usual_px(found: Estimate) -> float:
-    """The smooth misfit of a usual view; a larger one is an error of the view, not noise."""
-    return float(np.median([noise.smooth_px for noise in found.noise]))
 
 
 def _variance(jacobian: Floats, covariance: Floats) -> Floats:

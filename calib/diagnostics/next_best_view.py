@@ -70,7 +70,11 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
     # The gain is computed from curvature alone. Smooth errors are a factor, as further captures have them too.
-    beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]) / _sigma_by_curvature(refinement))
+    # Without smooth errors, and the valley's bend.
+    by_curvature = covariance_of(refinement.fit.information, refinement.prior.free)
+    beyond = float(
+        np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start] / by_curvature[CAMERA.start, CAMERA.start])
+    )
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
@@ -99,11 +103,6 @@ def _turn(right_deg: float, up_deg: float) -> Floats:
 def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Floats:
     """The new camera centre in the present frame, the zero of X = vertex + turn (X_now − vertex_now)."""
     return pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
-
-
-def _sigma_by_curvature(refinement: Refinement) -> float:
-    """Present relative sigma of the camera's focal length by curvature, without smooth errors and the curved valley."""
-    return float(np.sqrt(covariance_of(refinement.fit.information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
 
 
 def _seen(state: State, knowledge: Knowledge) -> Cells | None:

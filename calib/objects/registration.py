@@ -183,7 +183,8 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
         closely = evidence(first, second, pose, tolerance(first, second), _MORE)
-        if _holds(closely, 2 * _MORE, _SURE_SHARE if thorough else _LEAST_SHARE):
+        least_share = _SURE_SHARE if thorough else _LEAST_SHARE
+        if closely.share > least_share and closely.agreeing > _LEAST_AGREEING * 2 * _MORE:
             found.append(Suggestion(pose, closely.worth))
     return sorted(found, key=lambda each: -each.worth)[:_KEPT]
 
@@ -191,10 +192,6 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
 def _agreeing_share(found: Evidence) -> float:
     """The share of what could agree that does, if that is not just a few patches."""
     return found.share if found.agreeing > _FEWEST_AGREEING * 2 * _SOME else 0.0
-
-
-def _holds(found: Evidence, patches: int, least_share: float) -> bool:
-    return found.share > least_share and found.agreeing > _LEAST_AGREEING * patches
 
 
 def _tried(

@@ -77,7 +77,7 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
         return []
     size = _SAME_PLACE * float(np.median([surfaces[k].distance for k in stations]))
     begun = [
-        Assembly({i: _identity(), j: each.pose}, each.nats - NATS_OF_POSE)
+        Assembly({i: Motion(np.eye(3), np.zeros(3)), j: each.pose}, each.nats - NATS_OF_POSE)
         for (i, j), some in edges.items()
         if i in stations and j in stations
         for each in some
@@ -94,10 +94,6 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
         beam = _distinct(longer, size)
     together = _distinct([_together(surfaces, each) for each in _distinct(finished, size)], size)
     return sorted((_without_loose(surfaces, each) for each in together), key=lambda each: -each.nats)
-
-
-def _identity() -> Motion:
-    return Motion(np.eye(3), np.zeros(3))
 
 
 def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:

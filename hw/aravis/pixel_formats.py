@@ -46,16 +46,12 @@ class PixelFormat:
             return 8 if self.bits == 8 else 16
         return 12 if self.packing == "Packed" else self.bits
 
-    def size_bytes(self, width: int, height: int) -> int:
-        """Bytes of an image."""
-        return -(-width * height * self.channels * self.bits_stored // 8)
-
     def image(self, data: bytes, width: int, height: int) -> Image:
         """(H, W) grey, or (H, W, 3) in the order blue, green, red; uint8 or uint16.
 
         Raises ValueError if there are too few bytes.
         """
-        needed = self.size_bytes(width, height)
+        needed = -(-width * height * self.channels * self.bits_stored // 8)
         if len(data) < needed:
             raise ValueError(f"an image of {width} × {height} in {self} has {needed} bytes, found {len(data)}")
         numbers = self._numbers(np.frombuffer(data, np.uint8, needed), width * height * self.channels)

@@ -79,28 +79,23 @@ def write_pieces(
         "asset": {"version": "2.0", "generator": "roomscan"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "scan", "mesh": 0}],
+        "scenes": [{"nodes": list(range(1 + len(cameras)))}],
+        "nodes": [
+            {"name": "scan", "mesh": 0},
+            *(_camera_node(camera, number, metres_per_unit) for number, camera in enumerate(cameras)),
+        ],
         "meshes": [{"name": "scan", "primitives": primitives}],
+        "cameras": [_camera(camera) for camera in cameras],
         "materials": materials,
         "accessors": binary.accessors,
         "bufferViews": binary.views,
         "buffers": [{"byteLength": binary.length}],
+        "images": images,
+        "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAPS, "wrapS": _CLAMPED, "wrapT": _CLAMPED}],
+        "textures": [{"source": number, "sampler": 0} for number in range(len(images))],
     }
-    if cameras:
-        document["scenes"] = [{"nodes": list(range(1 + len(cameras)))}]
-        document["nodes"] = [
-            {"name": "scan", "mesh": 0},
-            *(_camera_node(camera, number, metres_per_unit) for number, camera in enumerate(cameras)),
-        ]
-        document["cameras"] = [_camera(camera) for camera in cameras]
-    if images:
-        document["images"] = images
-        document["samplers"] = [
-            {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAPS, "wrapS": _CLAMPED, "wrapT": _CLAMPED}
-        ]
-        document["textures"] = [{"source": number, "sampler": 0} for number in range(len(images))]
-    path.write_bytes(_container(json.dumps(document).encode(), b"".join(binary.parts)))
+    present = {key: value for key, value in document.items() if value != []}  # glTF knows no empty lists
+    path.write_bytes(_container(json.dumps(present).encode(), b"".join(binary.parts)))
 
 
 def _camera_node(camera: GlbCamera, number: int, metres_per_unit: float) -> dict[str, object]:

@@ -99,7 +99,9 @@ def shortened(widest: LiveSequence, taken: Image, look: FirstLook, calibration: 
     off = coarse - short_px / (2 * pi) * np.angle(short[usable])
     off = np.abs(off - short_px * np.rint(off / short_px))[sigma <= np.quantile(sigma, _BRIGHTER)]
     passes = BEYOND_SIGMAS * float(np.quantile(sigma, _BRIGHTER)) + UNSTRAIGHT * long_px
-    least_px = max(_LEAST_PERIOD_PX, _CAMERA_PIXELS * _projector_px_per_camera_px(calibration))
+    # Projector pixels per camera pixel, if both devices are equally far from the scene.
+    span = calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
+    least_px = max(_LEAST_PERIOD_PX, _CAMERA_PIXELS * span)
     found = max(_MARGIN_OF_ORDER * (float(np.quantile(off, _MOST)) + passes), least_px)
     return replace(widest, short_px=_uneven(min(found, _LARGEST * long_px)))
 
@@ -107,11 +109,6 @@ def shortened(widest: LiveSequence, taken: Image, look: FirstLook, calibration: 
 def _uneven(period_px: float) -> float:
     """Steps of whole pixels would round to 256 levels at the same places of every cycle."""
     return round(period_px * STEPS) / STEPS + 0.11
-
-
-def _projector_px_per_camera_px(calibration: Calibration) -> float:
-    """By focal lengths, assuming that both devices are equally far from the scene."""
-    return calibration.projector.focal_px[0] / calibration.camera.focal_px[0]
 
 
 def _inverse_depths(calibration: Calibration, depths: tuple[float, float] | None) -> tuple[float, float]:

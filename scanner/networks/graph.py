@@ -22,7 +22,8 @@ def network_graph(sights: Sequence[Sight]) -> Markup:
 
     `sights` are of at least one pair. A page may give its colours as `--page`, `--accent` and `--second`.
     """
-    cameras, projectors = (list(dict.fromkeys(names)) for names in zip(*map(_names, sights), strict=True))
+    cameras = list(dict.fromkeys(sight.camera for sight in sights))
+    projectors = list(dict.fromkeys(sight.projector for sight in sights))
     left, right = (_margin(names) for names in (cameras, projectors))
     width = left + right + max(_NARROWEST, round((_FIRST + _PITCH * (len(projectors) - 1)) / _FARTHEST))
     height = _ROW * max(len(cameras), len(projectors))
@@ -46,10 +47,6 @@ def network_graph(sights: Sequence[Sight]) -> Markup:
         f'style="display: block; min-width: {width}px; max-width: {1.2 * width:.0f}px" font-size="14" '
         f'fill="currentColor">{"".join([*edges, *labels])}</svg>'
     )
-
-
-def _names(sight: Sight) -> tuple[str, str]:
-    return sight.camera, sight.projector
 
 
 def _margin(names: Sequence[str]) -> int:

@@ -22,6 +22,7 @@ FRAMES_PER_SECOND = 60  # a projector of 60 Hz shows it without judder
 WHITE, BLACK = -1, -2
 # Barker code of length seven: its autocorrelation has no side peaks (Barker, 1953).
 _RHYTHM = (1, 1, 1, 0, 0, 1, 0)
+LONGEST_WHITE = 2  # the slot of a mark that is white and has white before and after it
 _ID_BITS = 8
 _SHORTEST_S, _LONGEST_S, _MOST_LOOPS = 0.05, 10.0, 20
 LEAD_IN_S, LEAD_OUT_S = 2.0, 1.0  # black: players show their buttons at the beginning
@@ -56,11 +57,6 @@ class Programme:
     def rhythm_slots(self) -> int:
         """The number of slots of the mark that are the same for every sequence."""
         return 1 + len(_RHYTHM)
-
-    @property
-    def longest_white(self) -> int:
-        """The slot of a mark that is white and has white before and after it."""
-        return 2
 
     @cached_property
     def loop(self) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from calib.numerics import Image, Ints
 from scanner.errors import InputError
 from scanner.recordings.clocks import Clocks
-from scanner.recordings.programme import Programme
+from scanner.recordings.programme import LONGEST_WHITE, Programme
 from scanner.recordings.samples import Light, VideoSamples
 
 _TILES, _TILE_PX = 3, 256
@@ -26,7 +26,7 @@ def white_frames(samples: VideoSamples, programme: Programme, clocks: Clocks) ->
     for loop in range(len(clocks.loops)):
         changes = clocks.changes(loop)
         for mark in (0, programme.slots_between_marks):
-            begins, ends = changes[mark + programme.longest_white], changes[mark + programme.longest_white + 1]
+            begins, ends = changes[mark + LONGEST_WHITE], changes[mark + LONGEST_WHITE + 1]
             moments += list(np.linspace(begins, ends, _WHITES_PER_MARK))
     return np.unique(np.abs(samples.times_s[:, None] - np.array(moments)).argmin(axis=0))
 

@@ -168,7 +168,8 @@ def _right_way_round(pixels: Floats, target: Target) -> Detected:
     grid = pixels.reshape(target.rows, target.columns, 2)
     across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if across[0] * down[1] - across[1] * down[0] < 0:
-        grid = grid[:, ::-1]
+        # An asymmetric grid of odd rows that was found from the other end is shifted alike there.
+        grid = grid[::-1] if target.kind == "acircles" and target.rows % 2 else grid[:, ::-1]
     return Detected(target.points, grid.reshape(-1, 2))
 
 
@@ -228,19 +229,9 @@ def _dots(grey: Image, target: Target) -> Detected | None:
         for flags in (symmetric, symmetric | cv2.CALIB_CB_CLUSTERING):
             found, centres = cv2.findCirclesGrid(picture, counts, flags=flags, blobDetector=_blobs(grey))
             if found:
-                order = _right_way_round if target.kind == "circles" else _unmirrored
-                ordered = order(_pixels(centres), target)
+                ordered = _right_way_round(_pixels(centres), target)
                 return Detected(ordered.points, corrected(grey, ordered.points, ordered.pixels))
     return None
-
-
-def _unmirrored(pixels: Floats, target: Target) -> Detected:
-    """Turn an asymmetric grid that was found from the other end: the shift of its rows shows the mirrored order."""
-    grid = pixels.reshape(target.rows, target.columns, 2)
-    across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    if across[0] * down[1] - across[1] * down[0] < 0:
-        grid = grid[::-1] if target.rows % 2 else grid[:, ::-1]
-    return Detected(target.points, grid.reshape(-1, 2))
 
 
 def _blobs(grey: Image) -> cv2.SimpleBlobDetector:

@@ -212,7 +212,7 @@ class Scene:
             picture,
             render_width=float(self._factor * width),
             render_height=float(self._factor * height),
-            wxyz=_quaternion(rig.rotation),
+            wxyz=Rotation.from_matrix(rig.rotation).as_quat(scalar_first=True),
             position=self._drawn(rig.to_cloud(corners.mean(axis=0))),
             cast_shadow=False,
             receive_shadow=False,
@@ -282,8 +282,3 @@ def _end_of_common_edge(first: Floats, second: Floats) -> Floats:
     near = min(pairs, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
     place: Floats = first[0] + 2 / 3 * ((near[0] + near[1]) / 2 - first[0])
     return place
-
-
-def _quaternion(rotation: Floats) -> Floats:
-    """w, x, y, z."""
-    return Rotation.from_matrix(rotation).as_quat(scalar_first=True)
