@@ -24,6 +24,11 @@ class Size(NamedTuple):
         """Of an image (H, W) or (H, W, 3)."""
         return cls(image.shape[1], image.shape[0])
 
+    @property
+    def pixels(self) -> Floats:
+        """The centres of all pixels, (H, W, 2)."""
+        return np.stack(np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height)), axis=-1)
+
     def __str__(self) -> str:
         return f"{self.width} × {self.height}"
 

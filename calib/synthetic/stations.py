@@ -167,8 +167,7 @@ def seen_from(
     shadow are missing.
     """
     errors = errors or Errors()
-    x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    rays = camera.unproject(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
+    rays = camera.unproject(camera.size.pixels.reshape(-1, 2))
     directions = rays @ place.rotation.T
     depth = room.distance(place.translation, directions)
     hit = place.translation + depth[:, None] * directions

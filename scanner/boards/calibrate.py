@@ -56,8 +56,6 @@ class FromBoards:
     seen: tuple[BoardCapture, ...]
     missing: tuple[Missing, ...]
     found: BoardCalibration
-    camera_size: Size
-    projector_size: Size
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -106,7 +104,7 @@ def calibrate_board_captures(
             Board(target.reach, target.turns, UNIT),
             lenses=lenses_of(config or Config(), camera_size, projector_size),
         )
-    return FromBoards(target, tuple(seen), tuple(missing), found, camera_size, projector_size)
+    return FromBoards(target, tuple(seen), tuple(missing), found)
 
 
 def _names(recordings: Sequence[Recording]) -> list[str]:

@@ -1,6 +1,7 @@
 """Calibrate a live rig from boards: after each capture, the operator sees its contribution and moves the board."""
 
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -58,14 +59,12 @@ def capture_boards(config: Config, number: int, target: Target, folder: Path, te
 
 
 def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
-    step = 0
-    while True:
+    for step in count():
         if isinstance(settings, SimulatedRigSettings):
             board = settings.board.model_copy(update={"pose": settings.board.pose + step})
             yield step, settings.model_copy(update={"board": board})
         else:
             yield step, settings
-        step += 1
 
 
 def _moved(looked: list[BoardCapture | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
@@ -94,7 +93,7 @@ def _tell(looked: list[BoardCapture | Missing], config: Config, target: Target, 
     except RefusalError as refusal:
         terminal.show(f"{last.name}: the board was found. Not yet enough: {refusal.reason} {refusal.advice}")
         return
-    estimate, sizes = result.found.estimate, (result.camera_size, result.projector_size)
+    estimate, sizes = result.found.estimate, result.found.calibration.sizes
     sigma = 100 * np.sqrt(estimate.covariance.diagonal())
     message = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
     pose = best_next_pose(estimate, sizes)

@@ -26,7 +26,8 @@ _HALVES = (
 def write_page(path: Path, result: FromBoards) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
     found = result.found
-    rays = ray_sigmas(found.estimate, (result.camera_size, result.projector_size))
+    sizes = found.calibration.sizes
+    rays = ray_sigmas(found.estimate, sizes)
     text = page(
         "board.html",
         verdict=verdict_on(result),
@@ -37,11 +38,8 @@ def write_page(path: Path, result: FromBoards) -> None:
         rows=rows(result),
         halves=_halves(result),
         coverage=[
-            ("camera", _coverage([seen.view.corners_px for seen in result.seen], result.camera_size, "corners")),
-            (
-                "projector",
-                _coverage([seen.view.cells.projector_px for seen in result.seen], result.projector_size, "matches"),
-            ),
+            ("camera", _coverage([seen.view.corners_px for seen in result.seen], sizes[0], "corners")),
+            ("projector", _coverage([seen.view.cells.projector_px for seen in result.seen], sizes[1], "matches")),
         ],
         rays=[("camera", _ray_rows(rays[0])), ("projector", _ray_rows(rays[1]))],
         pictures=[(seen.view.name, _picture(seen)) for seen in result.seen],

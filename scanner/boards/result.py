@@ -59,7 +59,7 @@ def _more(result: FromBoards) -> dict[str, Any]:
             },
             "sigmas_enlarged_by": round(found.enlarged, 3),
         },
-        **covariance_entries(rig_uncertainty(found.estimate, (result.camera_size, result.projector_size))),
+        **covariance_entries(rig_uncertainty(found.estimate, result.found.calibration.sizes)),
     }
 
 

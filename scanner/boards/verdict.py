@@ -19,7 +19,7 @@ def verdict_on(result: FromBoards) -> Verdict:
         sigmas.focal_px[0] / device.focal_px[0] if sigmas.focal_px else float("inf")
         for device, sigmas in ((calibration.camera, sigma.camera), (calibration.projector, sigma.projector))
     ]
-    rays = [float(np.nanmax(each)) for each in ray_sigmas(found.estimate, (result.camera_size, result.projector_size))]
+    rays = [float(np.nanmax(each)) for each in ray_sigmas(found.estimate, result.found.calibration.sizes)]
     predicted = float(np.sqrt(np.mean([each.error_px**2 for each in found.predictions])))
     expected = float(np.sqrt(np.mean([each.expected_px**2 for each in found.predictions])))
     reasons = [

@@ -90,9 +90,7 @@ class Decoder:
     def __init__(self, sequence: LiveSequence, look: FirstLook, calibration: Calibration) -> None:
         self.sequence, self._look, self._calibration = sequence, look, calibration
         camera = calibration.camera
-        x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
-        rays = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1))
-        self._ideal = np.ascontiguousarray(rays[:, :2].T)
+        self._ideal = np.ascontiguousarray(camera.ideal(camera.size.pixels.reshape(-1, 2)).T)
         self._step_px = _STEP * calibration.projector.focal_px[0] / camera.focal_px[0]
 
     def cloud(self, taken: Round, before: LiveCloud | None = None) -> LiveCloud:

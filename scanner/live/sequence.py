@@ -77,9 +77,8 @@ def widest_sequence(calibration: Calibration, depths: tuple[float, float] | None
             "Camera and projector have to stand apart.",
         )
     long_px = max(_MARGIN * longest[axis] + 2, 4 * _LEAST_PERIOD_PX)
-    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    middle = np.mean(_ends(pixels, axis, calibration, depths), axis=0).reshape(x.shape).astype(np.float32)
+    ends = _ends(camera.size.pixels.reshape(-1, 2), axis, calibration, depths)
+    middle = np.mean(ends, axis=0).reshape(camera.height, camera.width).astype(np.float32)
     return LiveSequence("x" if axis == 0 else "y", long_px, _uneven(_LARGEST * long_px), middle)
 
 

@@ -15,8 +15,7 @@ from scanner.measuring.acceptance import (
     Acceptance,
     Error,
 )
-from scanner.measuring.table import empty_table
-from scanner.quantities import ShownUnit, percent, plain, shown_unit
+from scanner.quantities import ShownUnit, empty_table, percent, plain, shown_unit
 from scanner.rendering import page
 
 ACCEPTANCE_FILE, ACCEPTANCE_PAGE = "acceptance.json", "acceptance.html"

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator
 
-from rich import box
 from rich.table import Table
 
 from calib.diagnostics import Budget
 from scanner.measuring.measurements import AngleMeasurement, Measurements, PointAngle, SphereMeasurement
-from scanner.quantities import Quantity, ShownUnit, shown_unit
+from scanner.quantities import Quantity, ShownUnit, empty_table, shown_unit
 
 _SHARES = ("scatter", "smooth", "calibration", "scale")
 
@@ -80,21 +79,4 @@ def _sphere_table(sphere: SphereMeasurement, number: int, unit: ShownUnit) -> Ta
         ("mean absolute error, nominal size", unit.error(sphere.nominal_errors.mean_absolute)),
     ):
         table.add_row(f"  {name}", value)
-    return table
-
-
-def empty_table(title: str, *headings: str) -> Table:
-    """A table with a title, a column of names, and right-aligned columns under the headings."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE,
-        pad_edge=False,
-        collapse_padding=True,
-        show_header=any(headings),
-    )
-    table.add_column("", no_wrap=True)
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
     return table

@@ -10,7 +10,7 @@ from scanner.quantities.calibration_numbers import (
     relative_focal_sigmas,
     rig_quantities,
 )
-from scanner.quantities.calibration_table import calibration_table, truth_line
+from scanner.quantities.calibration_table import calibration_table, empty_table, truth_line
 from scanner.quantities.lengths import ShownUnit, shown_unit
 from scanner.quantities.names import FACE_NAMES, device_names
 from scanner.quantities.units import METRES, UNKNOWN_UNIT, metres_per, parse_length, parse_seconds, unit_name

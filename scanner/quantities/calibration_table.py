@@ -17,10 +17,7 @@ from scanner.quantities.calibration_numbers import (
 
 def calibration_table(calibration: Calibration, truth: Calibration | None = None) -> Table:
     """The calibration with its sigmas, and the truth if it is known."""
-    table = Table(title="Calibration", title_justify="left", box=box.SIMPLE, pad_edge=False, collapse_padding=True)
-    table.add_column("", no_wrap=True)
-    for heading in ("value", "sigma", *(("truth", "error", "%") if truth else ())):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = empty_table("Calibration", "value", "sigma", *(("truth", "error", "%") if truth else ()))
     devices = [("Camera", device_quantities("camera", calibration, truth))]
     if not calibration.one_camera:
         devices.append(("Projector", device_quantities("projector", calibration, truth)))
@@ -60,3 +57,20 @@ def truth_line(calibration: Calibration, truth: Calibration) -> str:
         f"Against the truth: mean absolute error of f_c, f_p, x_p, y_p {percent:.2f} %, "
         f"rotation {turned:.3f}°, direction of the baseline {aside:.3f}°"
     )
+
+
+def empty_table(title: str, *headings: str) -> Table:
+    """A table with a title, a column of names, and right-aligned columns under the headings."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE,
+        pad_edge=False,
+        collapse_padding=True,
+        show_header=any(headings),
+    )
+    table.add_column("", no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table

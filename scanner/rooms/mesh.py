@@ -80,8 +80,7 @@ def _ideal(
 ) -> tuple[Intrinsics, NDArray[np.float32], NDArray[np.float32]]:
     """What a camera without distortion sees of points with `depths` (H, W): depth, 0 for none; colours up to 1."""
     ideal = Intrinsics(camera.width, camera.height, camera.focal_px, camera.principal_point_px)
-    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
-    pixels = camera.project(ideal.unproject(np.stack([x, y], axis=-1))).astype(np.float32)
+    pixels = camera.project(ideal.unproject(camera.size.pixels)).astype(np.float32)
     depth = filled(depths)
     nearest = cv2.INTER_NEAREST  # no interpolation between a surface and the one behind it
     column, row = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Size
 from calib.numerics import Bools, Floats
 from scanner.exporting.mapping.scene import Scene
 from scanner.exporting.open3d_module import open3d
@@ -50,13 +49,7 @@ def projector_views(scene: Scene) -> list[ProjectorView]:
 
 def rays_of(projector: StoredDevice) -> Floats:
     """Directions (H, W, 3) of a projector's pixels in the scene's frame, their length along its axis is one."""
-    return projector.intrinsics.unproject(pixel_grid(projector.intrinsics.size)) @ projector.place.rotation.T
-
-
-def pixel_grid(size: Size) -> Floats:
-    """The pixels' centres, (H, W, 2)."""
-    x, y = np.meshgrid(np.arange(size.width, dtype=np.float64), np.arange(size.height, dtype=np.float64))
-    return np.stack([x, y], axis=-1)
+    return projector.intrinsics.unproject(projector.intrinsics.size.pixels) @ projector.place.rotation.T
 
 
 def _normals(scene: Scene, hits: Any, there: Bools) -> Floats:

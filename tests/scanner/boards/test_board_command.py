@@ -34,7 +34,7 @@ def from_boards() -> FromBoards:
     white = np.full((rig.camera.height, rig.camera.width), 200, np.uint8)
     seen = tuple(BoardCapture(white, view) for view in found.estimate.views)
     missing = (Missing("view 9", "no chessboard:9x7 was found"),)
-    return FromBoards(TARGET, seen, missing, found, rig.camera.size, rig.projector.size)
+    return FromBoards(TARGET, seen, missing, found)
 
 
 def test_the_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_full_disk_leaves_no_incomplete_result(from_boards: FromBoards, tmp_pa
 
 
 def test_corners_of_a_large_camera_are_drawn_at_their_places(from_boards: FromBoards, tmp_path: Path) -> None:
-    camera = from_boards.camera_size
+    camera = from_boards.found.calibration.camera.size
     assert camera.width > 1000
     save_result(from_boards, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
