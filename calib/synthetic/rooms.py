@@ -114,12 +114,16 @@ def random_box(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, 
     place = rng.uniform(0.1, 0.9, 2) * options.size[:2]
     axis = rng.integers(2)
     place[axis] = rng.choice([0.0, options.size[axis]])
-    centre = np.array([*place, half[2]])
-    axes = Rotation.from_euler("z", rng.normal(0, 10), degrees=True).as_matrix().T
-    normals = np.concatenate([axes, -axes])
-    offsets = normals @ centre + np.tile(half, 2)
+    normals, offsets = box_on(np.array([*place, half[2]]), half, np.radians(rng.normal(0, 10)))
     offsets[5] += 0.1
     return normals, offsets
+
+
+def box_on(centre: Floats, half: Floats, yaw: float) -> tuple[Floats, Floats]:
+    """Normals (6, 3) out of a box, and offsets (6,); `half` (3,) its sides, rotated by `yaw` about the vertical."""
+    axes = Rotation.from_euler("z", yaw).as_matrix().T
+    normals = np.concatenate([axes, -axes])
+    return normals, normals @ centre + np.tile(half, 2)
 
 
 def _station(
@@ -197,6 +201,12 @@ def is_free(point: Floats, scene: Scene) -> bool:
 
 def cast(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
     """The first hits of rays (N, 3) from `origin`: points (N, 3) and plane numbers (N,), balls after the planes."""
+    length, plane = first_hits(directions, origin, scene)
+    return origin + length[:, None] * directions, plane.astype(np.int32)
+
+
+def first_hits(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints]:
+    """The same, as multiples (N,) of the directions."""
     (normals, offsets), *boxes = scene.solids
     length, plane = _first(directions, origin, normals, offsets, directions @ normals.T < 0)
     for i, (outwards, reach) in enumerate(boxes, start=1):
@@ -212,7 +222,7 @@ def cast(directions: Floats, origin: Floats, scene: Scene) -> tuple[Floats, Ints
         entering = (along - np.sqrt(np.maximum(inside_root, 0.0))) / square
         hit = (inside_root > 0) & (entering > 0) & (entering < length)
         length, plane = np.where(hit, entering, length), np.where(hit, i, plane)
-    return origin + length[:, None] * directions, plane.astype(np.int32)
+    return length, plane
 
 
 def _first(directions: Floats, origin: Floats, normals: Floats, offsets: Floats, chosen: Bools) -> tuple[Floats, Ints]:

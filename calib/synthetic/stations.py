@@ -4,6 +4,7 @@ World: x and y along the walls, z up, lengths in metres; the floor is at z = 0.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Intrinsics, Motion
 from calib.numerics import Bools, Floats, Image
 from calib.synthetic.captures import look_at
+from calib.synthetic.rooms import Scene, box_on, first_hits
 
 _UP = np.array([0.0, 0.0, 1.0])
 _POSTER_M, _PRINTED_M = 0.6, (0.23, 0.11, 0.07)
@@ -20,47 +22,11 @@ _TABLE, _PRIMES = 65_521, np.array([7919, 104_729, 1_299_709])
 CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0, 0.0, 0.0))
 
 
-@dataclass(frozen=True)
-class Furniture:
-    """A box: `centre`, `size` (3,), rotated by `yaw` (radians) about the vertical."""
+class Room(NamedTuple):
+    """Six walls and furniture, and the sides (3,) of the room."""
 
-    centre: Floats
+    scene: Scene
     size: Floats
-    yaw: float
-
-    def entered(self, origin: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Ray parameters (N,) of entry, inf without a hit, and of exit, for rays (N, 3)."""
-        axes = Rotation.from_euler("z", self.yaw).as_matrix()
-        o, d = (origin - self.centre) @ axes, directions @ axes
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one, two = (-self.size / 2 - o) / d, (self.size / 2 - o) / d
-        enter, leave = np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
-        return np.where((enter < leave) & (enter > 0), enter, np.inf), leave
-
-    def around(self, point: Floats, margin: float) -> bool:
-        """Whether a point (3,) is inside the box, or closer to it than the margin."""
-        axes = Rotation.from_euler("z", self.yaw).as_matrix()
-        return bool(np.all(np.abs((point - self.centre) @ axes) < self.size / 2 + margin))
-
-
-@dataclass(frozen=True)
-class Room:
-    """Six walls n · X = height with the room on the side that n (6, 3) points to, and furniture."""
-
-    normals: Floats
-    heights: Floats
-    furniture: tuple[Furniture, ...]
-    size: Floats
-
-    def distance(self, origin: Floats, directions: Floats) -> Floats:
-        """Ray parameters (N,) of the first hits of rays (N, 3) from inside the room."""
-        with np.errstate(divide="ignore"):
-            lengths = (self.heights - self.normals @ origin) / (directions @ self.normals.T)
-        lengths[~(lengths > 0)] = np.inf
-        nearest: Floats = lengths.min(axis=1)
-        for box in self.furniture:
-            nearest = np.minimum(nearest, box.entered(origin, directions)[0])
-        return nearest
 
 
 @dataclass(frozen=True)
@@ -123,10 +89,11 @@ def random_room(
     normals += np.radians(walls_off_deg) * rng.normal(size=(6, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     on = np.concatenate([np.tile(sides / 2, (3, 1)) * (1 - np.eye(3)), np.tile(sides / 2, (3, 1)) * (1 + np.eye(3))])
-    return Room(normals, np.sum(normals * on, axis=1), tuple(_piece(rng, sides) for _ in range(pieces)), sides)
+    solids = [(normals, np.sum(normals * on, axis=1)), *(_piece(rng, sides) for _ in range(pieces))]
+    return Room(Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5))), sides)
 
 
-def _piece(rng: np.random.Generator, room: Floats) -> Furniture:
+def _piece(rng: np.random.Generator, room: Floats) -> tuple[Floats, Floats]:
     size = np.array([rng.uniform(0.4, 1.3), rng.uniform(0.3, 0.7), rng.uniform(0.35, 1.9)])
     wall = rng.integers(4)
     yaw = np.pi / 2 * wall + np.radians(rng.normal(0, 4))
@@ -134,7 +101,7 @@ def _piece(rng: np.random.Generator, room: Floats) -> Furniture:
     out = across / 2 - size[1] / 2 - rng.uniform(0.03, 0.25)
     aside = rng.uniform(-0.5, 0.5) * max(along - size[0], 0.1)
     turned = Rotation.from_euler("z", np.pi / 2 * wall).as_matrix() @ np.array([aside, -out, 0.0])
-    return Furniture(turned + np.array([room[0], room[1], size[2]]) / 2, size, yaw)
+    return box_on(turned + np.array([room[0], room[1], size[2]]) / 2, size / 2, yaw)
 
 
 def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 60.0) -> list[Motion]:
@@ -147,7 +114,7 @@ def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 
             ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
             back = rng.uniform(0.5, 0.75) * min(room.size[:2]) / 2
             eye = middle * [1, 1, 0] - back * ahead + [*rng.uniform(-0.15, 0.15, 2), rng.uniform(1.2, 1.6)]
-            if not any(box.around(eye, 0.35) for box in room.furniture):
+            if not any(np.all(outwards @ eye < reach + 0.35) for outwards, reach in room.scene.solids[1:]):
                 break
         target = eye + ahead + [0, 0, -rng.uniform(0.15, 0.35)]
         rotation = look_at(eye, target, _UP, rng.normal(0, 0.03)).T
@@ -169,10 +136,10 @@ def seen_from(
     errors = errors or Errors()
     rays = camera.unproject(camera.size.pixels.reshape(-1, 2))
     directions = rays @ place.rotation.T
-    depth = room.distance(place.translation, directions)
+    depth, _ = first_hits(directions, place.translation, room.scene)
     hit = place.translation + depth[:, None] * directions
     projector = place.translation + place.rotation @ np.array([0.3, 0.05, 0.0])
-    lit = room.distance(projector, hit - projector) > 1 - 1e-3
+    lit = first_hits(hit - projector, projector, room.scene)[0] > 1 - 1e-3
     points = rays * depth[:, None]
     points[~lit | _steep(points, camera, errors)] = np.nan
     z = points[:, 2:]

@@ -9,7 +9,7 @@ from hw.timing.devices import FlippingProjector, StreamingCamera
 from hw.timing.resting import RestingLight
 from hw.timing.stream_calibration import StreamTiming, calibrate_stream
 from hw.timing.streaming import StreamAcquisition
-from hw.timing.timed_rig import Tally, TimedRig
+from hw.timing.timed_rig import TimedRig
 
 
 @dataclass(eq=False, kw_only=True)
@@ -24,16 +24,6 @@ class StreamedRig(TimedRig):
     acquisition: StreamAcquisition
     _lost_before: tuple[int, int] = field(default=(0, 0), init=False)
     """Counts of repeated and dropped frames at the begin of the last capture."""
-
-    @property
-    def latency_s(self) -> float:
-        """Time from the swap of a picture to the arrival of the first frame that may show it."""
-        return self.timing.soonest_s
-
-    @property
-    def tally(self) -> Tally:
-        """Counts and times of the last frames."""
-        return self.acquisition.tally
 
     @property
     def least_s(self) -> float:
@@ -79,6 +69,8 @@ def streamed(
         camera,
         known,
         refresh_hz,
+        latency_s=timing.soonest_s,
+        tally=acquisition.tally,
         streaming=camera,
         timing=timing,
         rest=rest,

@@ -19,7 +19,7 @@ from hw.timing.devices import TRIGGER_LAG_S, BufferedProjector, TriggeredCamera
 from hw.timing.latency import LONGEST_LATENCY_S, LOST_ADVICE, Latency, LatencyCalibration
 from hw.timing.pipelined import PipelinedAcquisition
 from hw.timing.sequential import SequentialAcquisition, Timing
-from hw.timing.timed_rig import Tally, TimedRig
+from hw.timing.timed_rig import TimedRig
 from hw.timing.trigger_schedule import AT_REST, pace
 
 log = logging.getLogger(__name__)
@@ -104,19 +104,9 @@ class SynchronisedRig(TimedRig):
         return self.verified if self.verified is not None and self.verified.rhythm.pipelines else None
 
     @property
-    def latency_s(self) -> float:
-        """Time from the swap of a picture to its light."""
-        return self.timing.latency_s
-
-    @property
-    def tally(self) -> Tally:
-        """Counts and times of the last frames."""
-        return self.sequential.tally
-
-    @property
     def least_s(self) -> float:
         """The exposure and, in sequential acquisition, the latency."""
-        return self.sequential.exposure_s + (0.0 if self._was_pipelined else self.timing.latency_s)
+        return self.sequential.exposure_s + (0.0 if self._was_pipelined else self.latency_s)
 
     def _acquired(
         self, images: Iterable[Image], exposures_us: Sequence[float], redundancy: Redundancy
@@ -177,6 +167,8 @@ def synchronised(
         identity | found,
         refresh_hz,
         others=tuple(Rig(projector, other, known | found, refresh_hz) for other, known in others),
+        latency_s=timing.latency_s,
+        tally=sequential.tally,
         timing=timing,
         sequential=sequential,
         verified=verified,

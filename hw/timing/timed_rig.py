@@ -44,17 +44,13 @@ class TimedRig(Rig):
     lost_advice: ClassVar[str]
     """Advice if many frames have to be repeated."""
 
+    latency_s: float
+    """Time from the swap of a picture to its light; for a streaming camera, to the first frame that may show it."""
+
+    tally: Tally
+    """Counts and times of the last frames."""
+
     _ahead: Ahead[Frames] | None = field(default=None, init=False)
-
-    @property
-    def latency_s(self) -> float:
-        """Time from the swap of a picture to its light; for a streaming camera, to the first frame that may show it."""
-        raise NotImplementedError
-
-    @property
-    def tally(self) -> Tally:
-        """Counts and times of the last frames."""
-        raise NotImplementedError
 
     @property
     def least_s(self) -> float:

@@ -9,7 +9,8 @@ from calib.geometry import Calibration
 from calib.numerics import Bools, Ints
 from calib.pointcloud import NONE, MergedCloud, density
 from scanner.exporting.open3d_module import open3d
-from scanner.rooms.contents import Station
+from scanner.rooms.contents import SolvedRoom, Station
+from scanner.rooms.denoised import denoised
 
 _VOXEL_PX = 2.0  # camera pixels at the median distance
 _LEAST_DENSITY = 0.01  # points per pixel
@@ -30,6 +31,11 @@ def spacing_px(there: Bools) -> float:
 def index_of(there: Bools) -> Ints:
     """The index of each pixel (H, W) with a point, NONE for others."""
     return np.where(there, np.arange(there.size).reshape(there.shape), NONE)
+
+
+def blended(room: SolvedRoom) -> MergedCloud:
+    """The room's, as `blended_of` makes it."""
+    return blended_of(room.stations, room.calibration, [denoised(room, station) for station in room.stations])
 
 
 def blended_of(

@@ -16,9 +16,8 @@ from scanner.results import (
     ROOM_MESH_FILE,
     provenance,
 )
-from scanner.rooms.blended_cloud import blended_of
+from scanner.rooms.blended_cloud import blended
 from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.denoised import denoised
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.floorplan_dxf import write_dxf
 from scanner.rooms.floorplan_svg import plan_svg
@@ -47,8 +46,7 @@ def save_room(room: SolvedRoom, folder: Path, config: Config, progress: Progress
         (folder / PLAN_FILE).write_text(plan_svg(plan, standalone=True), encoding="utf-8")
         write_dxf(folder / PLAN_DXF_FILE, plan)
     with progress.step("Blending the clouds"):
-        clouds = [denoised(room, station) for station in room.stations]
-        cloud = blended_of(room.stations, room.calibration, clouds)
+        cloud = blended(room)
         write_room_ply(folder / ROOM_CLOUD_FILE, cloud)
     with progress.step("Meshing"):
         mesh = fused(room)

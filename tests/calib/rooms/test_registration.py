@@ -98,7 +98,8 @@ def test_shared_walls_have_their_true_planes(scene: tuple[Room, list[Station]], 
         nearest = max(floor, key=lambda plane: float(plane.normal @ in_room))
         return float(np.degrees(np.arccos(np.clip(nearest.normal @ in_room, -1, 1)))), abs(nearest.offset - own)
 
-    degrees, metres = apart(room.normals[2], float(room.heights[2]))
+    normals, heights = room.scene.solids[0]
+    degrees, metres = apart(normals[2], float(heights[2]))
     assert 1e-5 < degrees < 0.6
     assert 1e-6 < metres < 0.02
 

@@ -29,11 +29,12 @@ def scene() -> Scene:
     places = ring(rng, made, 6)[:2]
     seen = [seen_from(made, place, rng, Errors(0.0, 0.0), CAMERA, Paint(3, 0.3)) for place in places]
     rig = Calibration(CAMERA, CAMERA, np.eye(3), np.array([1.0, 0.0, 0.0]), "m", Sigmas())
-    planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(made.normals, made.heights, strict=True))
+    normals, heights = made.scene.solids[0]
+    planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))
     sights = []
     for station in seen:
         points = station.points @ station.place.rotation.T + station.place.translation
-        away = np.abs(points @ made.normals.T - made.heights)
+        away = np.abs(points @ normals.T - heights)
         on = np.nanmin(np.where(np.isfinite(away), away, 9.0), axis=2) < 1e-3
         labels = np.where(on, np.argmin(np.where(np.isfinite(away), away, 9.0), axis=2), -1)
         sights.append(Sight.of(station.picture, labels.astype(np.int32)))
