@@ -8,9 +8,8 @@ import viser
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.configuration import set_keys
 from scanner.console.texts import grade_text, rows_text
-from scanner.ui import failure_of
-from scanner.viewing.texts import bold, escaped
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing.texts import escaped
+from scanner.viewing.view_controls import PLAIN, failures_shown
 
 _WORST_FIRST = (State.FAILED, State.POOR, State.OK)
 
@@ -68,9 +67,6 @@ class CheckView:
     def _save_exposure(self) -> None:
         if self._exposure_us is None:
             return
-        try:
+        with failures_shown(self._saved):
             set_keys(self._config, {f"{self._section}.exposure_us": round(self._exposure_us, 1)})
-        except Exception as error:
-            self._saved.content = bold(failure_of(error).message)
-        else:
             self._saved.content = f"Written into {escaped(str(self._config))}."

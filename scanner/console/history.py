@@ -11,9 +11,8 @@ from scanner.console.history_cards import card_of
 from scanner.console.results import earlier_results
 from scanner.console.texts import card_html
 from scanner.results import LOG_FILE
-from scanner.ui import failure_of
-from scanner.viewing.texts import bold, escaped, link_html
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing.texts import escaped, link_html
+from scanner.viewing.view_controls import PLAIN, failures_shown
 
 _NONE_YET = "none yet"
 _NEWEST = 8
@@ -63,30 +62,25 @@ class History:
     def _open_chosen(self) -> None:
         if (chosen := self._offered(self._result.value)) is not None:
             self._message.content = ""
-            try:
+            with failures_shown(self._message):
                 self._open(chosen)
-            except Exception as error:
-                self._message.content = bold(failure_of(error).message)
 
     def _compare(self) -> None:
         first, second = self._offered(self._result.value), self._offered(self._other.value)
         if first is None or second is None or first == second:
             self._message.content = "Choose two different results."
             return
-        try:
+        with failures_shown(self._message):
             found = compare_files(first, second)
             page = Path(self._scratch.name, f"{first.name} and {second.name}", COMPARE_PAGE)
             page.parent.mkdir(exist_ok=True)
             write_compare_page(page, found)
-        except Exception as error:
-            self._message.content = bold(failure_of(error).message)
-            return
-        verdict, *sentences = summary(found)
-        self._message.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
-        made_s = dict(self._listed or ())
-        self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
-        self._differences.content = _table(headings(found), rows(found))
-        self._page.content = link_html(self._link(page), "Open the comparison, with maps")
+            verdict, *sentences = summary(found)
+            self._message.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
+            made_s = dict(self._listed or ())
+            self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
+            self._differences.content = _table(headings(found), rows(found))
+            self._page.content = link_html(self._link(page), "Open the comparison, with maps")
 
 
 def _table(names: tuple[str, ...], cells: list[tuple[str, ...]]) -> str:

@@ -7,13 +7,12 @@ import viser
 
 from calib.numerics import Floats
 from scanner.shown_text import unbroken
-from scanner.ui import failure_of
 from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 from scanner.viewing.scale import KnownScale
 from scanner.viewing.scene import Scene
-from scanner.viewing.texts import bold, escaped
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing.texts import escaped
+from scanner.viewing.view_controls import PLAIN, failures_shown
 
 _MM = 1000.0
 
@@ -85,7 +84,5 @@ class Clicking:
 
     def _write_scale(self) -> None:
         if (scale := self._scale()) is not None and self._set_scale is not None:
-            try:
+            with failures_shown(self._message):
                 self._message.content = escaped(self._set_scale(scale))
-            except Exception as error:
-                self._message.content = bold(failure_of(error).message)

@@ -22,9 +22,8 @@ from scanner.results import (
     ROOM_CLOUD_FILE,
     ROOM_MESH_FILE,
 )
-from scanner.ui import failure_of
-from scanner.viewing.texts import bold, link_html
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing.texts import link_html
+from scanner.viewing.view_controls import PLAIN, failures_shown
 
 _OF_ALL = (NETWORK_FILE, NETWORK_CLOUD_FILE, ROOM_CLOUD_FILE, ROOM_MESH_FILE, OBJECT_CLOUD_FILE, OBJECT_MESH_FILE)
 _FILES = (REPORT_FILE, CALIBRATION_FILE, MERGED_FILE, CLOUD_FILE, *_OF_ALL, REFUSAL_FILE)
@@ -54,16 +53,12 @@ def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
     def export(event: viser.GuiEvent[Any]) -> None:
         form = formats[chosen.value.partition(":")[0]]
         message.content = "Exporting …"
-        try:
-            with tempfile.TemporaryDirectory() as scratch:
-                out = Path(scratch, f"{folder.name}{form.ending}")
-                sentences = form.write(Request(folder, out))
-                if event.client is not None:
-                    event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
-        except Exception as error:
-            message.content = bold(failure_of(error).message)
-            return
-        message.content = f"{out.name}: {'; '.join(sentences)}"
+        with failures_shown(message), tempfile.TemporaryDirectory() as scratch:
+            out = Path(scratch, f"{folder.name}{form.ending}")
+            sentences = form.write(Request(folder, out))
+            if event.client is not None:
+                event.client.send_file_download(out.name, out.read_bytes(), save_immediately=True)
+            message.content = f"{out.name}: {'; '.join(sentences)}"
 
     button.on_click(export)
 
@@ -73,9 +68,7 @@ def _sending(name: str, path: Path, message: viser.GuiMarkdownHandle) -> Callabl
         if event.client is None:
             return
         message.content = ""
-        try:
+        with failures_shown(message):
             event.client.send_file_download(name, read_whole(path), save_immediately=True)
-        except Exception as error:
-            message.content = bold(failure_of(error).message)
 
     return send

@@ -9,7 +9,6 @@ import viser
 
 from calib.numerics import Floats
 from scanner.results import NETWORK_FILE, Verdict, verdict_of
-from scanner.ui import failure_of
 from scanner.viewing.clicking import Clicking, SetScale
 from scanner.viewing.colouring import Colouring
 from scanner.viewing.crop import whole
@@ -19,7 +18,7 @@ from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import Scene
 from scanner.viewing.texts import bold, calibration_text, corner_text, notes_text, verdict_text
-from scanner.viewing.view_controls import ViewControls
+from scanner.viewing.view_controls import ViewControls, failures_shown
 
 LinkTo = Callable[[Path], str]
 Show = Callable[["ResultPanel"], None]
@@ -132,10 +131,8 @@ class ResultPanel:
 
     def _open_another(self, opening: Callable[[], None], message: viser.GuiMarkdownHandle) -> None:
         message.content, message.visible = "Reading …", True
-        try:
+        with failures_shown(message):
             opening()
-        except Exception as error:
-            message.content = bold(failure_of(error).message)
 
     def _pick(self, origin: Floats, direction: Floats) -> None:
         clicking = self._clicking

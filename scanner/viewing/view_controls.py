@@ -1,6 +1,8 @@
 """Controls of the 3-D view: points or triangles, colours, and the part of the cloud."""
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -23,6 +25,15 @@ _WHOLE_PERCENT = 100
 _POINTS, _SURFACE = "Points", "Surface"
 _STEPS = 200  # least number of steps in a range
 PLAIN = (90, 98, 106)  # colour of secondary buttons
+
+
+@contextmanager
+def failures_shown(message: viser.GuiMarkdownHandle) -> Iterator[None]:
+    """If what is done within fails, the message says why, and the page goes on."""
+    try:
+        yield
+    except Exception as error:
+        message.content = bold(failure_of(error).message)
 
 
 class ViewControls:
@@ -78,16 +89,13 @@ class ViewControls:
             if wanted == self._drawn:
                 return
             self._statement.content = "Drawing …"
-            try:
+            with failures_shown(self._statement):
                 self._scene.draw_box(box)
                 shown = self._draw(colouring, share, box, as_surface=as_surface)
-            except Exception as error:
-                self._statement.content = bold(failure_of(error).message)
-                return
-            self._drawn = wanted
-            self._percent.disabled = as_surface
-            self._bar.content = bar_html(shown.coloured.bar)
-            self._statement.content = f"{self._how_many(shown, box)} {shown.coloured.legend}"
+                self._drawn = wanted
+                self._percent.disabled = as_surface
+                self._bar.content = bar_html(shown.coloured.bar)
+                self._statement.content = f"{self._how_many(shown, box)} {shown.coloured.legend}"
 
     def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> Shown:
         if not (as_surface and isinstance(self._cloud, CaptureCloud)):
@@ -122,12 +130,8 @@ class ViewControls:
     def _download(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is None:
             return
-        with tempfile.TemporaryDirectory() as folder:
+        with failures_shown(self._message), tempfile.TemporaryDirectory() as folder:
             path = Path(folder, f"{self._name}-part.ply")
-            try:
-                count = write_cropped(path, self._cloud, self.box)
-            except Exception as error:
-                self._message.content = bold(failure_of(error).message)
-                return
+            count = write_cropped(path, self._cloud, self.box)
             event.client.send_file_download(path.name, path.read_bytes(), save_immediately=True)
-        self._message.content = f"{many(count)} points, as {path.name}."
+            self._message.content = f"{many(count)} points, as {path.name}."
