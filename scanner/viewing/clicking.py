@@ -11,7 +11,7 @@ from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 from scanner.viewing.scale import KnownScale
 from scanner.viewing.scene import Scene
-from scanner.viewing.texts import escaped
+from scanner.viewing.texts import bold, escaped
 from scanner.viewing.view_controls import PLAIN, failures_shown
 
 _MM = 1000.0

@@ -17,7 +17,7 @@ from scanner.viewing.files import add_files
 from scanner.viewing.network import network_cloud
 from scanner.viewing.result import ViewedCloud, ViewedResult
 from scanner.viewing.scene import Scene
-from scanner.viewing.texts import bold, calibration_text, corner_text, notes_text, verdict_text
+from scanner.viewing.texts import calibration_text, corner_text, notes_text, verdict_text
 from scanner.viewing.view_controls import ViewControls, failures_shown
 
 LinkTo = Callable[[Path], str]
