@@ -1,34 +1,28 @@
-"""Put stations of one rig together to a whole room."""
+"""Put stations of one rig together to a whole room; they exist already, or are captured first."""
 
 from argparse import Namespace
-from pathlib import Path
 
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.quantities import calibration_table, shown_unit
-from scanner.rooms.contents import SolvedRoom
+from scanner.results import default_out
 from scanner.rooms.jobs import scan_room
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import Terminal
 
 
 def run(args: Namespace) -> None:
-    """Do the work. Raises InputError, RefusalError."""
-    terminal = Terminal(quiet=args.quiet)
-    config = load_config(args.config, args.set)
+    """Do the work. Raises InputError, DeviceError, RefusalError."""
+    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
+    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     solved = scan_room(
         config,
-        args.out,
+        out,
         stations=args.stations,
         calibration=args.calibration,
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_room(solved, args.out, terminal)
-
-
-def show_room(solved: SolvedRoom, out: Path, terminal: Terminal) -> None:
-    """Print the summary of a room that was published at `out`, what matters most last."""
     truth = solved.stations[0].decoded.metadata.truth
     terminal.show(calibration_table(solved.calibration, truth))
     unit = shown_unit(solved.unit)

@@ -3,8 +3,9 @@
 from argparse import Namespace
 
 from scanner import jobs
+from scanner.commands.catalogue import NAMED
 from scanner.commands.outcome import show_outcome
-from scanner.configuration import Config, load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.results import default_out
 from scanner.ui import Terminal
@@ -12,17 +13,26 @@ from scanner.ui import Terminal
 
 def run(args: Namespace) -> None:
     """Do the work. Raises InputError, DeviceError, RefusalError."""
-    terminal = Terminal(quiet=args.quiet)
     if args.resume:
-        _resume(args, terminal)
-        return
-    config = load_config(args.config, args.set)
-    if args.object or args.fill or args.calibration:
-        _object(args, config, terminal)
-        return
-    if args.stations is not None:
-        _room(args, config, terminal)
-        return
+        _resume(args)
+    elif args.object or args.fill or args.calibration:
+        if not args.object or args.calibration is None or args.stations is None or args.captures != 1 or args.masks:
+            raise InputError(
+                "a thing is scanned with --object --stations N --calibration FILE, without --captures and --masks"
+            )
+        NAMED["object"].load()(args)
+    elif args.stations is not None:
+        if args.captures != 1 or args.masks:
+            raise InputError(
+                "--stations scans a whole room; --captures and --masks are for one corner: give one of them"
+            )
+        NAMED["room"].load()(args)
+    else:
+        _scan(args)
+
+
+def _scan(args: Namespace) -> None:
+    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
     found = jobs.scan(
         config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
@@ -30,41 +40,10 @@ def run(args: Namespace) -> None:
     show_outcome(found, out, terminal)
 
 
-def _object(args: Namespace, config: Config, terminal: Terminal) -> None:
-    if not args.object or args.calibration is None or args.stations is None or args.captures != 1 or args.masks:
-        raise InputError(
-            "a thing is scanned with --object --stations N --calibration FILE, without --captures and --masks"
-        )
-    from scanner.commands.object import show_object
-    from scanner.objects.jobs import scan_object
-
-    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
-    found = scan_object(
-        config,
-        out,
-        calibration=args.calibration,
-        number=args.stations,
-        fill=args.fill,
-        overwrite=args.overwrite,
-        terminal=terminal,
-    )
-    show_object(*found, out, terminal)
-
-
-def _room(args: Namespace, config: Config, terminal: Terminal) -> None:
-    if args.captures != 1 or args.masks:
-        raise InputError("--stations scans a whole room; --captures and --masks are for one corner: give one of them")
-    from scanner.commands.room import show_room  # imports Open3D and DXF, which nothing else here needs
-    from scanner.rooms.jobs import scan_room
-
-    out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
-    show_room(scan_room(config, out, number=args.stations, overwrite=args.overwrite, terminal=terminal), out, terminal)
-
-
-def _resume(args: Namespace, terminal: Terminal) -> None:
+def _resume(args: Namespace) -> None:
     if args.captures != 1:
         raise InputError("--resume completes one capture, and --captures takes several: give one of them")
-    config = load_config(args.config, args.set) if args.config else None
+    terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set) if args.config else None
     found, out = jobs.resume(
         args.resume,
         args.out,

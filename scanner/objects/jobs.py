@@ -22,26 +22,25 @@ def scan_object(
     out: Path,
     *,
     calibration: Path,
-    stations: Sequence[Path] = (),
-    number: int = 0,
+    stations: Sequence[Path] | int,
     fill: bool = False,
     overwrite: bool = False,
     terminal: Terminal = SILENT,
 ) -> tuple[SolvedObject, Surface | None]:
-    """Join `stations` of a thing, in any order; or capture `number` of them, between which it is turned.
+    """Join `stations` of a thing, in any order; or capture that many, between which it is turned.
 
     Raises InputError, DeviceError, RefusalError.
     """
     open3d()  # fail early if it is missing
     start = given_rig(calibration, config)
-    if not stations:
-        check_stations(config, number, terminal)
-    made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
+    if isinstance(stations, int):
+        check_stations(config, stations, terminal)
+    made = new_result(out, config, overwrite=overwrite, keep_capture=isinstance(stations, int), tell=terminal.note)
     with made as folder, writing_refusals(folder, config):
-        if stations:
-            captures = read_stations(stations, config, terminal, start.given)
+        if isinstance(stations, int):
+            captures = take_object_stations(config, stations, folder, terminal)
         else:
-            captures = take_object_stations(config, number, folder, terminal)
+            captures = read_stations(stations, config, terminal, start.given)
         solved = solve_object(captures, start, config, terminal)
         surface = save_object(solved, folder, config, terminal, fill=fill)
         verdict = verdict_on(solved)

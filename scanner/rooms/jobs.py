@@ -23,13 +23,12 @@ def scan_room(
     config: Config,
     out: Path,
     *,
-    stations: Sequence[Path] = (),
-    number: int = 0,
+    stations: Sequence[Path] | int,
     calibration: Path | None = None,
     overwrite: bool = False,
     terminal: Terminal = SILENT,
 ) -> SolvedRoom:
-    """Join `stations` of one unchanged rig, in any order; or capture `number` of them, between which it is moved as a
+    """Join `stations` of one unchanged rig, in any order; or capture that many, between which it is moved as a
     whole. With a `calibration`, none of the `stations` has to show a corner.
 
     Raises InputError, DeviceError, RefusalError.
@@ -37,15 +36,15 @@ def scan_room(
     config.principal_point(config.camera_size)
     open3d()  # fail early if it is missing
     known = given_rig(calibration, config) if calibration else None
-    if not stations:
-        check_stations(config, number, terminal)
-    made = new_result(out, config, overwrite=overwrite, keep_capture=not stations, tell=terminal.note)
+    if isinstance(stations, int):
+        check_stations(config, stations, terminal)
+    made = new_result(out, config, overwrite=overwrite, keep_capture=isinstance(stations, int), tell=terminal.note)
     with made as folder, writing_refusals(folder, config):
-        if stations:
+        if isinstance(stations, int):
+            captures, start = take_stations(config, stations, folder, terminal)
+        else:
             captures = read_stations(stations, config, terminal, known.given if known else None)
             start = known or rig_from_corners(captures, config, terminal)
-        else:
-            captures, start = take_stations(config, number, folder, terminal)
         if any(each.only_axis for each in captures):
             start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
         solved = solve_room(captures, start, config, terminal)
