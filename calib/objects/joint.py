@@ -18,7 +18,7 @@ from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import huber_weights
-from calib.rooms.alignment import composed, inverse, twisted
+from calib.rooms.alignment import composed, coupled, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -179,18 +179,8 @@ def _together(
 
 def _normal(found: Sequence[Residuals], count: int) -> tuple[Floats, Floats]:
     """Matrix (6 n, 6 n) and gradient (6 n,) of all places' twists about the origin."""
-    matrix, gradient = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
-    for each in found:
-        weighted = each.by_first * each.weight[:, None]
-        own, pull = weighted.T @ each.by_first, weighted.T @ each.off
-        i, j = slice(6 * each.first, 6 * each.first + 6), slice(6 * each.second, 6 * each.second + 6)
-        matrix[i, i] += own
-        matrix[j, j] += own
-        matrix[i, j] -= own
-        matrix[j, i] -= own
-        gradient[i] += pull
-        gradient[j] -= pull
-    return matrix, gradient
+    weighted = [(each, each.by_first * each.weight[:, None]) for each in found]
+    return coupled(((each.first, each.second, w.T @ each.by_first, w.T @ each.off) for each, w in weighted), count)
 
 
 def _step(found: Sequence[Residuals], count: int) -> Floats:

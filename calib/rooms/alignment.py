@@ -6,8 +6,9 @@ the other camera's ray (Blais and Levine 1995), without a search tree. Matching 
 Poses move by twists of the room's frame: a rotation ω and a translation v take X to X + ω × X + v.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -139,24 +140,12 @@ def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Moti
     """All places at once; the first station's stays."""
     now = dict(places)
     names = list(now)
-    pairs = [(a, b) for n, a in enumerate(names) for b in names[n + 1 :]]
+    pairs = list(combinations(names, 2))
     for _ in range(_STEPS):
-        size = 6 * len(names)
-        matrix, gradient = np.zeros((size, size)), np.zeros(size)
-        kept = []
-        for a, b in pairs:
-            each = normal_equations(stations[a], now[a], stations[b], now[b], FINE)
-            if each.count == 0:
-                continue
-            kept.append((a, b))
-            i, j = (slice(6 * names.index(k), 6 * names.index(k) + 6) for k in (a, b))
-            matrix[i, i] += each.matrix
-            matrix[j, j] += each.matrix
-            matrix[i, j] -= each.matrix
-            matrix[j, i] -= each.matrix
-            gradient[i] += each.gradient
-            gradient[j] -= each.gradient
-        pairs = kept
+        found = {(a, b): normal_equations(stations[a], now[a], stations[b], now[b], FINE) for a, b in pairs}
+        pairs = [pair for pair in pairs if found[pair].count > 0]
+        between = [(names.index(a), names.index(b), found[a, b].matrix, found[a, b].gradient) for a, b in pairs]
+        matrix, gradient = coupled(between, len(names))
         damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
         twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)
         for name, twist in zip(names[1:], twists, strict=True):
@@ -164,6 +153,22 @@ def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Moti
         if np.abs(twists).max(initial=0.0) < _CONVERGED * stations[names[0]].distance:
             break
     return now
+
+
+def coupled(between: Iterable[tuple[int, int, Floats, Floats]], count: int) -> tuple[Floats, Floats]:
+    """Matrix (6 n, 6 n) and gradient (6 n,) of the twists of all places, from those by the first twist of each pair,
+    whose numbers come before them; the second one has the opposite effect.
+    """
+    matrix, gradient = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
+    for first, second, own, pull in between:
+        i, j = slice(6 * first, 6 * first + 6), slice(6 * second, 6 * second + 6)
+        matrix[i, i] += own
+        matrix[j, j] += own
+        matrix[i, j] -= own
+        matrix[j, i] -= own
+        gradient[i] += pull
+        gradient[j] -= pull
+    return matrix, gradient
 
 
 def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:

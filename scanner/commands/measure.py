@@ -33,7 +33,7 @@ def run(args: Namespace) -> None:
         diameters = [parse_length(text, scan.unit) for text in args.sphere]
         scene = read_scene(args.result, scan.calibration)
         measured = measure(scan, scene, diameters, [(x1, y1, x2, y2) for x1, y1, x2, y2 in args.distance])
-    if measured.empty:
+    if not (measured.pictured or measured.distances):
         raise InputError(
             f"{args.result}: its matches have no faces to measure; give a ball with --sphere 50.8mm, or a distance "
             "with --distance X1 Y1 X2 Y2"
@@ -50,7 +50,7 @@ def run(args: Namespace) -> None:
     terminal.show(measured.scene.sentence, *tables(measured))
     if args.shares:
         terminal.show(shares_table(measured))
-    if measured.angles:
+    if measured.scene.angles:
         terminal.show(_ASSUMED_ANGLES)
     terminal.show(f"Written: {out} ({MEASURE_FILE}{f', {FIGURE_FILE}' if measured.pictured else ''})")
     if not args.shares:

@@ -95,7 +95,7 @@ def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) ->
         found.append(Error("PS", name, of, sphere.diameter - nominal, sphere.diameter_budget))
     (spacing,) = measured.distances
     found.append(Error("SD", name, "spheres 1 and 2", spacing.distance - ball_bar.length, spacing.budget))
-    found += [_form("F", name, f"face {face.name}", face.errors, 0.0) for face in measured.faces]
+    found += [_form("F", name, f"face {face.name}", face.errors, 0.0) for face in measured.scene.faces]
     return tuple(found)
 
 

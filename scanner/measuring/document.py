@@ -5,7 +5,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from calib.diagnostics import Budget
 from scanner.measuring.measurements import FORM_SHARE, FitErrors, Measurements, Scene
 
 MEASURE_FILE = "measure.json"
@@ -29,9 +28,9 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
                 "nominal_diameter": sphere.nominal_diameter,
                 "diameter": sphere.diameter,
                 "diameter_sigma": sphere.diameter_budget.sigma,
-                "diameter_shares": _shares(sphere.diameter_budget),
+                "diameter_shares": asdict(sphere.diameter_budget),
                 "centre": sphere.centre.tolist(),
-                "centre_sigma": [budget.sigma for budget in sphere.centre_budgets],
+                "centre_sigma": [sphere.spread.budget(axis).sigma for axis in range(3)],
                 "image_px": {"centre": list(sphere.image_px[:2]), "radius": sphere.image_px[2]},
                 **_errors(sphere.errors),
                 "strays": sphere.strays,
@@ -46,19 +45,19 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
                 "offset": face.offset,
                 "flatness": face.deviation,
                 "flatness_sigma": face.budget.sigma,
-                "flatness_shares": _shares(face.budget),
+                "flatness_shares": asdict(face.budget),
                 **_errors(face.errors),
             }
-            for face in measured.faces
+            for face in measured.scene.faces
         ],
         "angles": [
             {
                 "faces": list(angle.faces),
                 "angle_deg": angle.angle_deg,
                 "sigma_deg": angle.budget.sigma,
-                "shares_deg": _shares(angle.budget),
+                "shares_deg": asdict(angle.budget),
             }
-            for angle in measured.angles
+            for angle in measured.scene.angles
         ],
         "distances": [
             {
@@ -66,7 +65,7 @@ def _document(measured: Measurements, result: str) -> dict[str, Any]:
                 "points": distance.points.tolist(),
                 "distance": distance.distance,
                 "sigma": distance.budget.sigma if distance.budget else None,
-                "shares": _shares(distance.budget) if distance.budget else None,
+                "shares": asdict(distance.budget) if distance.budget else None,
             }
             for distance in measured.distances
         ],
@@ -80,13 +79,9 @@ def _lengths(scene: Scene) -> dict[str, Any]:
     return {
         "sentence": scene.sentence,
         "relative_sigma": known.budget.sigma,
-        "relative_shares": _shares(known.budget),
+        "relative_shares": asdict(known.budget),
         "at": known.middle.tolist(),
     }
-
-
-def _shares(budget: Budget) -> dict[str, float]:
-    return asdict(budget)
 
 
 def _errors(errors: FitErrors) -> dict[str, float | int]:

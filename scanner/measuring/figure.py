@@ -47,10 +47,10 @@ def write_figure(path: Path, measured: Measurements) -> None:
         )
         for number, sphere in enumerate(measured.spheres, start=1)
     ]
-    if measured.faces:
-        flatness = ", ".join(f"{face.name} {unit.number(face.errors.mean_absolute)}" for face in measured.faces)
+    if measured.scene.faces:
+        flatness = ", ".join(f"{face.name} {unit.number(face.errors.mean_absolute)}" for face in measured.scene.faces)
         title = f"Flatness of the faces: mean absolute errors\n{flatness} {unit.name}"
-        panels.append(_Panel(title, [face.errors for face in measured.faces]))
+        panels.append(_Panel(title, [face.errors for face in measured.scene.faces]))
     figure = Image.new("RGB", (len(panels) * _WIDTH, _HEIGHT), "white")
     for number, panel in enumerate(panels):
         figure.paste(_drawn(panel, unit), (number * _WIDTH, 0))

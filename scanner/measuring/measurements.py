@@ -64,11 +64,6 @@ class SphereMeasurement:
         """The error budget of the diameter."""
         return self.spread.through(_DIAMETER).budget()
 
-    @property
-    def centre_budgets(self) -> tuple[Budget, ...]:
-        """The error budget of each coordinate of the centre."""
-        return tuple(self.spread.budget(axis) for axis in range(3))
-
 
 @dataclass(frozen=True)
 class FaceMeasurement:
@@ -147,21 +142,6 @@ class Measurements:
     distances: tuple[DistanceMeasurement, ...] = ()
 
     @property
-    def faces(self) -> tuple[FaceMeasurement, ...]:
-        """The faces of the corner."""
-        return self.scene.faces
-
-    @property
-    def angles(self) -> tuple[AngleMeasurement, ...]:
-        """Between the faces."""
-        return self.scene.angles
-
-    @property
-    def empty(self) -> bool:
-        """Whether nothing was measured."""
-        return not (self.spheres or self.faces or self.distances)
-
-    @property
     def pictured(self) -> bool:
         """Whether there is something to draw a heat map of."""
-        return bool(self.spheres or self.faces)
+        return bool(self.spheres or self.scene.faces)

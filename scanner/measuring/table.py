@@ -16,16 +16,16 @@ def tables(measured: Measurements) -> Iterator[Table]:
     unit = shown_unit(measured.unit)
     for number, sphere in enumerate(measured.spheres, start=1):
         yield _sphere_table(sphere, number, unit)
-    if measured.faces:
+    if measured.scene.faces:
         table = empty_table(f"Faces, {unit.name}", "flatness", "points", "rms", "99.7 % within")
-        for face in measured.faces:
+        for face in measured.scene.faces:
             flatness = unit.length(face.deviation, face.budget.sigma).removesuffix(f" {unit.name}")
             cells = (f"{len(face.errors.residual):,}", unit.number(face.errors.rms), unit.number(face.errors.form))
             table.add_row(f"  {face.name}", flatness, *cells)
         yield table
-    if measured.angles:
+    if measured.scene.angles:
         table = empty_table("Angles between the faces", "angle", "sigma")
-        for angle in measured.angles:
+        for angle in measured.scene.angles:
             names = f"  {angle.faces[0]} and {angle.faces[1]}"
             table.add_row(names, *angle_cells(angle))
         yield table
@@ -51,8 +51,8 @@ def shares_table(measured: Measurements) -> Table:
     rows: list[tuple[str, Budget, float]] = []
     for number, sphere in enumerate(measured.spheres, start=1):
         rows.append((f"diameter {number}, {unit.name}", sphere.diameter_budget, unit.factor))
-    rows += [(f"flatness {face.name}, {unit.name}", face.budget, unit.factor) for face in measured.faces]
-    rows += [(f"angle {'–'.join(angle.faces)}, °", angle.budget, 1.0) for angle in measured.angles]
+    rows += [(f"flatness {face.name}, {unit.name}", face.budget, unit.factor) for face in measured.scene.faces]
+    rows += [(f"angle {'–'.join(angle.faces)}, °", angle.budget, 1.0) for angle in measured.scene.angles]
     for distance in measured.distances:
         if distance.budget:
             rows.append((f"{' to '.join(distance.names)}, {unit.name}", distance.budget, unit.factor))
