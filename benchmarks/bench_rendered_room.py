@@ -226,7 +226,7 @@ def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[
             normal = np.linalg.svd((points - middle)[:: max(1, len(points) // 5000)], full_matrices=False)[2][2]
             away = np.abs((points - middle) @ normal)
             points = points[away <= max(np.median(away) * 3, _EXACT)]
-        normal = normal * np.sign(normal @ room.estimate.planes[plane].normal)
+        normal = normal * np.sign(normal @ room.estimate.room.planes[plane].normal)
         if np.median(np.abs((points - points.mean(axis=0)) @ normal)) < _EXACT:
             found[plane] = normal, float(normal @ points.mean(axis=0))
     return found

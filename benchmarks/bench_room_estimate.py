@@ -162,7 +162,7 @@ def accuracy(count: int, matches: int, wavy: float, balls: int, tangential: floa
         begun = time.perf_counter()
         joint = estimate_room(cells, plane_of, start.places, start.planes, start.rig, known, loose=_loose(made, balls))
         seconds.append(time.perf_counter() - begun)
-        untied += len(joint.planes) - len(truth.planes)
+        untied += len(joint.room.planes) - len(truth.planes)
         joint = _of_planes(joint, truth)
         held = _held(joint, unit)
         ways["joint estimate"].add(truth, joint, held, unit)
@@ -207,7 +207,7 @@ def _loose(made: SyntheticRoom, balls: int) -> list[Matches]:
 def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
     """The patches without planes that exist in the estimate only."""
     size = truth.size
-    room = replace(found.room, planes=found.planes[: len(truth.planes)])
+    room = replace(found.room, planes=found.room.planes[: len(truth.planes)])
     patches = tuple(patch for patch in found.patches if patch.plane < len(truth.planes))
     fit = replace(found.fit, layout=room)
     return replace(found, fit=fit, covariance=found.covariance[:size, :size], patches=patches)
@@ -216,7 +216,7 @@ def _of_planes(found: RoomEstimate, truth: Room) -> RoomEstimate:
 def _held(found: RoomEstimate, unit_m: float) -> list[bool]:
     return [
         bool(np.sqrt(np.linalg.eigvalsh(found.place_covariance(i)[3:, 3:])[-1]) * unit_m < _WEAK)
-        for i in range(1, len(found.places))
+        for i in range(1, len(found.room.places))
     ]
 
 

@@ -110,7 +110,7 @@ def estimated(made: Made, rng: np.random.Generator, smooth_px: float) -> RoomEst
 
 def in_sigmas(made: Made, found: RoomEstimate) -> dict[str, Floats]:
     """Errors over sigmas."""
-    room = replace(found.room, planes=found.planes[: len(made.room.planes)])
+    room = replace(found.room, planes=found.room.planes[: len(made.room.planes)])
     variance = np.diag(found.covariance)[: made.room.size]
     off = room.step_to(made.room) / np.sqrt(np.where(variance > 0, variance, np.nan))
     places = np.concatenate([off[room.place_columns(k)].reshape(2, 3) for k in range(1, len(room.places))])

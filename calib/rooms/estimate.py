@@ -31,12 +31,7 @@ _ROUNDS = 3
 _TRACKING_ROUNDS = 2  # rounds; tracks from better poses are more accurate
 _FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
 _UNDETERMINED = 0.1  # radians, and relative to the reach: a less certain direction is undetermined
-NEAR = (
-    0.02,
-    0.01,
-    0.005,
-    0.005,
-)  # over the reach: distance of points of two stations that may be on one surface
+NEAR = (0.02, 0.01, 0.005, 0.005)  # over the reach: distance of points of two stations that may be on one surface
 _SAME_PLACE = 0.01  # relative to the reach, and radians
 
 
@@ -78,27 +73,12 @@ class RoomEstimate:
 
     @property
     def room(self) -> Room:
-        """The most likely one."""
+        """The most likely one; the first station is where the start had it."""
         return self.fit.layout
 
     @property
-    def rig(self) -> State:
-        """Both devices and the motion between them; `rig_covariance` is its columns'."""
-        return self.room.rig
-
-    @property
-    def places(self) -> tuple[Motion, ...]:
-        """Of the stations: X_room = rotation X_camera + translation; the first is where the start had it."""
-        return self.room.places
-
-    @property
-    def planes(self) -> tuple[RoomPlane, ...]:
-        """In the room's frame."""
-        return self.room.planes
-
-    @property
     def rig_covariance(self) -> Floats:
-        """(21, 21), as of a calibration."""
+        """(21, 21), of the room's rig, as of a calibration."""
         return self.covariance[:SHARED, :SHARED]
 
     def place_covariance(self, station: int) -> Floats:
@@ -109,7 +89,7 @@ class RoomEstimate:
     @cached_property
     def stations_of(self) -> tuple[tuple[int, ...], ...]:
         """For each plane the stations with cells on it."""
-        found: list[set[int]] = [set() for _ in self.planes]
+        found: list[set[int]] = [set() for _ in self.room.planes]
         for patch in self.patches:
             found[patch.plane].add(patch.station)
         return tuple(tuple(sorted(each)) for each in found)

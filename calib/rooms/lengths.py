@@ -32,7 +32,7 @@ class RoomPoint:
 
 def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
     """Between two planes, in degrees, as inside a corner that they make: 90 for square walls, 0 for facing ones."""
-    a, b = (estimate.planes[plane].normal for plane in (first, second))
+    a, b = (estimate.room.planes[plane].normal for plane in (first, second))
     cosine, sine = float(a @ b), float(np.linalg.norm(np.cross(a, b)))
     gradient = np.zeros(estimate.room.size)
     for plane, own, other in ((first, a, b), (second, b, a)):

@@ -12,15 +12,12 @@ _LOOKED_EVERY_S = 0.2
 class PageOperator:
     """A `scanner.ui.Operator`. `on_asked` receives the message and the question ('' for none)."""
 
+    can_ask = True
+
     def __init__(self, cancelled: Event, on_asked: Callable[[tuple[str, ...], str], None]) -> None:
         self._cancelled, self._on_asked = cancelled, on_asked
         self._sentences: tuple[str, ...] = ()
         self._answers: SimpleQueue[bool] = SimpleQueue()
-
-    @property
-    def can_ask(self) -> bool:
-        """There is a page."""
-        return True
 
     def tell(self, *sentences: str) -> None:
         """Show a message until the next one."""

@@ -5,8 +5,7 @@ from threading import Event, Thread
 
 import viser
 
-from hw.rig import Frame, Rig
-from scanner.checking.report import CheckReport, CheckRow
+from hw.rig import Frame
 from scanner.configuration import set_keys
 from scanner.console.camera_view import CameraView
 from scanner.console.check_view import CheckView
@@ -17,7 +16,6 @@ from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
-from scanner.networks.sights import Sight
 from scanner.results import REFUSAL_FILE, Scan
 from scanner.viewing.first_look import first_look
 from scanner.viewing.panel import ResultPanel, reading
@@ -51,7 +49,9 @@ class ConsolePage:
             self._check = CheckView(gui, settings.config, lambda exposure_us: self._camera.set_exposure(exposure_us))
             self._network = NetworkView(gui, self._worker.change, self._operating.prefer_network)
             with gui.add_folder("Camera"):
-                self._camera = CameraView(gui, settings.in_turn()[0].load().required_rig, self._worker.change)
+                self._camera: CameraView = CameraView(
+                    gui, settings.in_turn()[0].load().required_rig, self._worker.change
+                )
             with gui.add_folder("Configuration", expand_by_default=False):
                 self._configuration = ConfigurationView(gui, settings.config)
         with self._pages[RESULT]:
@@ -59,6 +59,10 @@ class ConsolePage:
         self._result = ResultPanel(served.server, self._pages[RESULT], served.served_files.link, self._set_scale)
         with self._pages[HISTORY]:
             self._history = History(gui, self._open, served.served_files.link)
+        # What the worker tells concerns one part each.
+        self.on_camera, self.on_sight = self._camera.on_camera, self._network.on_sight
+        self.on_captured = self._operating.sound
+        self.on_row, self.on_report = self._check.add, self._check.end
         for name, key in zip(_PAGES, _KEYS, strict=True):
             self._add_key(gui, name, key)
         self._network.follow(settings)
@@ -80,31 +84,11 @@ class ConsolePage:
         self._operating.show(status)
         self._network.show(status)
 
-    def on_camera(self, rig: Rig) -> None:
-        """The live image begins."""
-        self._camera.on_camera(rig)
-
     def on_frame(self, frame: Frame, camera: str = "") -> None:
         """Show it."""
         self._camera.on_frame(frame)
         if camera:
             self._network.on_frame(camera, frame)
-
-    def on_sight(self, sight: Sight, frame: Frame | None) -> None:
-        """Show it in the graph."""
-        self._network.on_sight(sight, frame)
-
-    def on_captured(self) -> None:
-        """Sound, if that is wanted."""
-        self._operating.sound()
-
-    def on_row(self, row: CheckRow) -> None:
-        """Show what is known so far."""
-        self._check.add(row)
-
-    def on_report(self, report: CheckReport) -> None:
-        """Show the check's grade and maps, and offer its exposure."""
-        self._check.end(report)
 
     def on_cloud(self, scan: Scan) -> None:
         """Show some of its points, until its result can be opened."""

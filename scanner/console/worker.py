@@ -106,13 +106,16 @@ class Page(Protocol):
 
 
 class Worker:
-    """The rig's owner, from `start` to `close`. Requests are refused (False) while a check or a scan is running."""
+    """The rig's owner, from `start` to `close`. Requests are refused (False) while a check or a scan is running.
+
+    `status` and `settings` are the current ones.
+    """
 
     def __init__(self, settings: Settings, page: Page) -> None:
-        self._settings = settings
+        self.settings = settings
         self._page = page
         self._lock = Lock()
-        self._status = Status()
+        self.status = Status()
         self._next: SimpleQueue[Activity | None] = SimpleQueue()
         self._cancelled = Event()
         self._leave_live = Event()
@@ -125,25 +128,15 @@ class Worker:
         """Begin to work."""
         self._thread.start()
 
-    @property
-    def status(self) -> Status:
-        """The current status of the worker."""
-        return self._status
-
-    @property
-    def settings(self) -> Settings:
-        """The current settings."""
-        return self._settings
-
     def change(self, **changes: Any) -> None:
         """Change fields of the settings; a live image follows at once, a running scan keeps what it began with."""
         with self._lock:
-            self._settings = replace(self._settings, **changes)
+            self.settings = replace(self.settings, **changes)
 
     def request(self, activity: Activity) -> bool:
         """Do something else than now; `Activity.NOTHING` ends the live image."""
         with self._lock:
-            if self._status.busy or not self._next.empty():
+            if self.status.busy or not self._next.empty():
                 return False
             self._cancelled.clear()
             self._leave_live.set()
@@ -153,9 +146,9 @@ class Worker:
     def cancel(self) -> None:
         """End a check or a scan at the next frame or step."""
         with self._lock:
-            if self._status.busy:
-                (self._wishes.end if self._status.activity is Activity.CLOUDS else self._cancelled).set()
-                self._tell(replace(self._status, cancelling=True))
+            if self.status.busy:
+                (self._wishes.end if self.status.activity is Activity.CLOUDS else self._cancelled).set()
+                self._tell(replace(self.status, cancelling=True))
 
     def answer(self, *, more: bool) -> None:
         """Answer the question in the status: take another capture, or continue with those there are."""
@@ -169,7 +162,7 @@ class Worker:
         self._leave_live.set()
         if self._thread.is_alive():
             self._thread.join(_LEAVING_S)
-        return self._status
+        return self.status
 
     def _run(self) -> None:
         while (activity := self._next.get()) is not None:
@@ -197,17 +190,17 @@ class Worker:
                 for turn in count():
                     if self._leave_live.is_set():
                         return
-                    cameras = self._settings.in_turn()
+                    cameras = self.settings.in_turn()
                     self._live(cameras[turn % len(cameras)], for_s=_TURN_S if len(cameras) > 1 else inf)
             case Activity.CLOUDS:
                 self._clouds(progress)
             case Activity.CHECKING:
-                self._page.on_report(check(self._settings.load(), progress, self._page.on_row))
+                self._page.on_report(check(self.settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
-                captures = self._settings.captures
+                captures = self.settings.captures
                 with self._leaving_result() as out:
                     scan(
-                        self._settings.load(),
+                        self.settings.load(),
                         out,
                         captures=captures,
                         operator=self._operator,
@@ -215,7 +208,7 @@ class Worker:
                         on_cloud=self._on_cloud,
                     )
             case Activity.NETWORK:
-                settings = self._settings
+                settings = self.settings
                 with self._leaving_result() as out:
                     known = KnownDistance.parse(settings.distance) if settings.distance else None
                     scan_network(
@@ -225,7 +218,7 @@ class Worker:
     @contextmanager
     def _leaving_result(self) -> Iterator[Path]:
         """Where the block is to make the next result, which is shown: a refused capture is one, too."""
-        out = self._settings.destination()
+        out = self.settings.destination()
         try:
             yield out
         finally:
@@ -236,7 +229,7 @@ class Worker:
         """Show what the camera sees, for a while, until something else is wanted, or a setting that an open rig cannot
         change.
         """
-        config, chosen = settings.load(), self._settings.pair
+        config, chosen = settings.load(), self.settings.pair
         camera = settings.pair[0] if settings.pair else ""
         seen = f"What {camera or 'the camera'} sees"
         self._on_stage(Stage("Preparing the rig"))
@@ -246,7 +239,7 @@ class Worker:
             patterns = config.sequence.patterns(rig.projector.size)
             picture, lost, end_s = None, 0, time.monotonic() + for_s
             while not self._leave_live.is_set():
-                began_s, wanted = time.monotonic(), self._settings
+                began_s, wanted = time.monotonic(), self.settings
                 if began_s > end_s or wanted.pair != chosen:
                     return
                 if wanted.gain != settings.gain or not _expose(rig, settings, wanted):
@@ -266,7 +259,7 @@ class Worker:
 
     def _clouds(self, progress: StagedProgress) -> None:
         """Show live clouds until that is cancelled; kept ones become a result."""
-        settings, watcher = self._settings, self._page.live_watcher()
+        settings, watcher = self.settings, self._page.live_watcher()
         calibration = settings.calibration or newest_calibration()
         if calibration is None:
             raise InputError(
@@ -294,14 +287,14 @@ class Worker:
 
     def _on_stage(self, stage: Stage) -> None:
         with self._lock:
-            self._tell(replace(self._status, stage=stage))
+            self._tell(replace(self.status, stage=stage))
 
     def _on_asked(self, guidance: tuple[str, ...], question: str) -> None:
         with self._lock:
-            self._tell(replace(self._status, guidance=guidance, question=question))
+            self._tell(replace(self.status, guidance=guidance, question=question))
 
     def _tell(self, status: Status) -> None:
-        self._status = status
+        self.status = status
         self._page.on_status(status)
 
 

@@ -90,7 +90,7 @@ def solve_room(captures: Sequence[Decoded], start: RigStart, config: Config, pro
 
 def _measured(estimate: RoomEstimate, captures: Sequence[Decoded]) -> Calibration:
     metadata = captures[0].metadata
-    return calibration_of(estimate.rig, metadata.camera_size, metadata.projector_size, Sigmas())
+    return calibration_of(estimate.room.rig, metadata.camera_size, metadata.projector_size, Sigmas())
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +160,8 @@ def _checked_against_surfaces(
     with progress.step("Asking the surfaces"):
         if not disagreements(matches, estimate):
             return estimate, False
-        known = RigPrior.exactly(estimate.rig)
-        by_surfaces = estimate_without_planes(matches, estimate.places, estimate.rig, known)
+        known = RigPrior.exactly(estimate.room.rig)
+        by_surfaces = estimate_without_planes(matches, estimate.room.places, estimate.room.rig, known)
         left = disagreements(matches, by_surfaces)
     if left:
         names = sorted({members[k].decoded.name for each in left for k in (each.first, each.second)})
@@ -261,20 +261,20 @@ def _finished(
     if by_surfaces:
         group = replace(group, planes=(), plane_of=tuple((-1,) * len(each) for each in group.plane_of))
     metadata = members[0].decoded.metadata
-    sigma = sigmas_of(estimate.rig, estimate.rig_covariance)
-    own = calibration_of(estimate.rig, metadata.camera_size, metadata.projector_size, sigma)
+    sigma = sigmas_of(estimate.room.rig, estimate.rig_covariance)
+    own = calibration_of(estimate.room.rig, metadata.camera_size, metadata.projector_size, sigma)
     known = start.given if start.given and not is_estimated(start) else _in_unit_of(start.given, own)
     calibration = scaled(known, _corner(members, group, estimate, start), config.scale)
     factor = calibration.baseline
-    areas = areas_of(members, group, len(estimate.planes))
-    turn, floor = upright(estimate.places, estimate.planes, areas)
+    areas = areas_of(members, group, len(estimate.room.planes))
+    turn, floor = upright(estimate.room.places, estimate.room.planes, areas)
     stations = tuple(
         Station(
             group.stations[i],
             each.decoded,
             build_cloud(each.decoded.matches, each.decoded.texture, calibration),
             np.array([*group.plane_of[i], -1], np.int32)[each.view.labels],
-            moved_place(estimate.places[i], turn, factor),
+            moved_place(estimate.room.places[i], turn, factor),
             *_sigmas(estimate, i, turn.rotation, factor),
             float(estimate.residual_px[i]),
         )
@@ -286,9 +286,9 @@ def _finished(
     remarks = tuple(sentence for sentence, holds in said.items() if holds)
     return SolvedRoom(
         calibration,
-        Uncertainty(estimate.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
+        Uncertainty(estimate.room.rig, estimate.rig_covariance, None, match_px) if is_estimated(start) else None,
         stations,
-        tuple(moved_plane(plane, turn, factor) for plane in estimate.planes),
+        tuple(moved_plane(plane, turn, factor) for plane in estimate.room.planes),
         estimate,
         turn,
         factor,
@@ -328,7 +328,7 @@ def _corner(members: Sequence[CaptureView], group: Group, estimate: RoomEstimate
     for number in reversed(range(len(members))):
         faces = _faces(members[number], group.plane_of[number], start.corners.get(group.stations[number]))
         if min(faces) >= 0 and len(set(faces)) == 3:
-            place = estimate.places[number]
+            place = estimate.room.places[number]
             return Corner(place.rotation.T @ (vertex(estimate, *faces).position - place.translation), np.eye(3))
     return None
 

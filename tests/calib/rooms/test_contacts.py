@@ -63,7 +63,7 @@ def test_curved_surfaces_reduce_pose_sigmas_without_bias(balls: Case) -> None:
     for station in range(1, len(balls.truth.places)):
         surer, before = (np.trace(each.place_covariance(station)[3:, 3:]) for each in (found, balls.found))
         assert surer < 1.05 * before
-        apart = found.places[station].translation - balls.truth.places[station].translation
+        apart = found.room.places[station].translation - balls.truth.places[station].translation
         off.append(apart @ np.linalg.solve(found.place_covariance(station)[3:, 3:], apart))
     assert len(found.contacts) >= 3
     assert 0.3 < np.sqrt(np.mean(off) / 3) < 2.5

@@ -48,7 +48,7 @@ def test_lens_distortion_is_estimated(case: Case) -> None:
     off = deviations(bent)
     tangential = [device.start + term for device in (CAMERA, PROJECTOR) for term in TANGENTIAL]
     assert np.all(np.abs(off[tangential]) < 4)
-    assert np.abs(bent.found.rig.camera[5:7]).min() > 1e-4
+    assert np.abs(bent.found.room.rig.camera[5:7]).min() > 1e-4
     focals = [CAMERA.start, PROJECTOR.start]
     assert 0 < np.abs(bent.found.room.step_to(bent.truth)[focals]).max() < 2e-3
     # Of centred lenses it finds none, and is no surer of it than the matches make it.
@@ -81,7 +81,7 @@ def test_fixing_the_true_rig_reduces_pose_sigmas(case: Case) -> None:
         RigPrior.exactly(case.truth.rig),
     )
     assert np.all(found.rig_covariance == 0)
-    assert found.rig.camera == pytest.approx(case.truth.rig.camera)
+    assert found.room.rig.camera == pytest.approx(case.truth.rig.camera)
     for station in range(1, STATIONS):
         surer, before = (np.trace(each.place_covariance(station)) for each in (found, case.found))
         assert 0 < surer < before
@@ -103,7 +103,7 @@ def test_a_station_that_sees_two_directions_is_underdetermined_and_named(case: C
     assert not open_one.turning
     assert abs(open_one.direction @ along) > 0.999
     assert open_one.sigma > 0.5 * found.reach
-    apart = found.places[1].translation - case.truth.places[1].translation
+    apart = found.room.places[1].translation - case.truth.places[1].translation
     across = apart - (apart @ along) * along
     assert np.linalg.norm(across) * case.made.calibration.baseline < 0.01  # the rest is held
 
@@ -122,7 +122,7 @@ def test_the_registration_constrains_an_underdetermined_station(case: Case) -> N
     )
     assert not [each for each in found.undetermined if each.station == 3]
     assert np.diag(found.place_covariance(3))[3:] == pytest.approx(sigma**2)
-    assert np.allclose(found.places[3].translation, case.start.places[3].translation)
+    assert np.allclose(found.room.places[3].translation, case.start.places[3].translation)
 
 
 def test_stations_and_planes_without_cells_are_reported_as_unknown(case: Case) -> None:
@@ -157,7 +157,7 @@ def test_an_observation_of_another_plane_gets_its_own_plane(case: Case) -> None:
     (apart,) = (each for each in found.patches if each.plane >= len(truth.planes))
     assert apart.station == station
     assert station not in found.stations_of[plane]
-    step = found.places[station].translation - truth.places[station].translation
+    step = found.room.places[station].translation - truth.places[station].translation
     sigma = np.sqrt(np.linalg.eigvalsh(found.place_covariance(station)[3:, 3:])[-1])
     assert np.linalg.norm(step) < 4 * sigma
 
@@ -233,7 +233,7 @@ def test_a_prior_on_square_walls_reduces_angle_sigmas(case: Case) -> None:
         square=[pair],
         squareness_deg=0.0,
     )
-    a, b = (found.planes[plane].normal for plane in pair)
+    a, b = (found.room.planes[plane].normal for plane in pair)
     assert abs(np.degrees(a @ b)) < 1e-3
 
 

@@ -77,8 +77,8 @@ def test_errors_of_distances_match_their_sigmas(case: Case) -> None:
 
 def test_angles_between_parallel_planes_have_a_sigma(case: Case) -> None:
     pair = facing(case.truth)
-    normal: Floats = case.found.planes[pair[0]].normal
-    planes = list(case.found.planes)
+    normal: Floats = case.found.room.planes[pair[0]].normal
+    planes = list(case.found.room.planes)
     planes[pair[1]] = replace(planes[pair[1]], normal=-normal)
     measured = lengths.angle_deg(at(case.found, replace(case.found.room, planes=tuple(planes))), *pair)
     assert measured.value == pytest.approx(0.0, abs=1e-6)

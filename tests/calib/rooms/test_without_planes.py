@@ -57,12 +57,12 @@ def test_the_rotation_is_recovered_with_a_true_sigma() -> None:
     start = Motion(off @ place.rotation, off @ place.translation + 0.004)
     still = Motion(np.eye(3), np.zeros(3))
     found = estimate_without_planes(stations, [still, start], STATE, RigPrior.exactly(STATE))
-    turned = Rotation.from_matrix(found.places[1].rotation @ place.rotation.T)
+    turned = Rotation.from_matrix(found.room.places[1].rotation @ place.rotation.T)
     sigma = np.sqrt(np.diag(found.place_covariance(1)))
     assert 0 < np.degrees(turned.magnitude()) < 0.02
     assert np.all(np.abs(turned.as_rotvec()) < 4 * sigma[:3])
     assert np.all(sigma[:3] < np.radians(0.02))
-    np.testing.assert_array_equal(found.rig.camera, STATE.camera)
+    np.testing.assert_array_equal(found.room.rig.camera, STATE.camera)
 
 
 def test_surfaces_that_are_apart_are_refused() -> None:
