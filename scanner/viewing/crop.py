@@ -1,13 +1,13 @@
 """A box in a cloud: its points, its edges, and a file of its points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from calib.numerics import Bools, Floats
-from scanner.io import CloudPoints, write_merged_ply, write_ply, write_room_ply
+from scanner.io import write_merged_ply, write_ply, write_room_ply
 from scanner.quantities import FACE_NAMES
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 
@@ -91,15 +91,10 @@ def box_within(frame: Frame, ranges: Floats) -> Box:
     return Box(frame, low, high)
 
 
-@dataclass(frozen=True)
-class _Cropped(CloudPoints):
-    unit: str = ""
-
-
 def write_cropped(path: Path, cloud: ViewedCloud, box: Box) -> int:
     """Write the points in the box as PLY, in the frame of the cloud; returns how many. Raises OSError."""
     inside = np.flatnonzero(box.holds(cloud.points))
-    part = _Cropped(cloud.points[inside], cloud.normals[inside], cloud.colours[inside], None, cloud.unit)
+    part = replace(cloud, points=cloud.points[inside], normals=cloud.normals[inside], colours=cloud.colours[inside])
     write = {"camera": write_ply, "corner": write_merged_ply, "room": write_room_ply}[cloud.frame]
     write(path, part)
     return len(inside)

@@ -55,7 +55,7 @@ class Picked:
     def scale(self, known_m: float, sigma_m: float) -> KnownScale | None:
         """Return the scale that makes their distance `known_m`; None unless there are two points, precise enough."""
         distance = self.distance
-        return None if distance is None else scale_from(distance, self.cloud.calibration, known_m, sigma_m)
+        return None if distance is None else scale_from(distance, self.cloud.scan.calibration, known_m, sigma_m)
 
     def text(self) -> str:
         """Describe the measurement (Markdown)."""

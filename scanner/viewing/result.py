@@ -107,11 +107,6 @@ class CaptureCloud(ViewedCloud):
         return self.scan.matches
 
     @property
-    def calibration(self) -> Calibration:
-        """The calibration of the rig that measured the points."""
-        return self.scan.calibration
-
-    @property
     def uncertainty(self) -> Uncertainty | None:
         """The calibration's uncertainty; None if unknown."""
         return self.scene.errors.uncertainty
@@ -140,9 +135,9 @@ class CaptureCloud(ViewedCloud):
             part = slice(start, start + _AT_ONCE)
             matches = self.matches[chosen[part]]
             if self.uncertainty is None:
-                sigma[part] = np.sqrt(point_covariances(matches, self.calibration)[:, 2, 2])
+                sigma[part] = np.sqrt(point_covariances(matches, self.scan.calibration)[:, 2, 2])
             else:
-                sigma[part] = self.calibration.baseline * self.uncertainty.of_points(matches)[:, 2]
+                sigma[part] = self.scan.calibration.baseline * self.uncertainty.of_points(matches)[:, 2]
         return sigma
 
 

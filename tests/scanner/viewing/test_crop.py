@@ -51,7 +51,7 @@ def test_the_surface_is_between_the_points_in_the_box(cloud: CaptureCloud, monke
     surface = surface_of(cloud)
     assert len(surface.triangles) > len(cloud.points)  # about two for a point
     sides = np.linalg.norm(np.diff(cloud.points[surface.triangles], axis=1), axis=2)
-    assert np.median(sides) < 3 * np.median(cloud.points[:, 2]) / cloud.calibration.camera.focal_px[0]
+    assert np.median(sides) < 3 * np.median(cloud.points[:, 2]) / cloud.scan.calibration.camera.focal_px[0]
     colours = np.zeros((len(cloud.points), 3), np.uint8)
     inside = cloud.points[:, 0] > np.median(cloud.points[:, 0])
     data, all_of_them = surface.glb(colours, None)
