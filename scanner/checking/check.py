@@ -1,13 +1,11 @@
 """The complete check. Rows are yielded as they are found, so that a page can show them one by one."""
 
-import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 from calib.geometry import Size
-from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Frame, Rig
 from scanner.capture import capture
@@ -20,7 +18,7 @@ from scanner.checking.fringes import STEPS, FringeMeter
 from scanner.checking.light import Light, light_rows, photograph_light
 from scanner.checking.pictures import contrast_picture, coverage_picture, saturation_picture
 from scanner.checking.pixels import pixel_row
-from scanner.checking.report import CheckReport, CheckRow, Pixels, State
+from scanner.checking.report import CheckReport, OnRow
 from scanner.checking.response import measure_ramp, response_row
 from scanner.checking.settled import settled
 from scanner.checking.steadiness import InitialState, Levels, levels_of, patterns, steadiness_row
@@ -30,10 +28,6 @@ from scanner.patterns import Pattern, phase_sequence
 from scanner.reconstruction import read_captures
 from scanner.results import Decoded
 from scanner.ui import Progress
-
-OnRow = Callable[[CheckRow], None]
-
-log = logging.getLogger(__name__)
 
 _WHITES, _BLACKS = 6, 4
 
@@ -51,9 +45,9 @@ def check(config: Config, terminal: Progress, on_row: OnRow | None = None, watch
             with terminal.step("Preparing the rig"):
                 rig = devices.enter_context(opened(config))
         except DeviceError as error:
-            checking = Checking(on_row)
-            checking.fail(error)
-            return checking.report()
+            report = CheckReport(on_row=on_row)
+            report.fail(error)
+            return report
         return check_rig(rig, config, terminal, on_row, watch_s)
 
 
@@ -62,12 +56,12 @@ def check_rig(
 ) -> CheckReport:
     """Check a rig that is open, as `check` does. Its camera is left at the exposure that is proposed."""
     earlier = read_captures(config.earlier, Size(*rig.camera.size), Size(*rig.projector.size))
-    checking = Checking(on_row)
+    report = CheckReport(on_row=on_row)
     try:
-        _check(_Bench(rig, config, terminal, earlier, watch_s), checking)
+        _check(_Bench(rig, config, terminal, earlier, watch_s), report)
     except DeviceError as error:
-        checking.fail(error)
-    return checking.report()
+        report.fail(error)
+    return report
 
 
 @dataclass(frozen=True)
@@ -90,66 +84,37 @@ class _Bench:
         return levels_of(self.terminal.track(frames, len(patterns()), what))
 
 
-class Checking:
-    """The state of a check: the findings so far."""
-
-    def __init__(self, on_row: OnRow | None) -> None:
-        self.rows: list[CheckRow] = []
-        self.exposure_us: float | None = None
-        self.response: tuple[float, ...] | None = None
-        self.pictures: dict[str, Pixels] = {}
-        self.failure: DeviceError | RefusalError | None = None
-        self._on_row = on_row
-
-    def add(self, *rows: CheckRow) -> None:
-        """Take rows in."""
-        for row in rows:
-            log.info("%s: %s: %s %s", row.name, row.state.value, row.finding, row.advice)
-            self.rows.append(row)
-            if self._on_row:
-                self._on_row(row)
-
-    def fail(self, error: DeviceError) -> None:
-        """A device has ended the check."""
-        self.failure = error
-        self.add(CheckRow("devices", State.FAILED, str(error)))
-
-    def report(self) -> CheckReport:
-        """Return the report of the check."""
-        return CheckReport(tuple(self.rows), self.exposure_us, self.response, self.pictures, self.failure)
-
-
-def _check(bench: _Bench, checking: Checking) -> None:
+def _check(bench: _Bench, report: CheckReport) -> None:
     rig, terminal = bench.rig, bench.terminal
-    checking.add(*device_rows(rig))
+    report.add(*device_rows(rig))
     with terminal.step("Trying exposures"):
         proposal = propose_exposure(rig)
-    checking.exposure_us = proposal.exposure_us
-    checking.add(exposure_row(proposal, rig.refresh_hz, bracketed=bool(bench.config.sequence.exposures_us)))
+    report.exposure_us = proposal.exposure_us
+    report.add(exposure_row(proposal, rig.refresh_hz, bracketed=bool(bench.config.sequence.exposures_us)))
     with terminal.step("Looking at light and dark"):
         light = photograph_light(rig, _WHITES, _BLACKS)
         ramp = measure_ramp(rig, light)
-    checking.pictures["saturation"] = saturation_picture(light)
-    checking.add(*light_rows(light))
+    report.pictures["saturation"] = saturation_picture(light)
+    report.add(*light_rows(light))
     if ramp is None:
-        checking.add(view.nothing_lit())
-        checking.failure = view.refusal_of(checking.rows[-1])
+        report.add(view.nothing_lit())
+        report.failure = view.refusal_of(report.rows[-1])
         return
-    checking.response = ramp.response.light if ramp.response else None
-    checking.add(response_row(ramp))
+    report.response = ramp.response.light if ramp.response else None
+    report.add(response_row(ramp))
     with terminal.step("Looking at lines of one pixel"):
         row = pixel_row(rig, light, ramp)
-    checking.add(*([row] if row else []))
-    _check_view(bench, light, checking)
+    report.add(*([row] if row else []))
+    _check_view(bench, light, report)
 
 
-def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
+def _check_view(bench: _Bench, light: Light, report: CheckReport) -> None:
     """Check the view from a quick capture. If that is refused or patchy, take the configured one, which is slower."""
     rig, config, terminal = bench.rig, bench.config, bench.terminal
     meter = FringeMeter()
     before = InitialState(time.monotonic(), light, bench.fringes(light, "Looking at stripes"))
     quick = view.take_quick(rig, config, meter, terminal)
-    checking.add(*transfer_rows(rig))
+    report.add(*transfer_rows(rig))
     with terminal.step("Calibrating"):
         row, failure = view.view_row(quick, config, bench.earlier)
     scanned = view.take_configured(rig, config, terminal) if failure or quick.is_patchy else None
@@ -158,23 +123,23 @@ def _check_view(bench: _Bench, light: Light, checking: Checking) -> None:
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
     decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
     decoded = decoded or view.take_coarse(rig, config, terminal)
-    _check_lenses(bench, light, decoded, meter, checking)
-    _check_steadiness(bench, before, quick, checking)
-    checking.add(row)
-    checking.failure = failure
+    _check_lenses(bench, light, decoded, meter, report)
+    _check_steadiness(bench, before, quick, report)
+    report.add(row)
+    report.failure = failure
 
 
-def _check_steadiness(bench: _Bench, before: InitialState, quick: view.Capture, checking: Checking) -> None:
+def _check_steadiness(bench: _Bench, before: InitialState, quick: view.Capture, report: CheckReport) -> None:
     if not quick.decoding:
         return
     with bench.terminal.step("Waiting to see whether anything drifts"):
         time.sleep(max(0.0, bench.watch_s - (time.monotonic() - before.since_s)))
     now = bench.fringes(before.light, "Looking at the same stripes again")
     row = steadiness_row(bench.rig, before, now, view.projector_map(quick.decoding))
-    checking.add(*([row] if row else []))
+    report.add(*([row] if row else []))
 
 
-def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: FringeMeter, checking: Checking) -> None:
+def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: FringeMeter, report: CheckReport) -> None:
     """Coverage and focus, from the projector pixels of each camera pixel and from more fringes for `meter`."""
     size = bench.rig.projector.size
     coverage = view.coverage_of(decoded.decoding, size) if decoded.decoding else None
@@ -184,13 +149,13 @@ def _check_lenses(bench: _Bench, light: Light, decoded: view.Capture, meter: Fri
     usable = light.well_lit
     if decoded.decoding and coverage:
         matched = decoded.decoding.reasons == MaskReason.KEPT
-        checking.add(view.coverage_row(coverage, decoded.decoding))
-        checking.pictures["coverage"] = coverage_picture(light, matched)
+        report.add(view.coverage_row(coverage, decoded.decoding))
+        report.pictures["coverage"] = coverage_picture(light, matched)
         usable = matched & ~light.clipped
         samples = sample_blur(meter.fringes, usable, view.projector_map(decoded.decoding))
         finest_px = finest_period_px(bench.config.sequence.patterns(size))
-        checking.add(focus_row(samples, separate_lenses(samples), finest_px))
-    checking.pictures["contrast"] = contrast_picture(meter.fringes, usable)
+        report.add(focus_row(samples, separate_lenses(samples), finest_px))
+    report.pictures["contrast"] = contrast_picture(meter.fringes, usable)
 
 
 def _more_fringes(periods: set[float]) -> tuple[Pattern, ...]:

@@ -1,6 +1,7 @@
 """The report of a check: a row for each thing checked, and the conclusions."""
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -11,6 +12,8 @@ from calib.refusal import RefusalError
 from hw.errors import DeviceError
 
 Pixels = NDArray[np.uint8]
+
+log = logging.getLogger(__name__)
 
 
 class State(StrEnum):
@@ -33,20 +36,37 @@ class CheckRow:
     advice: str = ""
 
 
-@dataclass(frozen=True)
+OnRow = Callable[[CheckRow], None]
+
+
+@dataclass
 class CheckReport:
-    """The rows in the order in which they were found.
+    """The rows in the order in which they were found; `on_row` is called with each.
 
     `exposure_us`: the exposure to scan with, None if none could be found. `response`: the projector's light at equally
     spaced grey levels from 0 to 255, from 0 to 1, None if it was not measured. `pictures`: RGB images (H, W, 3) by
     name. `failure`: why a scan would fail; None if it would not.
     """
 
-    rows: tuple[CheckRow, ...]
+    rows: list[CheckRow] = field(default_factory=list)
     exposure_us: float | None = None
     response: tuple[float, ...] | None = None
-    pictures: Mapping[str, Pixels] = field(default_factory=dict)
+    pictures: dict[str, Pixels] = field(default_factory=dict)
     failure: DeviceError | RefusalError | None = None
+    on_row: OnRow | None = None
+
+    def add(self, *rows: CheckRow) -> None:
+        """Take rows in."""
+        for row in rows:
+            log.info("%s: %s: %s %s", row.name, row.state.value, row.finding, row.advice)
+            self.rows.append(row)
+            if self.on_row:
+                self.on_row(row)
+
+    def fail(self, error: DeviceError) -> None:
+        """A device has ended the check."""
+        self.failure = error
+        self.add(CheckRow("devices", State.FAILED, str(error)))
 
     @property
     def state(self) -> State:

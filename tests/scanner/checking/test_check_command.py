@@ -54,7 +54,7 @@ def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
 def finding(
     monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: DeviceError | RefusalError | None
 ) -> None:
-    monkeypatch.setattr(command, "check", lambda *_: CheckReport(rows, failure=failure))
+    monkeypatch.setattr(command, "check", lambda *_: CheckReport(list(rows), failure=failure))
 
 
 def test_the_table_shows_the_findings(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
@@ -203,7 +203,7 @@ def test_a_rig_that_stays_overexposed_fails(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize(("encoding", "sign"), [("utf-8", "✓"), ("ascii", "+"), (None, "+"), ("cp1252", "+")])
 def test_terminals_without_unicode_get_plain_symbols(encoding: str | None, sign: str) -> None:
-    report = CheckReport((CheckRow("focus", State.OK, "sharp [all]", "Nothing."),))
+    report = CheckReport([CheckRow("focus", State.OK, "sharp [all]", "Nothing.")])
     out = StringIO()
     Console(file=out, width=80).print(table_of(report, encoding))
     assert f"{sign} ok" in out.getvalue()

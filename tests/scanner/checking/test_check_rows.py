@@ -52,7 +52,7 @@ def test_a_good_rig_is_ok_in_every_row(usual: CheckReport) -> None:
 
 
 def test_rows_come_one_by_one(usual: CheckReport, rows_of_usual: list[CheckRow]) -> None:
-    assert tuple(rows_of_usual) == usual.rows
+    assert rows_of_usual == usual.rows
 
 
 def test_coverage_matches_the_true_view(room: SimulatedRoom) -> None:
