@@ -23,6 +23,7 @@ pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered o
 SCENE = replace(Scene(), depth_bits=16, camera_blur_px=1.0, ambient=12.0)
 GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
 ALONE = sequence_for(SCENE.projector, code="gray", cell=1, inverses=False, shifts=0)
+QUICK = sequence_for(SCENE.projector, code="gray", cell=8, inverses=False, periods=(12.3,), shifts=4)
 FRINGES = sequence_for(SCENE.projector, code="gray", cell=8, inverses=True, shifts=4)
 Curve = Callable[[Floats], Floats]
 
@@ -125,3 +126,19 @@ def test_frames_brighter_than_white_are_clipped_to_white() -> None:
     response = CameraResponse(np.array([0.0, 0.25, 1.0]), top=100.0, saturation=np.inf)
     frame = np.array([[0, 25, 50], [75, 100, 130]], np.uint16)
     assert response.light_of(frame).tolist() == [[0, 128, 256], [639, 1023, 1023]]
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_a_brightened_wall_beside_the_picture_is_no_blur(share: float) -> None:
+    """By the light that other surfaces send there, all its fine bits are on the bright side of their thresholds."""
+    scene = replace(SCENE, zoom=1.6)
+    white, black, *bits = [frame.astype(np.float64) for frame in scene.frames(QUICK)]
+    beside = white < white.max() / 10
+    assert 0.6 < np.mean(beside) < 0.75, "most of what is lit"
+    lit = beside * share * white.max() / np.mean(white - black)
+    frames = [frame + lit * np.mean(frame - black) for frame in (white, black, *bits)]
+    digits = np.rint(255 * srgb(np.linspace(0, 1, 2**16))).astype(np.uint8)
+    decoding = decode(QUICK, [digits[frame.astype(np.uint16)] for frame in frames], scene.projector)
+    assert 17_000 < len(decoding.matches) < 20_000
+    assert 0.03 < np.median(np.abs(scene.errors(decoding))) < 0.1
+    assert decoding.warnings == ()
