@@ -21,6 +21,7 @@ from tests.support.synthetic_capture import Scene, decode
 pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered once
 
 SCENE = replace(Scene(), depth_bits=16, camera_blur_px=1.0, ambient=12.0)
+BRIGHT_WALLS = replace(SCENE, indirect=0.5, exposure=150.0)
 GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
 ALONE = sequence_for(SCENE.projector, code="gray", cell=1, inverses=False, shifts=0)
 QUICK = sequence_for(SCENE.projector, code="gray", cell=8, inverses=False, periods=(12.3,), shifts=4)
@@ -70,12 +71,32 @@ def share_kept(decoding: Decoding) -> float:
 def test_the_curve_is_found(patterns: Sequence[Pattern], curve: Curve, most_off: float) -> None:
     found = response_of(patterns, photographs(patterns, curve))
     assert found is not None
+    assert 0.0002 < off_by(found.light, curve) < most_off
+
+
+def off_by(found: Floats, curve: Curve) -> float:
+    """Return the largest error of a response (levels,), relative to white."""
     light = np.linspace(0, 1, 1001)
-    true = np.interp(np.linspace(0, 1, len(found.light)), curve(light), light)
+    true = np.interp(np.linspace(0, 1, len(found)), curve(light), light)
     used = slice(3, -3)  # of levels that are in the frames; light is known but for its unit and its zero
-    fit = np.polyfit(true[used], found.light[used], 1)
-    off = np.abs(np.polyval(fit, true[used]) - found.light[used]).max() / fit[0]
-    assert 0.0002 < off < most_off
+    fit = np.polyfit(true[used], found[used], 1)
+    return float(np.abs(np.polyval(fit, true[used]) - found[used]).max() / fit[0])
+
+
+@pytest.mark.parametrize(("curve", "most_off"), [(srgb, 0.05), (steep, 0.045)])
+def test_indirect_light_shows_the_curve_where_stripes_are_wide_and_without_inverses(
+    curve: Curve, most_off: float
+) -> None:
+    found = response_of(QUICK, photographs(QUICK, curve, BRIGHT_WALLS))
+    assert found is not None
+    assert 0.01 < off_by(found.light, curve) < most_off
+
+
+@pytest.mark.parametrize("white", [1.0, 0.93, 0.9, 0.8])
+def test_a_dark_white_frame_is_no_curve(white: float) -> None:
+    frames = photographs(QUICK, linear, BRIGHT_WALLS)
+    dimmed = [np.rint(white * frames[0]).astype(np.uint8), *frames[1:]]
+    assert response_of(QUICK, dimmed) is None
 
 
 @pytest.mark.parametrize("patterns", [GRAY, FRINGES, ALONE])
