@@ -83,10 +83,8 @@ def load() -> ModuleType:
 
 
 def _library() -> Any:
-    try:
+    with GPHOTO2.needed("a photo camera", "gphoto2", DeviceError):
         import gphoto2  # only now, for most users have none
-    except ImportError as error:
-        raise DeviceError(GPHOTO2.missing("a photo camera", "gphoto2")) from error
     return gphoto2
 
 
@@ -308,10 +306,8 @@ def _seconds(shutter_speed: str) -> float | None:
 
 def _developed(content: bytes) -> Any:
     """The image of a RAW file, (H, W, 3) in BGR, 16 bit and linear; None if it cannot be decoded."""
-    try:
+    with GPHOTO2.needed("a RAW frame", "rawpy", DeviceError):
         import rawpy  # only now, for few need it
-    except ImportError as error:
-        raise DeviceError(GPHOTO2.missing("a RAW frame", "rawpy")) from error
     from io import BytesIO
 
     try:

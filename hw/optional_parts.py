@@ -7,6 +7,8 @@ checkout it is an editable installation, because `pip install '.[x]'` would repl
 
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +26,14 @@ class Part:
     def missing(self, what: str, package: str) -> str:
         """The message that `what` needs a missing package, with the command that installs it."""
         return f"{what} needs {package}, which is not installed; type: {self.install_command()}"
+
+    @contextmanager
+    def needed(self, what: str, package: str, error: type[Exception]) -> Iterator[None]:
+        """If an import within fails, raise the `error` with that message."""
+        try:
+            yield
+        except (ImportError, ValueError) as reason:  # ValueError: gi is there, what it should load is not
+            raise error(self.missing(what, package)) from reason
 
     def install_command(self) -> str:
         """The shell command, relative to the present folder."""

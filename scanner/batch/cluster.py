@@ -67,10 +67,8 @@ class DaskWorkers:
 
 def refuse_without_dask() -> None:
     """Raise InputError, saying what to install, if Dask is not there."""
-    try:
+    with BATCH.needed("--scheduler", "Dask", InputError):
         import distributed
-    except ImportError as error:
-        raise InputError(BATCH.missing("--scheduler", "Dask")) from error
     logging.getLogger(distributed.__name__).setLevel(logging.CRITICAL)
 
 

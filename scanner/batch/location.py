@@ -140,10 +140,8 @@ class Location:
 
     def _resolved(self) -> "tuple[fsspec.AbstractFileSystem, str]":
         """The file system and the path in it, of a place that is not on this machine. Raises InputError."""
-        try:
+        with BATCH.needed(f"{self.url}: what is not a folder of this machine", "fsspec", InputError):
             import fsspec
-        except ImportError as error:
-            raise InputError(BATCH.missing(f"{self.url}: what is not a folder of this machine", "fsspec")) from error
         try:
             system, path = fsspec.url_to_fs(self.url)
         except (ImportError, ValueError, OSError) as error:

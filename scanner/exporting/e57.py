@@ -42,10 +42,8 @@ def export(request: Request) -> list[str]:
 
 def refuse_without_pye57() -> None:
     """Raise InputError that names the extra if pye57 cannot be imported."""
-    try:
+    with E57.needed("E57", "pye57", InputError):
         import pye57  # noqa: F401
-    except ImportError as error:
-        raise InputError(E57.missing("E57", "pye57")) from error
 
 
 def write_e57(path: Path, placed: Sequence[PlacedScan], metres_per_unit: float) -> int:

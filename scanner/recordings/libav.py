@@ -8,10 +8,8 @@ from scanner.errors import InputError
 
 def av() -> ModuleType:
     """Raise InputError that names the extra if PyAV cannot be imported."""
-    try:
+    with VIDEO.needed("video", "av", InputError):
         import av as library
-    except ImportError as error:
-        raise InputError(VIDEO.missing("video", "av")) from error
     library.logging.set_level(library.logging.PANIC)  # errors of a file are raised as exceptions instead
     module: ModuleType = library
     return module

@@ -14,10 +14,8 @@ DEFAULT_PORT = 8080
 
 def require_viser() -> None:
     """Raise InputError, saying what to install, if viser is not there."""
-    try:
+    with CONSOLE.needed("the page in the browser", "viser", InputError):
         import viser  # noqa: F401  # only now, for most commands do without
-    except ImportError as error:
-        raise InputError(CONSOLE.missing("the page in the browser", "viser")) from error
 
 
 def add_address(parser: ArgumentParser) -> None:
