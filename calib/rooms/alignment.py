@@ -176,8 +176,7 @@ def _step(matrix: Floats, gradient: Floats, centre: Floats) -> Floats:
     if not matrix.any():
         return np.zeros(6)
     about = np.eye(6)  # twist about the centre → twist of the frame
-    x, y, z = centre
-    about[3:, :3] = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]) @ np.eye(3)
+    about[3:, :3] = -np.cross(np.eye(3), centre)
     own = about.T @ matrix @ about
     turns, shifts = np.trace(own[:3, :3]) / 3, np.trace(own[3:, 3:]) / 3
     damped = own + _DAMPING * np.diag([turns] * 3 + [shifts] * 3) + 1e-12 * np.eye(6)

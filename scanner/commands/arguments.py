@@ -11,6 +11,7 @@ from scanner.commands.shared_arguments import (
     add_new_result,
     add_out,
     add_overwrite,
+    add_paths,
     add_quiet,
     add_result,
 )
@@ -103,19 +104,16 @@ def of_import(parser: ArgumentParser) -> None:
     parser.add_argument("--order", metavar="N", help="number in the list, if several orders fit")
     parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")
     parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
-    parser.add_argument(
-        "--out", type=Path, metavar="CAPTURE", help="folder to make (default: only report what is recognised)"
-    )
+    add_out(parser, default="only report what is recognised", metavar="CAPTURE")
     add_quiet(parser)
 
 
 def of_calibrate(parser: ArgumentParser) -> None:
-    parser.add_argument(
+    add_paths(
+        parser,
         "matches",
-        type=Path,
-        nargs="+",
-        metavar="MATCHES",
-        help="matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last; "
+        "MATCHES",
+        "matches.npz, or a result folder; several of one unchanged rig are calibrated together, the newest last; "
         "one may be a result of scan board",
     )
     add_config(parser, required=True)
@@ -165,9 +163,7 @@ def of_check(parser: ArgumentParser) -> None:
         metavar="SECONDS",
         help="seconds to look for drift, as in 60 (default: the duration of the other checks)",
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder to make, for check.yaml and pictures (default: nothing is kept)"
-    )
+    add_out(parser, "folder to make, for check.yaml and pictures", default="nothing is kept")
     add_quiet(parser)
 
 
@@ -175,12 +171,8 @@ def of_export(parser: ArgumentParser) -> None:
     add_result(parser)
     formats = "; ".join(f"{name}: {target.about}" for name, target in FORMATS.items())
     parser.add_argument("--to", required=True, choices=list(FORMATS), metavar="FORMAT", help=formats)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="PATH",
-        help="file to write, a folder for colmap and mapping (default: beside the result)",
-    )
+    what = "file to write, a folder for colmap and mapping"
+    add_out(parser, what, default="beside the result", metavar="PATH")
     parser.add_argument(
         "--points", type=int, metavar="N", help=f"colmap: at most this many points (default: {DEFAULT_POINTS:,})"
     )
@@ -218,28 +210,21 @@ def of_measure(parser: ArgumentParser) -> None:
         metavar=("X1", "Y1", "X2", "Y2"),
         help="distance between the points at two camera pixels",
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for measure.json and measure.png (default: beside the result)"
-    )
+    add_out(parser, "folder for measure.json and measure.png", default="beside the result")
     parser.add_argument("--shares", action="store_true", help="show where each sigma comes from")
     add_overwrite(parser, "measurement there")
     add_quiet(parser)
 
 
 def of_accept(parser: ArgumentParser) -> None:
-    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT", help="folders of scans' results")
+    add_paths(parser, "results", "RESULT", "folders of scans' results")
     parser.add_argument(
         "--ball-bar",
         required=True,
         metavar="D1,D2,LENGTH",
         help="calibrated diameters and distance of the centres, as in 50.02mm,50.01mm,200.13mm",
     )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for acceptance.html and acceptance.json (default: beside the first result)",
-    )
+    add_out(parser, "folder for acceptance.html and acceptance.json", default="beside the first result")
     add_overwrite(parser, "acceptance there")
     add_quiet(parser)
 
@@ -256,9 +241,7 @@ def of_console(parser: ArgumentParser) -> None:
 
 
 def of_photos(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "photos", type=Path, nargs="+", metavar="PHOTO", help="photos of one corner by one camera at one zoom"
-    )
+    add_paths(parser, "photos", "PHOTO", "photos of one corner by one camera at one zoom")
     parser.add_argument(
         "--matches",
         type=Path,
@@ -275,9 +258,7 @@ def of_photos(parser: ArgumentParser) -> None:
 
 
 def of_board(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "captures", type=Path, nargs="*", metavar="CAPTURE", help="folder with a capture.yaml, or with several of those"
-    )
+    add_paths(parser, "captures", "CAPTURE", "folder with a capture.yaml, or with several of those", nargs="*")
     parser.add_argument(
         "--board",
         metavar="KIND:WxH",
@@ -308,22 +289,15 @@ def of_board(parser: ArgumentParser) -> None:
 
 
 def of_room(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "stations", type=Path, nargs="+", metavar="STATION", help="captures, results or matches.npz, in any order"
-    )
+    add_paths(parser, "stations", "STATION", "captures, results or matches.npz, in any order")
     add_config(parser, required=True)
     add_calibration(parser, "known calibration of the rig: no station needs a corner")
     add_new_result(parser)
 
 
 def of_network(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "captures",
-        type=Path,
-        nargs="*",
-        metavar="CAPTURE",
-        help="folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config",
-    )
+    what = "folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config"
+    add_paths(parser, "captures", "CAPTURE", what, nargs="*")
     add_config(parser, required=False)
     parser.add_argument(
         "--distance", metavar="A,B,LENGTH", help="known distance between two devices, as in left,stage,2.35m"
@@ -332,13 +306,8 @@ def of_network(parser: ArgumentParser) -> None:
 
 
 def of_object(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "stations",
-        type=Path,
-        nargs="+",
-        metavar="STATION",
-        help="captures, results or matches.npz, in any order; a thing's folder stands for its stations",
-    )
+    what = "captures, results or matches.npz, in any order; a thing's folder stands for its stations"
+    add_paths(parser, "stations", "STATION", what)
     add_config(parser, required=True)
     add_calibration(parser, "known calibration of the rig", required=True)
     _add_fill(parser)

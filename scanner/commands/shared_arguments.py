@@ -21,9 +21,15 @@ def add_calibration(
     parser.add_argument("--calibration", type=kind, required=required, metavar="FILE", help=text)
 
 
-def add_out(parser: ArgumentParser, *, default: str | None = None) -> None:
-    text = "folder to make" if default is None else f"folder to make (default: {default})"
-    parser.add_argument("--out", type=Path, metavar="DIR", required=default is None, help=text)
+def add_paths(parser: ArgumentParser, name: str, metavar: str, text: str, *, nargs: str = "+") -> None:
+    parser.add_argument(name, type=Path, nargs=nargs, metavar=metavar, help=text)
+
+
+def add_out(
+    parser: ArgumentParser, what: str = "folder to make", *, default: str | None = None, metavar: str = "DIR"
+) -> None:
+    text = what if default is None else f"{what} (default: {default})"
+    parser.add_argument("--out", type=Path, metavar=metavar, required=default is None, help=text)
 
 
 def add_overwrite(parser: ArgumentParser, what: str = "result of that name") -> None:
