@@ -9,6 +9,7 @@ from scanner.commands.shared_arguments import (
     add_config,
     add_masks,
     add_new_result,
+    add_number,
     add_out,
     add_overwrite,
     add_paths,
@@ -40,19 +41,10 @@ def of_scan(parser: ArgumentParser) -> None:
         metavar="DIR",
         help="complete an interrupted capture, as in NAME-incomplete, with the rig unchanged",
     )
-    parser.add_argument(
-        "--captures",
-        type=int,
-        default=1,
-        metavar="N",
-        help="capture the corner N times, moving the rig as a whole in between, and calibrate from all (default: 1)",
-    )
-    parser.add_argument(
-        "--stations",
-        type=int,
-        metavar="N",
-        help="scan a whole room from N places, moving the rig as a whole in between, and put them together",
-    )
+    what = "capture the corner N times, moving the rig as a whole in between, and calibrate from all"
+    add_number(parser, "--captures", what, default=1)
+    what = "scan a whole room from N places, moving the rig as a whole in between, and put them together"
+    add_number(parser, "--stations", what)
     parser.add_argument(
         "--object", action="store_true", help="with --stations and --calibration: scan a thing that you turn in between"
     )
@@ -82,7 +74,7 @@ def of_batch(parser: ArgumentParser) -> None:
     add_config(parser, required=False)
     add_calibration(parser, _INSTEAD, kind=str)  # may be remote, as the captures
     parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each processor)")
+    add_number(parser, "--workers", "processes (default: one for each processor)")
     parser.add_argument("--memory", metavar="SIZE", help="memory of each process, as in 4GB (default: an equal share)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as in tcp://10.0.0.1:8786")
     parser.add_argument("--retry", action="store_true", help="retry captures that crashed in an earlier run")
@@ -134,12 +126,8 @@ def of_patterns(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
     parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture is shown (default: 0.2s)")
-    parser.add_argument(
-        "--loops",
-        type=int,
-        metavar="N",
-        help="with --video: how many times the pictures are shown, forwards and backwards (default: 1)",
-    )
+    what = "with --video: how many times the pictures are shown, forwards and backwards (default: 1)"
+    add_number(parser, "--loops", what)
     add_out(parser)
     add_quiet(parser)
 
@@ -173,9 +161,7 @@ def of_export(parser: ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=list(FORMATS), metavar="FORMAT", help=formats)
     what = "file to write, a folder for colmap and mapping"
     add_out(parser, what, default="beside the result", metavar="PATH")
-    parser.add_argument(
-        "--points", type=int, metavar="N", help=f"colmap: at most this many points (default: {DEFAULT_POINTS:,})"
-    )
+    add_number(parser, "--points", f"colmap: at most this many points (default: {DEFAULT_POINTS:,})")
     parser.add_argument(
         "--eye",
         metavar="X,Y,Z",
@@ -317,7 +303,7 @@ def of_object(parser: ArgumentParser) -> None:
 def of_live(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     add_calibration(parser, "known calibration of the rig", required=True)
-    parser.add_argument("--clouds", type=int, metavar="N", help="keep N clouds, then end")
+    add_number(parser, "--clouds", "keep N clouds, then end")
     parser.add_argument("--room", action="store_true", help="the rig moves in a room (default: a thing is moved)")
     parser.add_argument("--every", metavar="TIME", help="keep a cloud at this interval, as in 2s")
     parser.add_argument(

@@ -25,6 +25,11 @@ def add_paths(parser: ArgumentParser, name: str, metavar: str, text: str, *, nar
     parser.add_argument(name, type=Path, nargs=nargs, metavar=metavar, help=text)
 
 
+def add_number(parser: ArgumentParser, flag: str, text: str, *, default: int | None = None) -> None:
+    shown = text if default is None else f"{text} (default: {default})"
+    parser.add_argument(flag, type=int, default=default, metavar="N", help=shown)
+
+
 def add_out(
     parser: ArgumentParser, what: str = "folder to make", *, default: str | None = None, metavar: str = "DIR"
 ) -> None:
