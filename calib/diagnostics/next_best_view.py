@@ -70,11 +70,8 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
     # The gain is computed from curvature alone. Smooth errors are a factor, as further captures have them too.
-    # Without smooth errors, and the valley's bend.
-    by_curvature = covariance_of(refinement.fit.information, refinement.prior.free)
-    beyond = float(
-        np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start] / by_curvature[CAMERA.start, CAMERA.start])
-    )
+    present = covariance_of(refinement.fit.information, refinement.prior.free)
+    beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start] / present[CAMERA.start, CAMERA.start]))
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
@@ -83,7 +80,7 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
         seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
         if seen is None:
             continue
-        sigma = beyond * _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
+        sigma = beyond * _sigma_with(refinement, present, pose, seen, variance / len(seen), knowledge)
         if best is None or sigma < best.sigma:
             best = NextView(right, up, distance, sigma, step_taken(state.poses[-1], right, up, distance))
     return best
@@ -143,8 +140,12 @@ def _slants(state: State, capture: int) -> Floats:
     return directions @ state.normals(capture).T
 
 
-def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:
-    """Relative sigma of the camera's focal length with a further capture of `cells`."""
+def _sigma_with(
+    refinement: Refinement, present: Floats, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge
+) -> float:
+    """Relative sigma of the camera's focal length with a further capture of `cells`; `present`: the covariance by
+    curvature, without smooth errors and the curved valley.
+    """
     state = refinement.fit.state
     alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
@@ -155,7 +156,6 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     shared = kept[kept < alone.size - PER_POSE]
     # Present information on the shared columns. With a second capture the valley is short, so curvature suffices.
     known = state.columns(len(refinement.captures) - 1)[shared]
-    covariance = covariance_of(refinement.fit.information, refinement.prior.free)[np.ix_(known, known)]
     total = new.copy()
-    total[np.ix_(shared, shared)] += inverse_of(covariance)
+    total[np.ix_(shared, shared)] += inverse_of(present[np.ix_(known, known)])
     return float(np.sqrt(covariance_of(total, prior.free)[CAMERA.start, CAMERA.start]))
