@@ -8,9 +8,9 @@ from calib.numerics import Bools, Floats
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.room import _corner
 from hw.simulated.scene import Label
 from hw.simulated.sensor import build_sensor
-from hw.simulated.room import _corner
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
 
