@@ -186,8 +186,10 @@ def _code(samples: Samples, shown: _Shown, axis: Axis, numbering: tuple[int, int
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
         normal, inverse = frames.get((bit, False)), frames.get((bit, True))
-        alone = inverse if normal is None else normal
-        half_way = None if alone is None else _middle(samples, ends) + _above_middle(samples, alone, ends) * samples.swing
+        alone = [frame for frame in (normal, inverse) if frame is not None]
+        half_way = _middle(samples, ends)
+        if len(alone) == 1:
+            half_way = half_way + _above_middle(samples, *alone, ends) * samples.swing
         bright = half_way if normal is None else levels[normal]
         dark = half_way if inverse is None else levels[inverse]
         one, decided = bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
