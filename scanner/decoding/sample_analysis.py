@@ -99,7 +99,7 @@ def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[
     flicker = _equalise(accumulators, samples, inconsistent)
     if grid.is_divided:
         noise = measure_noise(accumulators.plan, sample, saturation)
-    notes += drop_lost_fringes(accumulators, noise, sample.pixels)
+    notes += drop_lost_fringes(accumulators, noise, sample)
     notes += resolve_bits(accumulators, noise, sample.pixels)
     if grid.is_divided or accumulators.plan != shown:
         inconsistent = _inconsistent_pixels(accumulators.plan, samples, noise)

@@ -11,6 +11,8 @@ from scanner.decoding.arrays import Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12  # frames in a message
+# This many of the finest bits may be blurred by projector, camera and scattering, or not resolved at all.
+FINE_BITS = 3
 # Parameters of a cosine: this many frames fit one in any order, including a wrong one.
 COSINE_PARAMETERS = 3
 # Mean difference of two patterns, relative to white, below which they look alike: two bits differ by a half, a dozen
@@ -66,6 +68,11 @@ class GrayCode:
     def frames(self) -> list[int]:
         """All frames, in order."""
         return sorted([*self.normal.values(), *self.inverse.values()])
+
+    @property
+    def fine_frames(self) -> list[int]:
+        """The frames of the finest bits and of their inverses."""
+        return self.frames_of(range(self.bits - FINE_BITS, self.bits))
 
     def frames_of(self, bits: Iterable[int]) -> list[int]:
         """Return the frames of some bits and of their inverses."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from scanner.decoding.axis_decoder import largest_variance
-from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
@@ -114,5 +113,4 @@ def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
 
 def _finest(axis: AxisPlan) -> list[int]:
     """Return the frames of the finest bits of an axis."""
-    code = min(axis.codes, key=lambda code: code.cell)
-    return code.frames_of(range(code.bits - FINE_BITS, code.bits))
+    return min(axis.codes, key=lambda code: code.cell).fine_frames

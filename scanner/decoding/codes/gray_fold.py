@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
 from scanner.decoding.arrays import Words
-from scanner.decoding.sequence_plan import GrayCode
+from scanner.decoding.sequence_plan import FINE_BITS, GrayCode
 
 Planes = NDArray[np.uint8]
-# This many of the finest bits may be blurred by projector, camera and scattering, or not resolved at all.
-FINE_BITS = 3
 
 
 class GrayFold:

@@ -16,6 +16,7 @@ from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
+from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF, NEARLY_ALL
 from scanner.decoding.subsampling import evenly_spread
@@ -43,19 +44,16 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     return weaker if weaker > _IN_FOCUS else 1.0
 
 
-def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
-    """Drop all fringes if blur leaves hardly any on an axis with a code, judged at sample pixels
-    (P,); yield a warning.
-    """
-    pixels = evenly_spread(pixels)
+def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, sample: Sample) -> Iterator[str]:
+    """Drop all fringes if blur leaves hardly any on an axis with a code, judged by a sample; yield a warning."""
 
-    def sample(image: NDArray[Any]) -> NDArray[Any]:
-        return image.reshape(1, -1)[:, pixels]
+    def of_sample(image: NDArray[Any]) -> NDArray[Any]:
+        return evenly_spread(sample.of(image))[None]
 
     lost = [
         axis
-        for axis, signals in zip(accumulators.plan.axes, signals_of(accumulators, sample), strict=True)
-        if axis.codes and axis.fringes and _is_lost(axis, signals, accumulators, noise, pixels)
+        for axis, signals in zip(accumulators.plan.axes, signals_of(accumulators, of_sample), strict=True)
+        if axis.codes and axis.fringes and _is_lost(axis, signals, accumulators, noise, sample)
     ]
     if lost and all(axis.codes for axis in accumulators.plan.axes):
         accumulators.forget_fringes()
@@ -66,12 +64,15 @@ def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, pixels: NDA
         )
 
 
-def _is_lost(
-    axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]
-) -> bool:
+def _is_lost(axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise: NoiseModel, sample: Sample) -> bool:
     certain_from, seen_from = least_contrasts(noise, signals.middle)
-    folds = [fold for fold in accumulators.codes if fold.code in axis.codes]
-    least = np.min([fold.least.reshape(-1)[pixels] for fold in folds], axis=0)
+    # Light from other surfaces may lie on one side of the threshold in all bits without an inverse, as by a tone curve:
+    # only where fine bits differ are their stripes seen.
+    fine = sorted({frame for code in axis.codes for frame in code.fine_frames})
+    least = evenly_spread(np.ptp([sample.level(frame) for frame in fine], axis=0))
+    for fold in accumulators.codes:
+        if fold.code in axis.codes:
+            least = np.minimum(least, evenly_spread(sample.of(fold.least)))
     # Ambient light that was switched on decides bits at unlit pixels, too.
     half_lit = signals.brightest - signals.middle
     # Stray light, which cameras of many bits detect, has no fringes either.

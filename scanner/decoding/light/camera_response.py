@@ -23,9 +23,9 @@ from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS
 from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.patterns import Xor
 
-# Number of levels between which g is linear; weight of its second differences relative to one pixel's sums; weight of
-# the constraints relative to all pixels.
-_LEVELS, _STIFFNESS, _HELD = 17, 1.0, 10.0
+# Number of levels between which g is linear; weight of its second differences, relative to all pixels, where medium
+# levels are of indirect light only (of one pixel elsewhere); weight of the constraints.
+_LEVELS, _STIFF, _HELD = 17, 0.1, 10.0
 _LINEAR = np.linspace(0, 1, _LEVELS)
 # Number of finest bits whose stripes are narrow enough to see many of; number of pixel groups, of which each bit lights
 # half the pixels.
@@ -73,19 +73,13 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     """
     if levels.shape[1] < FEWEST_PIXELS:
         return None
-    has_pairs = len(plan.complements) >= MAJORITY
-    some: Floats32 = evenly_spread(levels, TRIAL_PIXELS, axis=-1) if has_pairs else levels
-    seen = some / np.float32(top)
-    found = _of_pairs(plan, seen) if has_pairs else _of_bits_alone(plan, seen)
-    if found is None:
-        return None
-    fit = _fit_in_one_light(*found) if has_pairs else _fit([found[0]], found[1])
-    notable = _NOTABLE if has_pairs else _NOTABLE_OF_BITS
-    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
-    # of the frames is likelier if it leaves less.
-    most = min(notable, _LEFT * fit.before, _left_by_gains(plan, seen) if has_pairs else notable)
-    is_likely = fit.before >= notable and fit.after <= most
-    return CameraResponse(fit.light / fit.light[-1], top, saturation) if is_likely else None
+    seen: Floats32 = levels / np.float32(top)
+    if len(plan.complements) >= MAJORITY:
+        light = _of_inverses(plan, evenly_spread(seen, TRIAL_PIXELS, axis=-1))
+    else:
+        light = _of_narrow_stripes(plan, seen)
+        light = _of_wide_stripes(plan, seen) if light is None else light
+    return None if light is None else CameraResponse(light / light[-1], top, saturation)
 
 
 @dataclass(frozen=True)
@@ -96,22 +90,26 @@ class _Fit:
     before: float
     after: float
 
+    def is_likely(self, notable: float) -> bool:
+        """Whether the sums are notably uneven without the curve, and hardly with it."""
+        return self.before >= notable and self.after <= min(notable, _LEFT * self.before)
 
-def _fit(groups: list[Floats], swing: Floats) -> _Fit:
+
+def _fit(groups: list[Floats], swing: Floats, stiffness: float) -> _Fit:
     """Fit g to groups of sums (sums, P, _LEVELS); the sums of a group are to be equal.
 
     A curve that is flat where the levels are would level anything. What it leaves is therefore divided by the square of
     the geometric mean of its slopes there, relative to its swing, as the likelihood of a transformation is (Box and
     Cox, JRSS B 26, 1964). No camera is as flat as that over much of its range.
     """
-    light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing)
+    light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing, stiffness)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
     seen = np.concatenate(groups).mean(axis=(0, 1))
     seen /= seen.sum()
     slopes = np.gradient(light) / np.gradient(_LINEAR) * np.mean(swing @ _LINEAR) / np.mean(swing @ light)
     if seen @ (slopes < FEW) > FEW:
-        after = inf
-    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(slopes))))
+        return _Fit(light, before, inf)
+    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(np.maximum(slopes, _LEAST_SLOPE)))))
 
 
 def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
@@ -121,7 +119,8 @@ def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
     likelihood is the number of sums times the logarithm of what is left of them. As pixels are not independent, half of
     that must go at least.
     """
-    best = alike = _fit([sums], swing)
+    stiffness = 1 / len(swing)
+    best = alike = _fit([sums], swing, stiffness)
     for light in (_LINEAR, alike.light):
         of_light, of_swing = sums @ light, swing @ light
         left = [
@@ -129,51 +128,95 @@ def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
             for place in range(1, len(sums))
         ]
         place = 1 + int(np.argmin(left))
-        best = min(best, _fit([sums[:place], sums[place:]], swing), key=lambda fit: fit.after)
+        best = min(best, _fit([sums[:place], sums[place:]], swing, stiffness), key=lambda fit: fit.after)
     is_changed = best.after < alike.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
     return best if is_changed else alike
 
 
-def _of_pairs(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:
-    """Return the sums of pairs in capture order and the swings, at pixels `seen` (frames, P); None if they are even.
-
-    Sums (pairs, P, _LEVELS) and swings (P, _LEVELS) are linear in the values of g.
+def _of_inverses(plan: SequencePlan, seen: Floats32) -> Floats | None:
+    """Return the values (_LEVELS,) of the g that makes the sums of pairs equal at pixels `seen` (frames, P), if one
+    does.
     """
-    first, second = np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1]))).T
+    pairs = seen[np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1])))]
     darkest, brightest = seen.min(axis=0), seen.max(axis=0)
-    if _unevenness(seen[first] + seen[second], brightest - darkest) < _NOTABLE:
+    if _unevenness(pairs.sum(axis=1), brightest - darkest) < _NOTABLE:
         return None
-    swing = _interpolation(brightest) - _interpolation(darkest)
-    return _interpolation(seen[first]) + _interpolation(seen[second]), swing
+    fit = _fit_in_one_light(_sums_of(pairs), _interpolation(brightest) - _interpolation(darkest))
+    # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
+    # of the frames is likelier if it leaves less.
+    most = _left_by_gains(pairs, brightest - darkest)
+    return fit.light if fit.is_likely(_NOTABLE) and fit.after <= most else None
 
 
-def _left_by_gains(plan: SequencePlan, seen: Floats32) -> float:
-    """Return how uneven the sums of pairs are, at pixels `seen` (frames, P), once all frames are equally bright."""
-    pairs = np.array(plan.complements)
-    usual = seen[pairs].sum(axis=1).mean(axis=0)
-    return _unevenness(np.stack([left_by_gains(seen[pair], usual) for pair in pairs]), np.ptp(seen, axis=0))
+def _of_wide_stripes(plan: SequencePlan, seen: Floats32) -> Floats | None:
+    """Return the same for fine bits without inverses, whose stripes are wide.
 
-
-def _of_bits_alone(plan: SequencePlan, seen: Floats32) -> tuple[Floats, Floats] | None:
-    """Return the same as `_of_pairs` for fine bits without inverses, compared with white plus black.
-
-    Averages over groups of equally bright pixels replace pairs, as half of the pixels are lit. None without such bits,
-    without white or black, or if the bits are darker.
+    The brightest and the darkest of an axis's fine bits are a pair, and so are white and black. Other surfaces send as
+    much light to both, half of what they send to white, so that these are at medium levels. None without such bits.
     """
-    bits = [frame for code in plan.codes for bit, frame in code.unpaired.items() if bit >= code.bits - _FINE_BITS]
-    bits = [frame for frame in bits if not isinstance(plan.patterns[frame], Xor)]
+    by_axis = _fine_bits(plan)
+    if not by_axis or plan.white is None or plan.black is None:
+        return None
+    white, black = seen[plan.white], seen[plan.black]
+    ends = [(seen[frames].max(axis=0), seen[frames].min(axis=0)) for frames in by_axis]
+    wide = np.flatnonzero(np.all([high - low > HALF * (white - black) for high, low in ends], axis=0))
+    if len(wide) < FEWEST_PIXELS:
+        return None
+    pairs: Floats32 = evenly_spread(np.array([(white, black), *ends])[..., wide], TRIAL_PIXELS, axis=-1)
+    sums, swing = _sums_of(pairs), _interpolation(pairs[0, 0]) - _interpolation(pairs[0, 1])
+    if _are_darker(sums):
+        return None
+    fit = _fit([sums], swing, _STIFF)
+    return fit.light if fit.is_likely(_NOTABLE) else None
+
+
+def _of_narrow_stripes(plan: SequencePlan, seen: Floats32) -> Floats | None:
+    """Return the same for fine bits without inverses, whose stripes are narrow.
+
+    Averages over groups of equally bright pixels replace pairs, as half of the pixels are lit. None without such bits.
+    """
+    bits = [frame for frames in _fine_bits(plan) for frame in frames]
     if not bits or plan.white is None or plan.black is None:
         return None
     ordered = _interpolation(seen[[plan.white, plan.black, *bits]][:, np.argsort(seen[plan.white])])
     starts = np.arange(_GROUPS) * seen.shape[1] // _GROUPS
     counts = np.diff(starts, append=seen.shape[1])
     white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
-    sums, swing = 2 * np.stack(of_bits), white - black
-    # Darker bits mean that stripes lose light, or that white differs in patterns.
-    if np.any(swing @ _LINEAR <= 0) or np.sum((sums - white - black) @ _LINEAR) <= 0:
+    sums, swing = np.stack([white + black, *(2 * bit for bit in of_bits)]), white - black
+    if np.any(swing @ _LINEAR <= 0) or _are_darker(sums):
         return None
-    sums = np.concatenate([[white + black], sums])
-    return (sums, swing) if _unevenness(sums @ _LINEAR, swing @ _LINEAR) >= _NOTABLE_OF_BITS else None
+    fit = _fit([sums], swing, 1 / _GROUPS)
+    return fit.light if fit.is_likely(_NOTABLE_OF_BITS) else None
+
+
+def _fine_bits(plan: SequencePlan) -> list[list[int]]:
+    """Return, for each axis that has any, the frames of its fine bits without inverses."""
+    by_axis = [
+        [
+            frame
+            for code in axis.codes
+            for bit, frame in code.unpaired.items()
+            if bit >= code.bits - _FINE_BITS and not isinstance(plan.patterns[frame], Xor)
+        ]
+        for axis in plan.axes
+    ]
+    return [frames for frames in by_axis if frames]
+
+
+def _are_darker(sums: Floats) -> bool:
+    """Whether the bits are darker than white and black: stripes lose light, or white differs in patterns."""
+    return bool(np.sum((sums - sums[0]) @ _LINEAR) <= 0)
+
+
+def _left_by_gains(pairs: Floats32, swing: Floats32) -> float:
+    """Return how uneven the sums of pairs (N, 2, P) are, in swings (P,), once all frames are equally bright."""
+    usual = pairs.sum(axis=1).mean(axis=0)
+    return _unevenness(np.stack([left_by_gains(pair, usual) for pair in pairs]), swing.astype(np.float64))
+
+
+def _sums_of(pairs: Floats32) -> Floats:
+    """Return the sums (N, P, _LEVELS) of pairs (N, 2, P)."""
+    return _interpolation(pairs[:, 0]) + _interpolation(pairs[:, 1])
 
 
 def _interpolation(levels: Floats32) -> Floats:
@@ -183,14 +226,14 @@ def _interpolation(levels: Floats32) -> Floats:
     return weights
 
 
-def _levelling(off: Floats, swing: Floats) -> Floats:
+def _levelling(off: Floats, swing: Floats, stiffness: float) -> Floats:
     """Return the values (_LEVELS,) of g that minimise `off` @ g relative to the swings, with the mean swing kept.
 
     `off` (sums, P, _LEVELS): the sums minus their mean; `swing` (P, _LEVELS).
     """
     rows, mean = off.reshape(-1, _LEVELS), swing.mean(axis=0)
     bends = np.diff(np.eye(_LEVELS), 2, axis=0)
-    stiff = _STIFFNESS / len(swing) * bends.T @ bends
+    stiff = stiffness * bends.T @ bends
     light, weights = _LINEAR, np.ones(len(rows))
     given, offset = np.outer(mean, mean), np.outer(np.eye(_LEVELS)[0], np.eye(_LEVELS)[0])
     as_it_is = mean * float(mean @ _LINEAR)

@@ -16,7 +16,6 @@ from scipy.special import erfinv
 
 from calib.numerics import Bools, Floats, median, quantile, reweighted
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.codes.gray_fold import FINE_BITS
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
@@ -73,7 +72,7 @@ def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
 
     An error in one of them moves the coordinate by a few cells only.
     """
-    return {frame for code in plan.codes for frame in code.frames_of(range(code.bits - FINE_BITS, code.bits))}
+    return {frame for code in plan.codes for frame in code.fine_frames}
 
 
 def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:

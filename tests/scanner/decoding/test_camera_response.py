@@ -21,8 +21,10 @@ from tests.support.synthetic_capture import Scene, decode
 pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered once
 
 SCENE = replace(Scene(), depth_bits=16, camera_blur_px=1.0, ambient=12.0)
+BRIGHT_WALLS = replace(SCENE, indirect=0.5, exposure=150.0)
 GRAY = sequence_for(SCENE.projector, code="gray", cell=1, inverses=True, shifts=0)
 ALONE = sequence_for(SCENE.projector, code="gray", cell=1, inverses=False, shifts=0)
+QUICK = sequence_for(SCENE.projector, code="gray", cell=8, inverses=False, periods=(12.3,), shifts=4)
 FRINGES = sequence_for(SCENE.projector, code="gray", cell=8, inverses=True, shifts=4)
 Curve = Callable[[Floats], Floats]
 
@@ -69,12 +71,32 @@ def share_kept(decoding: Decoding) -> float:
 def test_the_curve_is_found(patterns: Sequence[Pattern], curve: Curve, most_off: float) -> None:
     found = response_of(patterns, photographs(patterns, curve))
     assert found is not None
+    assert 0.0002 < off_by(found.light, curve) < most_off
+
+
+def off_by(found: Floats, curve: Curve) -> float:
+    """Return the largest error of a response (levels,), relative to white."""
     light = np.linspace(0, 1, 1001)
-    true = np.interp(np.linspace(0, 1, len(found.light)), curve(light), light)
+    true = np.interp(np.linspace(0, 1, len(found)), curve(light), light)
     used = slice(3, -3)  # of levels that are in the frames; light is known but for its unit and its zero
-    fit = np.polyfit(true[used], found.light[used], 1)
-    off = np.abs(np.polyval(fit, true[used]) - found.light[used]).max() / fit[0]
-    assert 0.0002 < off < most_off
+    fit = np.polyfit(true[used], found[used], 1)
+    return float(np.abs(np.polyval(fit, true[used]) - found[used]).max() / fit[0])
+
+
+@pytest.mark.parametrize(("curve", "most_off"), [(srgb, 0.05), (steep, 0.045)])
+def test_indirect_light_shows_the_curve_where_stripes_are_wide_and_without_inverses(
+    curve: Curve, most_off: float
+) -> None:
+    found = response_of(QUICK, photographs(QUICK, curve, BRIGHT_WALLS))
+    assert found is not None
+    assert 0.01 < off_by(found.light, curve) < most_off
+
+
+@pytest.mark.parametrize("white", [1.0, 0.93, 0.9, 0.8])
+def test_a_dark_white_frame_is_no_curve(white: float) -> None:
+    frames = photographs(QUICK, linear, BRIGHT_WALLS)
+    dimmed = [np.rint(white * frames[0]).astype(np.uint8), *frames[1:]]
+    assert response_of(QUICK, dimmed) is None
 
 
 @pytest.mark.parametrize("patterns", [GRAY, FRINGES, ALONE])
@@ -125,3 +147,19 @@ def test_frames_brighter_than_white_are_clipped_to_white() -> None:
     response = CameraResponse(np.array([0.0, 0.25, 1.0]), top=100.0, saturation=np.inf)
     frame = np.array([[0, 25, 50], [75, 100, 130]], np.uint16)
     assert response.light_of(frame).tolist() == [[0, 128, 256], [639, 1023, 1023]]
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_a_brightened_wall_beside_the_picture_is_no_blur(share: float) -> None:
+    """By the light that other surfaces send there, all its fine bits are on the bright side of their thresholds."""
+    scene = replace(SCENE, zoom=1.6)
+    white, black, *bits = [frame.astype(np.float64) for frame in scene.frames(QUICK)]
+    beside = white < white.max() / 10
+    assert 0.6 < np.mean(beside) < 0.75, "most of what is lit"
+    lit = beside * share * white.max() / np.mean(white - black)
+    frames = [frame + lit * np.mean(frame - black) for frame in (white, black, *bits)]
+    digits = np.rint(255 * srgb(np.linspace(0, 1, 2**16))).astype(np.uint8)
+    decoding = decode(QUICK, [digits[frame.astype(np.uint16)] for frame in frames], scene.projector)
+    assert 17_000 < len(decoding.matches) < 20_000
+    assert 0.03 < np.median(np.abs(scene.errors(decoding))) < 0.1
+    assert decoding.warnings == ()
