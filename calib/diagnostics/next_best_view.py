@@ -70,7 +70,8 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
     cells, level = refinement.captures[-1], refinement.noise[-1]
     variance = float(np.median(level.variances(cells)) * len(cells))
     # The gain is computed from curvature alone. Smooth errors are a factor, as further captures have them too.
-    beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start]) / _sigma_by_curvature(refinement))
+    present = covariance_of(refinement.fit.information, refinement.prior.free)
+    beyond = float(np.sqrt(refinement.covariance[CAMERA.start, CAMERA.start] / present[CAMERA.start, CAMERA.start]))
     best: NextView | None = None
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
@@ -79,7 +80,7 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
         seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
         if seen is None:
             continue
-        sigma = beyond * _sigma_with(refinement, pose, seen, variance / len(seen), knowledge)
+        sigma = beyond * _sigma_with(refinement, present, pose, seen, variance / len(seen), knowledge)
         if best is None or sigma < best.sigma:
             best = NextView(right, up, distance, sigma, step_taken(state.poses[-1], right, up, distance))
     return best
@@ -101,11 +102,6 @@ def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> 
     """The new camera centre in the present frame, the zero of X = vertex + turn (X_now − vertex_now)."""
     step: Floats = pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
     return step
-
-
-def _sigma_by_curvature(refinement: Refinement) -> float:
-    """Present relative sigma of the camera's focal length by curvature, without smooth errors and the curved valley."""
-    return float(np.sqrt(covariance_of(refinement.fit.information, refinement.prior.free)[CAMERA.start, CAMERA.start]))
 
 
 def _seen(state: State, knowledge: Knowledge) -> Cells | None:
@@ -147,8 +143,12 @@ def _slants(state: State, capture: int) -> Floats:
     return slants
 
 
-def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge) -> float:
-    """Relative sigma of the camera's focal length with a further capture of `cells`."""
+def _sigma_with(
+    refinement: Refinement, present: Floats, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge
+) -> float:
+    """Relative sigma of the camera's focal length with a further capture of `cells`; `present`: the covariance by
+    curvature, without smooth errors and the curved valley.
+    """
     state = refinement.fit.state
     alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
     alone = replace(alone, poses=(replace(pose, corner=0),))
@@ -159,7 +159,6 @@ def _sigma_with(refinement: Refinement, pose: Pose, cells: Cells, variance: floa
     shared = kept[kept < alone.size - PER_POSE]
     # Present information on the shared columns. With a second capture the valley is short, so curvature suffices.
     known = state.columns(len(refinement.captures) - 1)[shared]
-    covariance = covariance_of(refinement.fit.information, refinement.prior.free)[np.ix_(known, known)]
     total = new.copy()
-    total[np.ix_(shared, shared)] += inverse_of(covariance)
+    total[np.ix_(shared, shared)] += inverse_of(present[np.ix_(known, known)])
     return float(np.sqrt(covariance_of(total, prior.free)[CAMERA.start, CAMERA.start]))

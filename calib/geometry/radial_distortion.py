@@ -60,7 +60,7 @@ def derivatives(ideal: Floats, distortion: Distortion) -> tuple[Floats, Floats, 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
     """Rays (N, 3) at z = 1 and their derivatives (N, 3, 8) by log f, x_0, y_0, k1, k2, p1, p2, k3."""
     rays, by_device = np.empty((len(pixels), 3)), np.zeros((len(pixels), 3, PER_DEVICE))
-    _unproject(device, np.ascontiguousarray(pixels, np.float64), rays, by_device)
+    unproject_into(device, np.ascontiguousarray(pixels, np.float64), rays, by_device)
     return rays, by_device
 
 
@@ -68,7 +68,7 @@ def project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 8) by the device, as in `unproject`."""
     count = len(points)
     pixels, by_point, by_device = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, PER_DEVICE))
-    _project(device, np.ascontiguousarray(points, np.float64), pixels, by_point, by_device)
+    project_into(device, np.ascontiguousarray(points, np.float64), pixels, by_point, by_device)
     return pixels, by_point, by_device
 
 
@@ -186,7 +186,8 @@ def _distort_steps(ideal: Floats, steps: Floats, distortion: Distortion, distort
 
 
 @compiled
-def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
+def unproject_into(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) -> None:
+    """`unproject`, into empty `rays` and zeros."""
     focal, x_0, y_0, k1, k2, p1, p2, k3 = device
     for i in range(len(pixels)):
         # Distorted, in units of the focal length: u = (pixel − centre) / f.
@@ -213,7 +214,8 @@ def _unproject(device: Floats, pixels: Floats, rays: Floats, by_device: Floats) 
 
 
 @compiled
-def _project(device: Floats, points: Floats, pixels: Floats, by_point: Floats, by_device: Floats) -> None:
+def project_into(device: Floats, points: Floats, pixels: Floats, by_point: Floats, by_device: Floats) -> None:
+    """`project`, into empty `pixels` and `by_point`, and zeros."""
     focal, x_0, y_0, k1, k2, p1, p2, k3 = device
     for i in range(len(points)):
         z = points[i, 2]

@@ -62,7 +62,7 @@ def intersect_rays(camera_px: Floats, projector_px: Floats, calibration: Calibra
     projector, count = calibration.projector, len(camera_px)
     # Coordinate by coordinate, (2, N) and (3, N), which is what can be vectorised.
     seen = by_columns(projector_px).T
-    ideal = _ideal(calibration.camera, camera_px), _ideal(projector, projector_px)
+    ideal = _ideal(calibration.camera, camera_px), _ideal(projector, seen.T)
     points, foot_px, residual_px = np.empty((3, count)), np.empty((2, count)), np.empty(count)
     device = projector.pinhole, projector.distortion
     _intersect(*ideal, seen, _pose(calibration), *device, points, foot_px, residual_px)

@@ -4,7 +4,7 @@ from calib.numerics.array_types import Bools, Floats, Image, Ints
 from calib.numerics.chunks import by_columns, in_pieces
 from calib.numerics.grey_levels import grey
 from calib.numerics.jit import compiled, inlined
-from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Quadratic, descend, minimise, newton
+from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Minimum, Quadratic, descend, minimise, newton
 from calib.numerics.morans_i import SpatialCorrelation, spatial_correlation
 from calib.numerics.parallel import in_parallel, in_slices, processors, slices_of, use_processors
 from calib.numerics.reweighted import reweighted

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from calib.geometry import homogeneous
-from calib.numerics import Floats, Ints, compiled, minimise, reweighted
+from calib.numerics import Floats, Ints, Minimum, compiled, in_parallel, minimise, reweighted
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoView
 from calib.plane_segmentation.surfels import Surfels
 
@@ -95,11 +95,13 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
     off_plane = np.flatnonzero(plane.off_px[chosen] > _TOLERANCES_PX[0]).astype(np.int32)
     if len(off_plane) >= 8:
         starts.append((corrected, _parallax_candidates(corrected, plane.homography, off_plane, rng)))
-    fits = []
-    for pairs, candidates in starts:
+
+    def fitted_from(pairs: _Pairs, candidates: Floats) -> Minimum:
         best = candidates[_best_candidate(candidates, *pairs.ideal(), True)]
         start = np.concatenate([pairs.lens_parameters, best.ravel()])
-        fits.append(minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA))
+        return minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[0]), start, _PRIOR_SIGMA)
+
+    fits = in_parallel(lambda start: fitted_from(*start), starts)
     nearest = min(fits, key=lambda fit: fit.cost).parameters
     found = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
     left, values, right = np.linalg.svd(found[8:].reshape(3, 3))

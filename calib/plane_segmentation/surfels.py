@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Matches
-from calib.numerics import Floats, Ints, compiled
+from calib.numerics import Floats, Ints, compiled, in_parallel
 from calib.plane_segmentation.affine_ransac import MOST_PER_CELL, fit_cells
 
 _MATCHES_PER_CELL = (20, 40)  # few where there are few matches at all
@@ -65,14 +65,13 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
     """Fit surfels in cells as small as the density of matches allows, but at most a few thousand of them."""
     grid, density = _choose_grid(matches, camera_size)
     wanted = _MATCHES_PER_CELL[1] / (density * grid.side_px**2)
-    chosen = np.arange(len(matches))
+    camera_px, projector_px = matches.camera_px, matches.projector_px
     if wanted < 1:
         # Take one of every few consecutive matches, so that all have the same chance.
         steps = np.arange(int(wanted * len(matches)))
         chosen = ((steps + rng.random(len(steps))) / wanted).astype(np.int64)
-    camera_px, projector_px = (
-        pixels.take(chosen, axis=0).astype(np.float64) for pixels in (matches.camera_px, matches.projector_px)
-    )
+        camera_px, projector_px = in_parallel(lambda px: px.take(chosen, axis=0), (camera_px, projector_px))
+    camera_px, projector_px = (np.ascontiguousarray(px, np.float64) for px in (camera_px, projector_px))
     order, start = _by_cell(grid.cell(camera_px), grid.rows * grid.columns)
     there = np.minimum(np.diff(start), MOST_PER_CELL)
     cell = np.flatnonzero(there >= _FEWEST_PER_CELL).astype(np.int32)

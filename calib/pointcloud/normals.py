@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, in_slices
 from calib.pointcloud.local_plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
 
 _SMALLEST_WINDOW = 7
@@ -25,6 +25,7 @@ _NEIGHBOURS = 12
 _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
 _SAMPLE = 200_000
+_AT_A_TIME = 4096
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
         marked = np.zeros(isolated.shape, np.uint8)
         marked.flat[hard] = 1
         nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
-        around = np.flatnonzero(nearby)
+        around = np.flatnonzero(nearby.view(np.bool_))
         around = around[there[around]]
         normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
     return Surface(normals, isolated)
@@ -103,7 +104,15 @@ def _neighbour_planes(
     Neighbours farther than `reach` (M,) are on another surface.
     """
     tree = cKDTree(cloud, balanced_tree=False, compact_nodes=False)
-    distance, index = tree.query(points, k=_NEIGHBOURS + 1, workers=-1)
+    fitted = in_slices(len(points), _AT_A_TIME, lambda at: _fit_to_neighbours(tree, points[at], cloud, reach[at]))
+    normals, isolated = map(np.concatenate, zip(*fitted, strict=True))
+    return normals, isolated
+
+
+def _fit_to_neighbours(
+    tree: cKDTree, points: NDArray[np.float32], cloud: NDArray[np.float32], reach: Floats
+) -> tuple[NDArray[np.float32], Bools]:
+    distance, index = tree.query(points, k=_NEIGHBOURS + 1)
     near = (distance <= reach[:, None]).astype(np.float64)
     offsets: Floats = cloud[np.minimum(index, len(cloud) - 1)].astype(np.float64) - points[:, None]
     weight: Floats = near.sum(axis=1)

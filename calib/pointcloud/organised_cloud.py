@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches
-from calib.numerics import Bools, Image
+from calib.numerics import Bools, Image, in_slices
 from calib.pointcloud.normals import scattered_surface, surface
 from calib.pointcloud.pixel_grid import organise
 
 _NO_TEXTURE_GREY = 200
 _WHITE_PERCENTILE = 99.9
+_STRIP_ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,11 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
         "shared_pixel": organised.shared_pixel,
         "isolated": len(isolated),
     }
+    there = np.empty((height, width), np.bool_)
+    in_slices(height, _STRIP_ROWS, lambda rows: np.isfinite(points[rows, :, 2], out=there[rows]))
     return Cloud(
         points=points,
-        colours=colours_of(texture, np.isfinite(points[..., 2])),
+        colours=colours_of(texture, there),
         normals=on_surface.normals,
         residual_px=organised.residual_px,
         match=organised.match,
@@ -119,5 +122,7 @@ def colours_of(texture: Image | None, there: Bools) -> NDArray[np.uint8]:
         bright = np.rint(np.minimum(levels, 255.0)).astype(np.uint8)[texture]
     else:
         bright = texture.astype(np.uint8, copy=False)
-    rgb = cv2.cvtColor(bright, cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB)
-    return np.asarray(cv2.copyTo(rgb, there.view(np.uint8)), np.uint8)
+    order, rgb = cv2.COLOR_BGR2RGB if bright.ndim == 3 else cv2.COLOR_GRAY2RGB, np.zeros((*there.shape, 3), np.uint8)
+    mask = there.view(np.uint8)
+    in_slices(len(rgb), _STRIP_ROWS, lambda rows: cv2.copyTo(cv2.cvtColor(bright[rows], order), mask[rows], rgb[rows]))
+    return rgb

@@ -7,6 +7,7 @@ they deviate from.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -81,7 +82,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     for name, count in zip(labels, counts, strict=True):
         if count < 4:
             raise TooFewMatchesError(f"face {name} has {count} matches; a homography needs at least four")
-    typical = _typical_sigma(matches, np.logical_or.reduce(chosen))
+    typical = _typical_sigma(matches, reduce(np.logical_or, chosen))
 
     def sampled(own: Bools) -> tuple[Matches, Reference]:
         sample = matches[evenly(own, _SAMPLE)]

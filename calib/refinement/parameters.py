@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import FACES, Intrinsics, Motion, depths_on_planes, polar, rotation_about, tangent_basis
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Floats, Ints
-from calib.refinement.reprojection_jacobians import chain, face_normals, meet, move
+from calib.refinement.reprojection_jacobians import face_normals, reproject
 
 PER_DEVICE = lens.PER_DEVICE
 CAMERA, PROJECTOR = slice(0, PER_DEVICE), slice(PER_DEVICE, 2 * PER_DEVICE)
@@ -242,19 +242,18 @@ def predict(state: State, camera_px: Floats, plane: Ints, capture: int = 0) -> t
     Jacobian (N, 2, columns) by `state.columns(capture)`, and depths (N, 2) in both devices (not positive where the
     prediction is invalid).
     """
-    motion, vertex = state.motion(capture), state.pose(capture).vertex
-    plane = np.ascontiguousarray(plane, np.int32)
-    by_columns = np.zeros((len(plane), 3, state.count(capture)))
-    corner, pose = slice(SHARED, SHARED + PER_CORNER), slice(SHARED + PER_CORNER, None)
-    filled = (by_columns[:, :, part] for part in (CAMERA, corner, pose))
-
-    rays, rays_by_camera = lens.unproject(state.camera, camera_px)
-    met, depth = meet(rays, rays_by_camera, plane, *_planes(state, capture), vertex, *filled)
-    by_translation = _by_translation(state, capture)
-    moved, by_columns = move(met, by_columns, motion.rotation, motion.translation, by_translation, ROTATION.start)
-    pixels, by_moved, by_projector = lens.project(state.projector, moved)
-    jacobian = chain(by_moved, by_columns, by_projector, (CAMERA if state.one_camera else PROJECTOR).start)
-    return pixels, jacobian, np.array([depth, moved[:, 2]]).T
+    motion = state.motion(capture)
+    return reproject(
+        (state.camera, state.projector),
+        np.ascontiguousarray(camera_px, np.float64),
+        np.ascontiguousarray(plane, np.int32),
+        *_planes(state, capture),
+        state.pose(capture).vertex,
+        motion.rotation,
+        motion.translation,
+        _by_translation(state, capture),
+        ((CAMERA if state.one_camera else PROJECTOR).start, ROTATION.start, SHARED),
+    )
 
 
 def _by_translation(state: State, capture: int) -> Floats:

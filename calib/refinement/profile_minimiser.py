@@ -14,7 +14,9 @@ _STEPS = 40
 _DAMPING = Damping(first=1e-7, least=1e-13, most=1e4, growth=30.0, relief=1 / 30)
 _LONGEST_STEP = 0.1  # of log f
 _HALVINGS = 4
-_SLOW = 0.1
+# Largest predicted decrease, as a share of the cost, at which a fit is given up that would stay above the ceiling; and
+# the same where it would stay that many times above it. Most steps of a sweep are taken where nothing fits.
+_SLOW, _SLOW_IF_FAR, _FAR = 0.1, 0.5, 10.0
 
 
 def minimise(
@@ -65,14 +67,15 @@ def relax(
     """Minimise over the free columns of the prior by Levenberg–Marquardt.
 
     Stops when Newton's decrement, the predicted decrease of a full step, falls below `tolerance`, or below that share
-    of a hundredth of the cost; or when the cost decreases slowly and would stay above `ceiling`.
+    of a hundredth of the cost; or when the cost decreases slowly, compared with how far above `ceiling` it would stay.
     """
 
     def moved(fit: Fit, step: Floats) -> Fit:
         return evaluate(captures, fit.state.moved(step), prior, variances)
 
     def enough(cost: float, decrement: float) -> bool:
-        hopeless = decrement < _SLOW * cost and cost - decrement > ceiling
+        left = cost - decrement
+        hopeless = left > ceiling and decrement < (_SLOW_IF_FAR if left > _FAR * ceiling else _SLOW) * cost
         return hopeless or decrement < tolerance * (1 + 0.01 * cost)
 
     fit = evaluate(captures, state, prior, variances)

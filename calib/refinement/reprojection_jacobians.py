@@ -1,13 +1,11 @@
-"""Compiled steps from a camera ray to a point in the second device's frame, with derivatives.
-
-Each step takes N points at once, on the faces 0, 1, 2 of a corner or on further planes, 3 and up.
-"""
+"""From the pixels of one device to those of the other, by planes, with derivatives, compiled."""
 
 import numpy as np
 
+from calib.geometry.radial_distortion import project_into, unproject_into
 from calib.numerics import Floats, Ints, compiled
 
-_FACES, _PER_POSE, _PER_PLANE = 3, 6, 3
+_FACES, _PER_CORNER, _PER_POSE, _PER_PLANE = 3, 3, 6, 3
 
 
 @compiled
@@ -31,108 +29,82 @@ def face_normals(off_square: Floats, frame: Floats) -> tuple[Floats, Floats]:
 
 
 @compiled
-def meet(
-    rays: Floats,
-    rays_by_camera: Floats,
+def reproject(
+    devices: tuple[Floats, Floats],
+    camera_px: Floats,
     plane: Ints,
     normals: Floats,
     heights: Floats,
     normals_by_angles: Floats,
     normals_by_tilts: Floats,
     vertex: Floats,
-    by_camera: Floats,
-    by_angles: Floats,
-    by_pose: Floats,
-) -> tuple[Floats, Floats]:
-    """Points (N, 3) where rays r meet their planes n · X = n · vertex + height, in the camera's frame; depths (N,).
-
-    dX = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − X) + n·dvertex + dheight)
-
-    Fills in the (zero-initialised) derivatives by the camera (8), the corner's angles (3), its rotation (3) and vertex
-    (3, as a share of its distance) and, for each further plane, two tilts and the height.
-    """
-    points, depths = np.empty((len(rays), 3)), np.empty(len(rays))
-    distance = np.sqrt(_dot(vertex, vertex))
-    to_vertex, along = np.empty(3), np.empty(3)
-    for i in range(len(rays)):
-        on = plane[i]
-        if not 0 <= on < len(normals):
-            raise IndexError("a match is on a plane that its capture does not have")
-        normal = normals[on]
-        facing = _dot(normal, rays[i])
-        depths[i] = (_dot(normal, vertex) + heights[on]) / facing
-        for k in range(3):
-            points[i, k] = depths[i] * rays[i, k]
-            to_vertex[k] = vertex[k] - points[i, k]
-            along[k] = rays[i, k] / facing
-
-        for c in range(by_camera.shape[2]):
-            back = _dot(normal, rays_by_camera[i, :, c])
-            for k in range(3):
-                by_camera[i, k, c] = depths[i] * (rays_by_camera[i, k, c] - along[k] * back)
-        for c in range(3):
-            second, third = (c + 1) % 3, (c + 2) % 3
-            turned = normal[second] * to_vertex[third] - normal[third] * to_vertex[second]  # (n × (vertex − X))_c
-            for k in range(3):
-                by_angles[i, k, c] = along[k] * _dot(normals_by_angles[on, c], to_vertex)
-                by_pose[i, k, c] = along[k] * turned
-                by_pose[i, k, 3 + c] = along[k] * normal[c] * distance
-        if on >= _FACES:
-            own = _PER_POSE + _PER_PLANE * (on - _FACES)
-            for k in range(3):
-                by_pose[i, k, own] = along[k] * _dot(normals_by_tilts[on, 0], to_vertex)
-                by_pose[i, k, own + 1] = along[k] * _dot(normals_by_tilts[on, 1], to_vertex)
-                by_pose[i, k, own + 2] = along[k]
-    return points, depths
-
-
-@compiled
-def move(
-    points: Floats,
-    points_by_columns: Floats,
     rotation: Floats,
     translation: Floats,
     translation_by_columns: Floats,
-    first: int,
-) -> tuple[Floats, Floats]:
-    """R X + t (N, 3) with derivatives R dX + ω × R X + dt, (N, 3, columns); `first`: the first column of ω."""
-    moved, by_columns = np.empty_like(points), np.empty_like(points_by_columns)
-    turned = np.empty(3)
-    for i in range(len(points)):
-        for k in range(3):
-            turned[k] = _dot(rotation[k], points[i])
-            moved[i, k] = turned[k] + translation[k]
-            for c in range(by_columns.shape[2]):
-                by_columns[i, k, c] = translation_by_columns[k, c] + (
-                    rotation[k, 0] * points_by_columns[i, 0, c]
-                    + rotation[k, 1] * points_by_columns[i, 1, c]
-                    + rotation[k, 2] * points_by_columns[i, 2, c]
-                )
-        for c in range(3):
-            second, third = (c + 1) % 3, (c + 2) % 3
-            by_columns[i, second, first + c] -= turned[third]
-            by_columns[i, third, first + c] += turned[second]
-    return moved, by_columns
+    first: tuple[int, int, int],
+) -> tuple[Floats, Floats, Floats]:
+    """Pixels (N, 2) of the second of two `devices` (8,) where the first's `camera_px` (N, 2) meet their planes.
 
+    Planes n · X = n · vertex + height are the faces 0, 1, 2 of a corner, and further ones from 3 on. Also returns the
+    derivatives (N, 2, columns), and the depths before both devices (N, 2). `translation_by_columns`: (3, columns);
+    `first`: the first column of the second device, of the rotation, and of the corner's angles, behind which are its
+    rotation, its vertex (as a share of its distance) and, for each further plane, two tilts and the height.
 
-@compiled
-def chain(by_point: Floats, point_by_columns: Floats, by_device: Floats, first: int) -> Floats:
-    """A pixel's derivatives by the point (N, 2, 3) times the point's (N, 3, columns) → (N, 2, columns).
-
-    Those by the device itself (N, 2, 8) are added from column `first` on.
+    With rays r and Y = R X + t, dY = R dX + ω × R X + dt, and
+    dX = depth (dr − r n·dr / n·r) + r / (n·r) (dn·(vertex − X) + n·dvertex + dheight)
     """
-    by_columns = np.empty((len(by_point), 2, point_by_columns.shape[2]))
-    for i in range(len(by_point)):
+    count, of_device = len(camera_px), len(devices[0])
+    rays, rays_by_camera = np.empty((count, 3)), np.zeros((count, 3, of_device))
+    unproject_into(devices[0], camera_px, rays, rays_by_camera)
+    depths, turned, moved = np.empty((count, 2)), np.empty((count, 3)), np.empty((count, 3))
+    for i in range(count):
+        if not 0 <= plane[i] < len(normals):
+            raise IndexError("a match is on a plane that its capture does not have")
+        normal = normals[plane[i]]
+        depths[i, 0] = (_dot(normal, vertex) + heights[plane[i]]) / _dot(normal, rays[i])
+        for k in range(3):
+            turned[i, k] = depths[i, 0] * _dot(rotation[k], rays[i])
+            moved[i, k] = turned[i, k] + translation[k]
+        depths[i, 1] = moved[i, 2]
+    pixels, by_moved, by_projector = np.empty((count, 2)), np.empty((count, 2, 3)), np.zeros((count, 2, of_device))
+    project_into(devices[1], moved, pixels, by_moved, by_projector)
+
+    jacobian = np.empty((count, 2, translation_by_columns.shape[1]))
+    distance, to_vertex, by_point = np.sqrt(_dot(vertex, vertex)), np.empty(3), np.empty(3)
+    of_device_2, of_rotation, of_angles = first
+    of_pose = of_angles + _PER_CORNER
+    for i in range(count):
+        on, ray, turn, depth = plane[i], rays[i], turned[i], depths[i, 0]
+        normal, facing = normals[on], _dot(normals[on], rays[i])
+        for k in range(3):
+            to_vertex[k] = vertex[k] - depth * ray[k]
         for k in range(2):
-            for c in range(by_columns.shape[2]):
-                by_columns[i, k, c] = (
-                    by_point[i, k, 0] * point_by_columns[i, 0, c]
-                    + by_point[i, k, 1] * point_by_columns[i, 1, c]
-                    + by_point[i, k, 2] * point_by_columns[i, 2, c]
+            by, row = by_moved[i, k], jacobian[i, k]
+            for c in range(len(row)):
+                row[c] = (
+                    by[0] * translation_by_columns[0, c]
+                    + by[1] * translation_by_columns[1, c]
+                    + by[2] * translation_by_columns[2, c]
                 )
-            for c in range(by_device.shape[2]):
-                by_columns[i, k, first + c] += by_device[i, k, c]
-    return by_columns
+            for c in range(3):
+                by_point[c] = by[0] * rotation[0, c] + by[1] * rotation[1, c] + by[2] * rotation[2, c]
+            along = _dot(by_point, ray) / facing
+            by_x, by_y = depth * (by_point[0] - along * normal[0]), depth * (by_point[1] - along * normal[1])
+            for c in range(of_device):
+                row[c] += by_x * rays_by_camera[i, 0, c] + by_y * rays_by_camera[i, 1, c]
+                row[of_device_2 + c] += by_projector[i, k, c]
+            for c in range(3):
+                second, third = (c + 1) % 3, (c + 2) % 3
+                row[of_rotation + c] += by[third] * turn[second] - by[second] * turn[third]
+                row[of_angles + c] += along * _dot(normals_by_angles[on, c], to_vertex)
+                row[of_pose + c] += along * (normal[second] * to_vertex[third] - normal[third] * to_vertex[second])
+                row[of_pose + 3 + c] += along * normal[c] * distance
+            if on >= _FACES:
+                own = of_pose + _PER_POSE + _PER_PLANE * (on - _FACES)
+                row[own] += along * _dot(normals_by_tilts[on, 0], to_vertex)
+                row[own + 1] += along * _dot(normals_by_tilts[on, 1], to_vertex)
+                row[own + 2] += along
+    return pixels, jacobian, depths
 
 
 @compiled

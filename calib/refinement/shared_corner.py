@@ -70,6 +70,8 @@ def tie(
     apart = minimise(thinned, fits[0].state, knowledge.prior(fits[0].state), _variances(thinned, levels))
     raised = trials[0].fit.cost - apart.cost
     limit = float(chdtri(PER_CORNER * (len(captures) - 1), 1 - _SIGNIFICANT))
+    if not np.isfinite(raised):  # no order fits at all, as of captures that no rig explains
+        return captures, fits, Sameness(False, trials[0].shifts, np.inf, limit, np.inf, np.zeros((SHARED, SHARED)))
     # All cells may distinguish orders that a sample of them does not.
     close = [trial for trial in trials if trial.fit.cost < trials[0].fit.cost + _CLOSE]
     whole = sorted(

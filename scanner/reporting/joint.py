@@ -6,7 +6,7 @@ import numpy as np
 
 from scanner.rendering import render, standard_views
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.sections import Picture, picture
+from scanner.reporting.sections import Picture, view
 
 _VIEW_SIZE = (960, 640)
 _UP = np.array([0.0, 0.0, 1.0])
@@ -52,6 +52,6 @@ def merged_views(report: ReportInput) -> tuple[Picture, ...]:
     into_corner = -np.array([middle[0], middle[1], 0.0])
     views = standard_views(into_corner, up)
     return tuple(
-        picture(render(cloud, views[name], _VIEW_SIZE, []), f"the merged point cloud, {name} view", caption=caption)
+        view(render(cloud, views[name], _VIEW_SIZE, []), name, "the merged point cloud", caption)
         for name, caption in _CAPTIONS.items()
     )

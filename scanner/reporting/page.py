@@ -14,7 +14,6 @@ from scanner.reporting.focal import focal_length
 from scanner.reporting.joint import joint_rows, merged_views
 from scanner.reporting.residuals import face_residuals, misses
 from scanner.reporting.sections import Faces, Picture
-from scanner.reporting.sheet import on_paper
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.reporting.view3d import view3d
@@ -77,7 +76,7 @@ def write_report(path: Path, report: ReportInput) -> None:
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),
         plain=plain,
-        on_paper=in_parallel(on_paper, _most_telling(**parts)),
+        on_paper=[picture.on_paper for picture in _most_telling(**parts)],
         has_truth=report.truth is not None,
         photos=report.metadata.photos,
         captures=joint_rows(report),

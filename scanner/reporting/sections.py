@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -38,6 +38,7 @@ from scanner.rendering import (
 )
 from scanner.reporting import maps
 from scanner.reporting.contents import ReportInput
+from scanner.reporting.sheet import on_paper
 from scanner.results import Provenance
 
 _VIEW_SIZES = {"oblique": (960, 640), "top": (560, 400), "front": (560, 400)}
@@ -69,13 +70,17 @@ _REASONS = {
 
 @dataclass(frozen=True)
 class Picture:
-    """An image for the page: a data URI, its size in pixels, and a description for screen readers."""
+    """An image for the page: a data URI, its size in pixels, and a description for screen readers.
+
+    `on_paper`: that of the first printed page, if it may be there.
+    """
 
     uri: str
     width: int
     height: int
     alt: str
     caption: str = ""
+    on_paper: "Picture | None" = None
 
 
 @dataclass(frozen=True)
@@ -184,11 +189,9 @@ def cloud_views(report: ReportInput) -> tuple[Picture, ...]:
     frusta = rig_frusta(calibration, FRUSTUM_LENGTH * typical_depth(report, cloud), BLUE, VERMILION)
 
     def show(name: str) -> Picture:
-        return picture(
-            render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta),
-            f"the point cloud, {name} view",
-            caption=_caption(name, report.metadata) + (_CORNER_CAPTIONS[name] if report.solution else ""),
-        )
+        drawn = render(cloud, views[name], _VIEW_SIZES[name], [] if name == "front" else frusta)
+        caption = _caption(name, report.metadata) + (_CORNER_CAPTIONS[name] if report.solution else "")
+        return view(drawn, name, "the point cloud", caption)
 
     return tuple(map(show, views))
 
@@ -321,6 +324,18 @@ def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> 
     return Picture(png_uri(pixels), pixels.shape[1], pixels.shape[0], alt, caption)
 
 
+def view(pixels: Pixels, name: str, of: str, caption: str) -> Picture:
+    """A view of a cloud, RGBA, as an image for the page; the oblique one is for paper, too."""
+    alt = f"{of}, {name} view"
+    shown = picture(pixels, alt, caption=caption)
+    return replace(shown, on_paper=_printed(pixels, alt, caption)) if name == "oblique" else shown
+
+
 def photo(pixels: Pixels, alt: str) -> Picture:
-    """A photograph as an image for the page."""
-    return Picture(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt)
+    """A photograph as an image for the page, and for paper."""
+    return Picture(jpeg_uri(pixels), pixels.shape[1], pixels.shape[0], alt, on_paper=_printed(pixels, alt))
+
+
+def _printed(pixels: Pixels, alt: str, caption: str = "") -> Picture:
+    small = on_paper(pixels)
+    return Picture(jpeg_uri(small), small.shape[1], small.shape[0], alt, caption)

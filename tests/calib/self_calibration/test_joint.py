@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib.geometry.matches import Matches
+from calib.refinement import shared_corner
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration, self_calibrate_jointly
 from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
@@ -58,6 +59,20 @@ def test_two_captures_of_one_corner_measure_its_angles() -> None:
     true = captures[0].corner.angles_deg
     assert min(np.abs(np.sort(angles[0]) - np.sort(true))) < 0.05
     assert np.abs(np.sort(angles[0]) - np.sort(true)).max() < 0.15
+
+
+def test_captures_that_no_common_corner_fits_get_angles_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a fit ends with no finite cost in any order of the faces."""
+    captures = random_captures(np.random.default_rng(21), 2, walls_off_deg=0.3, count=5_000, **RIG)
+    fits = shared_corner._in_order
+    monkeypatch.setattr(
+        shared_corner,
+        "_in_order",
+        lambda *given: replace(trial := fits(*given), fit=replace(trial.fit, cost=np.inf)),
+    )
+    found = _calibrate(captures, KNOWN)
+    assert any("do not show the same corner" in note for note in found[0].notes)
+    assert np.abs(_errors(found[0])[1]).max() < 5
 
 
 def test_faces_are_numbered_consistently_in_captures_of_one_corner() -> None:

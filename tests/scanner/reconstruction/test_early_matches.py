@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_matches
-from scanner.reconstruction import EarlyMatches
+from scanner.reconstruction import EarlyMatches, calibrate
 from scanner.results import Decoded
 from tests.support.cloud_scene import room
 from tests.support.reports import calibrated_report
@@ -26,6 +27,12 @@ def test_unchanged_matches_are_written_once(tmp_path: Path, capture: Decoded) ->
         first = (tmp_path / MATCHES_FILE).stat()
         ahead.write(tmp_path, replace(capture, name="another name"))
     assert (tmp_path / MATCHES_FILE).stat() == first
+    assert len(read_matches(tmp_path)) == len(capture.matches)
+
+
+def test_matches_are_written_while_they_are_calibrated(tmp_path: Path, capture: Decoded) -> None:
+    with EarlyMatches(tmp_path) as ahead:
+        calibrate([capture], Config(), lambda: ahead.begin([capture]))
     assert len(read_matches(tmp_path)) == len(capture.matches)
 
 
