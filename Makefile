@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 # Container images often keep Python from writing bytecode: every process would compile all modules anew, for seconds.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup scan room console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types unit benchmark paper fuzz clean
+.PHONY: help setup scan room console scan-loopback scan-loopback-stream rig try-rig try-browser test lint check-types bytecode unit benchmark paper fuzz clean
 
 help:
 	@echo "make scan           set up, then scan a simulated room from three places into scans/room-sim/"
@@ -63,7 +63,7 @@ try-browser:
 # What is checked needs one processor of two while the tests run.
 test: $(VENV)/.core
 	@$(MAKE) --no-print-directory --jobs 2 $(VENV)/.dev $(VENV)/.compiled
-	@$(MAKE) --no-print-directory --jobs 2 lint try-rig
+	@$(MAKE) --no-print-directory --jobs 3 lint try-rig bytecode
 	@$(MAKE) --no-print-directory try-browser
 	@$(MAKE) --no-print-directory --jobs 2 unit check-types
 
@@ -74,6 +74,10 @@ lint: $(VENV)/.dev
 
 check-types: $(VENV)/.dev
 	$(BIN)/mypy
+
+# Of the tests and what they import, made once for all processes of pytest, which begin at the same time.
+bytecode: $(VENV)/.dev
+	@$(BIN)/pytest --collect-only > /dev/null || true # the tests will say why
 
 # One process more than there are processors: tests of devices, pages and workers mostly wait.
 unit: $(VENV)/.dev $(VENV)/.compiled

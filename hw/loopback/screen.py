@@ -164,5 +164,6 @@ class ScreenHistory:
             pixels = again
 
     def _watch(self) -> None:
-        while not self._ending.wait(_POLL_S):
+        while not self._ending.is_set():
+            time.sleep(_POLL_S)
             self.look()

@@ -11,14 +11,16 @@ import time
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyglet
 from pyglet import gl
 
-from calib.numerics import Image
 from hw.projector.screens import Screen
+
+if TYPE_CHECKING:
+    from calib.numerics import Image  # which loads a compiler: half of the time until the window opens
 
 _IDLE_S = 0.05  # how often an idle window processes events
 _PROBE_SEED = 1
@@ -64,7 +66,7 @@ class FullScreenWindow:
         """Whether the operator has closed the window."""
         return bool(self._window.has_exit)
 
-    def prepare(self, image: Image) -> None:
+    def prepare(self, image: "Image") -> None:
         """Draw an (H, W) 8-bit image into the back buffer."""
         height, width = image.shape
         self._window.switch_to()
@@ -83,13 +85,13 @@ class FullScreenWindow:
         gl.glFinish()
         return begun_s, time.monotonic()
 
-    def show_at(self, image: Image, when_s: float) -> tuple[float, float]:
+    def show_at(self, image: "Image", when_s: float) -> tuple[float, float]:
         """Prepare, and flip at `when_s` or when the image is drawn, if that is later; returns what `flip` does."""
         self.prepare(image)
         time.sleep(max(0.0, when_s - time.monotonic()))
         return self.flip()
 
-    def show(self, image: Image) -> None:
+    def show(self, image: "Image") -> None:
         """Prepare and flip."""
         self.prepare(image)
         self.flip()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,7 @@ from hw.simulated.placement import RigGeometry, draw_camera_pose, draw_rig, zoom
 from hw.simulated.scene import Label, Scene
 from hw.simulated.shapes import Block, Sphere
 from hw.simulated.view import look
-from hw.simulated.whole_room import draw_whole_room
+from hw.simulated.whole_room import WholeRoom, draw_whole_room
 
 _ATTEMPTS = 3000
 _FURNITURE_ATTEMPTS = 300
@@ -23,6 +24,15 @@ _BARE_FACE = 0.22
 _FURNISHED_FACE = 0.15
 _TOUCHING = 0.98  # share of a radius that must be inside the room
 _POSE_SPACING_M = 0.35  # smallest distance between poses
+# Settings that determine what is drawn; the last rooms are kept, because each capture and each pair of devices asks for
+# its own anew.
+DRAWN_BY = (
+    *("seed", "room", "stations", "distortion", "walls_off_deg", "furniture", "furniture_askew_deg", "hide_vertex"),
+    *("sphere_radius_m", "ball_bar_m"),
+)
+_KEPT = 8
+
+Place = tuple[PlacedDevice, PlacedDevice]
 
 
 @dataclass(frozen=True)
@@ -48,11 +58,25 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
 
     The devices have the paper's resolution. Raises DeviceError if the seed has no suitable view or too few poses.
     """
+    drawn = SimulatedRigSettings.model_validate({key: getattr(settings, key) for key in DRAWN_BY})
+    if settings.room == "whole":
+        whole = _whole_room(drawn)
+        return Room(whole.scene, *_devices(whole.stations, settings))
+    scene, rig, first = _corner(drawn)
+    places = _draw_poses(scene, rig, first, settings)
+    return Room(scene, *_devices(places, settings))
+
+
+@lru_cache(_KEPT)
+def _whole_room(settings: SimulatedRigSettings) -> WholeRoom:
+    return draw_whole_room(settings, draw_walls(_Streams(settings.seed).walls, settings.walls_off_deg))
+
+
+@lru_cache(_KEPT)
+def _corner(settings: SimulatedRigSettings) -> tuple[Scene, RigGeometry, Place]:
+    """The scene, and the rig at its first pose. Raises DeviceError."""
     streams = _Streams(settings.seed)
     walls = draw_walls(streams.walls, settings.walls_off_deg)
-    if settings.room == "whole":
-        whole = draw_whole_room(settings, walls)
-        return Room(whole.scene, *_devices(whole.stations, settings))
     for _ in range(_ATTEMPTS):
         rig = draw_rig(streams.rig, settings.distortion)
         camera, projector = rig.placed(*draw_camera_pose(streams.rig))
@@ -60,8 +84,7 @@ def draw_room(settings: SimulatedRigSettings) -> Room:
             continue
         scene = _furnish(walls, camera, projector, settings, streams)
         if scene is not None:
-            places = _draw_poses(scene, rig, camera, projector, settings, streams.poses)
-            return Room(scene, *_devices(places, settings))
+            return scene, rig, (camera, projector)
     raise DeviceError(
         f"the simulated rig finds no good view of the corner in its room; use another seed than {settings.seed}"
     )
@@ -119,16 +142,10 @@ def _is_good(
     return view.label_shares[Label.FURNITURE] >= 0.04 and view.label_shares[Label.SPHERE] > 0 and view.sphere_lit > 0.8
 
 
-def _draw_poses(
-    scene: Scene,
-    rig: RigGeometry,
-    camera: PlacedDevice,
-    projector: PlacedDevice,
-    settings: SimulatedRigSettings,
-    rng: np.random.Generator,
-) -> list[tuple[PlacedDevice, PlacedDevice]]:
-    """The poses of the rig up to the last one in use, beginning with the given one."""
-    places, last = [(camera, projector)], max(settings.pose, settings.projector_pose or 0)
+def _draw_poses(scene: Scene, rig: RigGeometry, first: Place, settings: SimulatedRigSettings) -> list[Place]:
+    """The poses of the rig up to the last one in use, beginning with the `first`."""
+    rng = _Streams(settings.seed).poses
+    places, last = [first], max(settings.pose, settings.projector_pose or 0)
     for _ in range(_ATTEMPTS):
         if len(places) > last:
             return places
@@ -142,9 +159,7 @@ def _draw_poses(
     )
 
 
-def _devices(
-    places: Sequence[tuple[PlacedDevice, PlacedDevice]], settings: SimulatedRigSettings
-) -> tuple[PlacedDevice, PlacedDevice]:
+def _devices(places: Sequence[Place], settings: SimulatedRigSettings) -> Place:
     """Camera and projector. As devices of a network they have separate poses and lenses."""
     if settings.projector_pose is None:
         return places[settings.pose]

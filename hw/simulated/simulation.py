@@ -14,28 +14,14 @@ from hw.simulated.motion import offset_px, turned
 from hw.simulated.moving_objects import box_in, person_in
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
-from hw.simulated.room import Room, draw_room
+from hw.simulated.room import DRAWN_BY, Room, draw_room
 from hw.simulated.sensor import build_sensor
 from hw.simulated.truth import GroundTruth, true_calibration, true_place, true_view
 
 # Stream of random numbers for paint and rays; `draw_room` uses streams from 0.
 _RENDERING_STREAM = 100
 # Settings that determine the transport of light: another value of one needs another room.
-_ROOM_SETTINGS = (
-    *(
-        "seed",
-        "room",
-        "stations",
-        "pose",
-        "projector_pose",
-        "walls_off_deg",
-        "furniture",
-        "furniture_askew_deg",
-        "hide_vertex",
-        "sphere_radius_m",
-    ),
-    *("albedo", "wallpaper", "interreflection", "distortion"),
-)
+_ROOM_SETTINGS = (*DRAWN_BY, "pose", "projector_pose", "albedo", "wallpaper", "interreflection")
 
 
 class SimulatedRoom:

@@ -60,10 +60,12 @@ def _coordinates(samples: Samples, shown: _Shown, axis: Axis) -> Coordinates | s
     for index, pattern in shown:
         if isinstance(pattern, Phase):
             fringes[pattern.period].append((pattern.shift, index))
-    waves = {period: _wave(samples, tuple(steps)) for period, steps in fringes.items()}
-    wrong = _misfit(samples, list(waves.values()))
-    if wrong:
-        return f"the fringes of {axis} {wrong}"
+    waves = dict[float, _Wave]()
+    for period, steps in fringes.items():
+        waves[period] = _wave(samples, tuple(steps))
+        wrong = _misfit(samples, waves[period], next(iter(waves.values())))
+        if wrong:
+            return f"the fringes of {axis} {wrong}"
     codes: dict[tuple[int, int], Coordinates] = {}
     for numbering in dict.fromkeys((bit.cell, bit.offset) for _, bit in shown if isinstance(bit, Gray)):
         code = _code(samples, shown, axis, numbering)
@@ -133,13 +135,13 @@ def _wave(samples: Samples, steps: tuple[tuple[float, int], ...]) -> _Wave:
     return _Wave(mean, cosine, sine, float(np.median(worst[samples.lit] / samples.swing[samples.lit])))
 
 
-def _misfit(samples: Samples, waves: Sequence[_Wave]) -> str | None:
+def _misfit(samples: Samples, wave: _Wave, first: _Wave) -> str | None:
+    """Why levels are not those of a fringe beside the `first` one."""
     lit, swing = samples.lit, samples.swing
-    for wave in waves:
-        if wave.misfit > _MOST_MISFIT:
-            return "are no fringes"
-        if np.median(np.abs(wave.mean - waves[0].mean)[lit] / swing[lit]) > _MOST_MISFIT:
-            return "differ in their mean brightness"
+    if wave.misfit > _MOST_MISFIT:
+        return "are no fringes"
+    if np.median(np.abs(wave.mean - first.mean)[lit] / swing[lit]) > _MOST_MISFIT:
+        return "differ in their mean brightness"
     return None
 
 
@@ -179,38 +181,49 @@ def _code(samples: Samples, shown: _Shown, axis: Axis, numbering: tuple[int, int
     frames = {(p.bit, p.inverted): index for index, p in of_code.items()}
     bits = max(p.bits for p in of_code.values())
     levels, lit = samples.levels, samples.lit
-    known = {type(p): levels[index] for index, p in shown if isinstance(p, White | Black)}
-    middle = (known[White] + known[Black]) / 2 if len(known) == 2 else (levels.min(axis=0) + levels.max(axis=0)) / 2
+    ends = tuple(index for index, p in shown if isinstance(p, White | Black))
+    enough = max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(lit))
     number, certain, before = np.zeros(lit.shape), lit.copy(), np.zeros(lit.shape, np.bool_)
     for bit in range(bits):
         normal, inverse = frames.get((bit, False)), frames.get((bit, True))
-        alone = inverse if normal is None else normal
-        half_way = middle if alone is None else middle + _above_middle(samples, levels[alone], middle)
+        alone = [frame for frame in (normal, inverse) if frame is not None]
+        half_way = _middle(samples, ends)
+        if len(alone) == 1:
+            half_way = half_way + _above_middle(samples, *alone, ends) * samples.swing
         bright = half_way if normal is None else levels[normal]
         dark = half_way if inverse is None else levels[inverse]
         one, decided = bright > dark, np.abs(bright - dark) > _DECIDED * samples.swing
         if bit < bits - _FINEST:
             certain &= decided
+            if np.count_nonzero(certain) < enough:  # most wrong orders end at one of the first bits
+                share = 1 - certain.sum() / lit.sum()
+                return f"the bits of {axis} are neither bright nor dark at {share:.0%} of the pixels"
         elif bit == bits - 1 and _is_constant(one[lit & decided]):
             return f"the finest bit of {axis} never changes"
         before ^= one
         number = 2 * number + before
-    if np.count_nonzero(certain) < max(_FEWEST, _FEWEST_CERTAIN * np.count_nonzero(lit)):
-        return f"the bits of {axis} are neither bright nor dark at {1 - certain.sum() / lit.sum():.0%} of the pixels"
     return Coordinates(number, certain)
 
 
-def _above_middle(samples: Samples, frame: Floats, middle: Floats) -> Floats:
-    """How far above the middle (H, W) a bit is decided that has no inverse: half-way between its own two levels.
+@lru_cache(_KEPT)
+def _middle(samples: Samples, ends: tuple[int, ...]) -> Floats:
+    """Half-way between white and black (H, W), from the numbers of both frames; else between the extremes."""
+    extremes = samples.levels[[*ends]] if len(ends) == 2 else samples.levels
+    middle: Floats = (extremes.min(axis=0) + extremes.max(axis=0)) / 2
+    return middle
+
+
+@lru_cache(_KEPT)
+def _above_middle(samples: Samples, frame: int, ends: tuple[int, ...]) -> float:
+    """How far above the middle, in swings, a bit is decided that has no inverse: half-way between its own two levels.
 
     Where a camera's curve is bent, stripes that it does not resolve are brighter than half-way between black and white.
     """
-    relative = ((frame - middle) / np.maximum(samples.swing, 1e-6))[samples.lit]
-    dark, bright = np.quantile(relative, _ENDS)
-    between: Floats = (dark + bright) / 2 * samples.swing
+    excess = samples.levels[frame] - _middle(samples, ends)
+    dark, bright = np.quantile((excess / np.maximum(samples.swing, 1e-6))[samples.lit], _ENDS)
     # A bit that is constant over the picture is dark or bright; a coarse bit is compared with the middle as well.
     is_fine = bright - dark < _FAINT and max(abs(dark), abs(bright)) < _NEITHER
-    return between if is_fine else np.zeros_like(between)
+    return float(dark + bright) / 2 if is_fine else 0.0
 
 
 def _is_constant(bits: Bools) -> bool:

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import product
 from math import ceil, log2
 
 from scanner.importing.layout import SequenceOf, Size
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White
 
+_SIZES_KEPT = 128  # of projectors: more than are tried with each place of white and black
 ENDS: tuple[tuple[Pattern, ...], ...] = ((White(), Black()), (Black(), White()))
 
 
@@ -63,6 +64,7 @@ def with_ends(
     sequence: SequenceOf, *, first: bool = False, last: bool = False, without: bool = False
 ) -> tuple[SequenceOf, ...]:
     """A sequence with white and black, in either order, before it, after it, or without them, as is usual."""
+    sequence = lru_cache(_SIZES_KEPT)(sequence)
 
     def placed(before: tuple[Pattern, ...], after: tuple[Pattern, ...]) -> SequenceOf:
         return lambda size, cell, frames: (*before, *sequence(size, cell, frames), *after)

@@ -41,7 +41,8 @@ class Photographer:
         """Write a folder with a file for each pattern, in the order of the names."""
         folder.mkdir(parents=True, exist_ok=True)
         for pattern, name in zip(patterns, names, strict=False):
-            assert cv2.imwrite(str(folder / name), change(self.take(pattern)))
+            quick = [cv2.IMWRITE_PNG_COMPRESSION, 0] if name.endswith(".png") else []
+            assert cv2.imwrite(str(folder / name), change(self.take(pattern)), quick)
         return folder
 
 

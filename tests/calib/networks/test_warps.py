@@ -54,6 +54,7 @@ def test_keystone_is_in_the_sigmas_or_named(seed: int, named: list[str]) -> None
 
     off, sigma = focal_errors(estimate, made)
     assert [each.name for each in estimate.warps.alone] == named
+    assert not estimate.warps.moved
     assert 0.003 < off.min() < off.max() < 0.02
     assert 0.3 < (off / sigma).min() < (off / sigma).max() < 2
     for each in estimate.warps.alone:
@@ -61,14 +62,12 @@ def test_keystone_is_in_the_sigmas_or_named(seed: int, named: list[str]) -> None
 
 
 def test_a_camera_that_was_moved_between_two_projectors_is_named() -> None:
-    """Turned by one pixel; and none, where a projector corrects keystone."""
+    """Turned by one pixel."""
     made = random_network(np.random.default_rng(4), 1, 2, RoomOptions(boxes=1, count=5_000))
     sizes = {name: device.size for name, device in made.devices.items()}
     second = made.captures["camera1", "projector2"]
     turned = replace(second, camera_px=second.camera_px + np.array([1.0, 0.0]))
 
-    moved = estimate_network({**made.captures, ("camera1", "projector2"): turned}, sizes)
-    warped = estimate_network(with_keystone(made).captures, sizes)
+    estimate = estimate_network({**made.captures, ("camera1", "projector2"): turned}, sizes)
 
-    assert moved.warps == Warps(moved="camera1")
-    assert [each.name for each in warped.warps.alone] == ["projector1"]
+    assert estimate.warps == Warps(moved="camera1")

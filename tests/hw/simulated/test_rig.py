@@ -8,6 +8,7 @@ from calib.numerics import Bools, Floats
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
+from hw.simulated.room import _corner
 from hw.simulated.scene import Label
 from hw.simulated.sensor import build_sensor
 from hw.simulated.simulation import SimulatedRoom
@@ -145,6 +146,7 @@ def test_noise_differs_between_frames_and_repeats_for_a_seed(room: SimulatedRoom
 
 
 def test_a_room_is_the_same_for_the_same_seed(room: SimulatedRoom) -> None:
+    _corner.cache_clear()
     again = SimulatedRoom(SimulatedRigSettings(seed=0), (306, 256), (214, 120))
     white = uniform(room, 255)
     np.testing.assert_allclose(again.renderer.render(white), room.renderer.render(white), rtol=1e-5)

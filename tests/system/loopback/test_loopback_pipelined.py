@@ -14,11 +14,20 @@ from tests.support.loopback_bench import Loopback, check_frames, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]
 
+_BURSTS = """
+import random, time
+while True:
+    end_s = time.monotonic() + random.uniform(0.0, 0.1)
+    while time.monotonic() < end_s:
+        sum(range(1000))
+    time.sleep(random.uniform(0.0, 0.1))
+"""
+
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Keep this many processors busy."""
-    command = [sys.executable, "-c", "while True: sum(range(100000))"]
+    """Keep this many processors busy, now and then."""
+    command = [sys.executable, "-c", _BURSTS]
     processes = [subprocess.Popen(command) for _ in range(3)]
     yield
     for process in processes:
