@@ -135,11 +135,12 @@ def _look(
     fates: Ints,
 ) -> None:
     """`matched` (K, planes of the patches + 1, planes of the camera + 1) and `fates` (K, 3) are added to."""
+    counted = np.zeros_like(matched, order="C")
     _look_through(
         patches_of.patches[:count],
         patches_of.patch_normals[:count],
         patches_of.patch_labels[:count],
-        rotations,
+        np.ascontiguousarray(rotations),
         translations,
         seen_by.points,
         seen_by.normals,
@@ -148,9 +149,10 @@ def _look(
         seen_by.lens,
         tolerance,
         3 * (seen_by.noise + patches_of.noise),
-        matched,
+        counted,
         fates,
     )
+    matched += counted
 
 
 @compiled

@@ -79,12 +79,12 @@ def test_specks_of_a_compression_do_not_move(before: list[np.ndarray], after: li
     """Around a small lit part of a picture that is black, and the same in both frames but for some pixels."""
     rng = np.random.default_rng(0)
     for one, other in zip(before, after, strict=True):
-        dark = [np.where(before[0] > 30, image, 0).astype(np.uint8) for image in (one, other)]
-        for image in dark:
+        was, now = (np.where(before[0] > 30, image, 0).astype(np.uint8) for image in (one, other))
+        for image in (was, now):
             specks = rng.random(image.shape) < 0.01
             image[specks & (image == 0)] = rng.integers(1, 3)
-        assert 0 < compare(*dark).moved_px < 0.05
-        refuse_another_scene("frame 3", *dark)
+        assert 0 < compare(was, now).moved_px < 0.05
+        refuse_another_scene("frame 3", was, now)
 
 
 def test_flicker_is_tolerated_and_another_exposure_is_not(before: list[np.ndarray], after: list[np.ndarray]) -> None:
