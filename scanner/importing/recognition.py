@@ -188,20 +188,25 @@ class _Judge:
         return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
 
     def _decoded(self, candidate: Candidate) -> Matches | str:
-        """The matches, or the reason why there are none."""
+        """The matches, or the reason why there are none.
+
+        What a scan corrects, as a camera's tone curve, is corrected only where the frames do not decode as they are.
+        """
         key = candidate.patterns, candidate.projector_size
         if key not in self._found:
-            try:
-                self._found[key] = self._decode(candidate)
-            except (InputError, RefusalError) as error:
-                self._found[key] = f"does not decode: {error}"
+            found = self._decode(candidate, as_taken=True)
+            again = self._decode(candidate, as_taken=False) if isinstance(found, str) else found
+            self._found[key] = found if isinstance(again, str) else again
         return self._found[key]
 
-    def _decode(self, candidate: Candidate) -> Matches | str:
-        decoder = Decoder(candidate.patterns, candidate.projector_size, as_taken=True)
-        for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
-            decoder.add(read_image(path))
-        matches = decoder.finish().matches
+    def _decode(self, candidate: Candidate, *, as_taken: bool) -> Matches | str:
+        try:
+            decoder = Decoder(candidate.patterns, candidate.projector_size, as_taken=as_taken)
+            for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
+                decoder.add(read_image(path))
+            matches = decoder.finish().matches
+        except (InputError, RefusalError) as error:
+            return f"does not decode: {error}"
         if not len(matches):
             return "decodes to no matches"
         share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -51,6 +52,20 @@ NOT_X, NOT_Y = inverses_of("x", 10), inverses_of("y", 9)
 Y_AND_FINE_FIRST = [
     p for of_axis in (PAIRS[20:], PAIRS[:20]) for bit in range(len(of_axis) - 2, -1, -2) for p in of_axis[bit : bit + 2]
 ]
+
+
+@pytest.mark.parametrize("patterns", [[*ENDS, *X, *Y], [*ENDS, *X[::-1], *Y[::-1]]], ids=["usual", "finest first"])
+def test_photographs_are_recognised_whose_tone_curve_brightens_blurred_stripes(
+    camera: Photographer, tmp_path: Path, patterns: list[Pattern]
+) -> None:
+    brighter = np.rint(255 * np.linspace(0, 1, 256) ** (1 / 2.2)).astype(np.uint8)
+
+    def developed(image: Image) -> Image:
+        return brighter[cv2.GaussianBlur(image, (0, 0), 1.0)]
+
+    source = camera.write(tmp_path / "frames", patterns, named("{}.png"), developed)
+    assert imported(source, "--projector", "640x360", "--out", tmp_path / "out") == 0
+    assert list(open_capture(tmp_path / "out").patterns) == patterns
 
 
 @pytest.mark.parametrize(
