@@ -46,9 +46,10 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
 
 def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, sample: Sample) -> Iterator[str]:
     """Drop all fringes if blur leaves hardly any on an axis with a code, judged by a sample; yield a warning."""
+    pixels = evenly_spread(sample.pixels)
 
     def of_sample(image: NDArray[Any]) -> NDArray[Any]:
-        return evenly_spread(sample.of(image))[None]
+        return image.reshape(1, -1)[:, pixels]
 
     lost = [
         axis
@@ -69,10 +70,10 @@ def _is_lost(axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise
     # Light from other surfaces may lie on one side of the threshold in all bits without an inverse, as by a tone curve:
     # only where fine bits differ are their stripes seen.
     fine = sorted({frame for code in axis.codes for frame in code.fine_frames})
-    least = evenly_spread(np.ptp([sample.level(frame) for frame in fine], axis=0))
+    least = np.ptp([evenly_spread(sample.level(frame)) for frame in fine], axis=0)
     for fold in accumulators.codes:
         if fold.code in axis.codes:
-            least = np.minimum(least, evenly_spread(sample.of(fold.least)))
+            least = np.minimum(least, fold.least.reshape(-1)[evenly_spread(sample.pixels)])
     # Ambient light that was switched on decides bits at unlit pixels, too.
     half_lit = signals.brightest - signals.middle
     # Stray light, which cameras of many bits detect, has no fringes either.
