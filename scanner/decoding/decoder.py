@@ -32,7 +32,6 @@ from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import (
     MotionFound,
     blaming_motion,
@@ -47,8 +46,6 @@ from scanner.decoding.sample_analysis import check_and_calibrate, observe
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
-
-__all__ = ["Decoder", "Decoding", "MaskReason"]
 
 
 @dataclass(frozen=True)
@@ -92,9 +89,8 @@ class Decoder:
     """Take the frames of a known sequence one by one, and decode them at the end.
 
     If every pattern is repeated equally often in a row, the repeats are exposures to be merged, white first. With the
-    rig's calibration, patterns along one axis are enough. `as_taken`: correct neither ghosting nor ambient light
-    changes. Raises InputError if the patterns do not determine both coordinates of a projector of (width, height)
-    pixels.
+    rig's calibration, patterns along one axis are enough. Raises InputError if the patterns do not determine both
+    coordinates of a projector of (width, height) pixels.
     """
 
     def __init__(
@@ -102,15 +98,12 @@ class Decoder:
         patterns: Sequence[Pattern],
         projector_size: tuple[int, int],
         calibration: Calibration | None = None,
-        *,
-        as_taken: bool = False,
     ) -> None:
         once, repeats = exposures_of(patterns)
         plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
         self._plan = replace(plan, repeats=repeats)
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
-        self._as_taken = as_taken or repeats > 1
         self._count = 0
         self._projector_size = projector_size
         self._stack: Stack | None = None
@@ -153,11 +146,12 @@ class Decoder:
         if self._stack is None or self._statistics is None:
             raise RuntimeError("this decoder has finished already")
         frames, self._stack = self._stack.frames, None
-        corrections = FrameCorrections() if self._as_taken else self._statistics.corrections()
+        is_merged = self._merger is not None
+        corrections = FrameCorrections() if is_merged else self._statistics.corrections()
         noise = self._statistics.noise() if corrections.response else None
         if not corrections.is_plain:
             self._read(frames, corrections)
-        found = self._decode(frames, corrections, as_taken=self._as_taken or corrections.ghost is not None)
+        found = self._decode(frames, corrections, as_taken=is_merged or corrections.ghost is not None)
         if isinstance(found, AmbientLightChange):
             corrections, found = self._without_ambient_change(frames, replace(corrections, switch=found))
         for sentence in corrections.remarks(self._plan):
