@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import Component, Floats32, Reasons, Words
+from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -152,8 +152,9 @@ class AxisDecoder:
         positions, variances = (np.empty(shape, np.float32) for _ in range(2))
         for k, (fringe, ripple) in enumerate(zip(self.plan.fringes, self.ripple, strict=True)):
             px_per_radian = np.float32(fringe.period / (2 * pi))
+            cosine, sine = signals.fringes[k]
             noise = signals.middle, *self._units_px2[k]
-            _measure(*signals.corrected(k), *noise, px_per_radian, variances[k], positions[k])
+            _measure(cosine, sine, *noise, px_per_radian, variances[k], positions[k])
             if ripple is not None:
                 _straighten(positions[k], px_per_radian * ripple, np.float32(len(ripple) / fringe.period))
         return Wrapped(positions, variances)
@@ -238,9 +239,8 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 @compiled
 def _measure(
-    cosine: Component,
-    sine: Component,
-    scale: np.float32,
+    cosine: Floats32,
+    sine: Floats32,
     level: Floats32,
     at_black: np.float32,
     per_level: np.float32,
@@ -254,7 +254,7 @@ def _measure(
     The polynomial gives the arc tangent of 0 to 1 to 1.7e-4 (that of `cv2.phase`).
     """
     for i in range(len(cosine)):
-        across, up = scale * np.float32(cosine[i]), scale * np.float32(sine[i])
+        across, up = cosine[i], sine[i]
         variance[i] = (at_black + per_level * level[i]) / max(across * across + up * up, _FAINTEST)
         larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
         ratio = smaller / max(larger, _FAINTEST)

@@ -186,6 +186,11 @@ class SequencePlan:
         return self.x.fringes + self.y.fringes
 
     @property
+    def fringe_frames(self) -> list[int]:
+        """The frames of all fringes."""
+        return [frame for fringe in self.fringes for frame in fringe.frames]
+
+    @property
     def complements(self) -> list[tuple[int, int]]:
         """Pairs of frames whose light adds up to white plus black: patterns with inverses, and white with black."""
         pairs = [*dict.fromkeys(pair for code in self.codes for pair in code.pairs.values())]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from calib.numerics.array_types import Image
+from scanner.decoding.axis_signals import components
 from scanner.decoding.checks.code_checks import _changes, _note_changes
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift
@@ -21,11 +22,14 @@ SHAPE = (3, 4)
 
 
 def gray_fold(images: list[Image], *, half: bool) -> GrayFold:
-    """Fold a code of two bits, each brighter in its first image than in its second."""
-    (code,) = plan_sequence([*gray_sequence("x", 4, 1), *gray_sequence("y", 4, 1)], (4, 4)).x.codes
+    """Fold a code of two bits, each brighter in its first image than in its second; `half`: which is its threshold."""
+    bits = [*gray_sequence("x", 4, 1, inverses=not half), *gray_sequence("y", 4, 1)]
+    (code,) = plan_sequence(bits, (4, 4)).x.codes
     fold = GrayFold(code, SHAPE, images[0].dtype, contrast=True)
-    for bit in range(2):
-        fold.fold(bit, images[2 * bit], images[2 * bit + 1], half=half)
+    if half:
+        fold.fold(dict(zip(code.frames, images[::2], strict=True)), dict(zip(code.frames, images[1::2], strict=True)))
+    else:
+        fold.fold(dict(zip(code.frames, images, strict=True)), {})
     return fold
 
 
@@ -41,6 +45,12 @@ def test_a_code_keeps_its_smallest_and_largest_difference(frames: Image, half: b
     np.testing.assert_array_equal(fold.contrast, difference.max(axis=0))
     bits = (one > other).astype(int)
     np.testing.assert_array_equal(fold.words, 2 * bits[0] + bits[1])
+
+
+@given(levels=arrays.arrays(np.uint8, (5, 6000)), seed=st.integers(0, 99))
+def test_components_are_weighted_sums_of_the_steps(levels: Image, seed: int) -> None:
+    weights = np.random.default_rng(seed).normal(size=(2, 5))
+    np.testing.assert_allclose(components(levels, weights), weights @ levels, rtol=1e-4, atol=1e-3)
 
 
 def test_the_shift_is_the_product_of_the_slopes() -> None:
