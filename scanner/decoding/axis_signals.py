@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, compiled
+from calib.numerics import Image
 from scanner.decoding.arrays import Floats32, Part, Words
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.sequence_plan import AxisPlan
-
-_BLOCK = 4096  # pixels whose components stay in the cache while the frames are added up
 
 
 @dataclass(frozen=True)
@@ -21,9 +19,10 @@ class Signals:
 
     `words`: per code, (P,). `least` (codes, P): as in `GrayFold`, empty if the fringes correct wrong bits. `contrast`
     (codes, P): as in `GrayFold`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
-    `least` then covers the other bits. `fringes`: per fringe, longest period first, A cos θ and A sin θ in grey levels
-    (2, P). `brightest`, `middle` (P,): grey level when lit, and half-way between lit and unlit. `peak` (P,): maximum
-    over the fringes. `log_exposure` (P,): None if all pixels were exposed alike.
+    `least` then covers the other bits. `steps`: per fringe, longest period first, the levels of its frames (N, P), and
+    the weights (2, N) with which they add up to its components. `brightest`, `middle` (P,): grey level when lit, and
+    half-way between lit and unlit. `peak` (P,): maximum over the fringes. `log_exposure` (P,): None if all pixels were
+    exposed alike.
     """
 
     shape: tuple[int, int]
@@ -31,11 +30,16 @@ class Signals:
     least: Floats32
     contrast: Floats32
     fine: list[dict[int, Image]]
-    fringes: list[Floats32]
+    steps: list[tuple[NDArray[Any], Floats32]]
     brightest: Floats32
     middle: Floats32
     peak: Image
     log_exposure: Floats32 | None = None
+
+    def fringe(self, number: int) -> Floats32:
+        """Return A cos θ and A sin θ of a fringe in grey levels, (2, P)."""
+        levels, weights = self.steps[number]
+        return weights @ levels.astype(np.float32)
 
 
 def signals_of(
@@ -61,7 +65,7 @@ def signals_of(
             _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
             [{bit: select(image).reshape(-1) for bit, image in fold.optional.items()} for fold in codes],
             [
-                components(np.stack([level(frame) for frame in fringe.frames]), fringe.weights[1:])
+                (np.stack([level(frame) for frame in fringe.frames]).reshape(len(fringe.frames), -1), fringe.weights32)
                 for fringe in axis.fringes
             ],
             brightest,
@@ -77,26 +81,6 @@ def signals_in(folded: FoldedFrames, part: Part) -> Iterator[Signals]:
     """Return the signals of x, then of y, in a part of the image."""
     shown = dict(folded.alike(part, folded.plan.fringe_frames))
     return signals_of(folded, lambda image: image[part], shown.__getitem__)
-
-
-def components(levels: NDArray[Any], weights: NDArray[np.float64]) -> Floats32:
-    """Return the sums (2, P) of frames (N, ...) with these weights (2, N)."""
-    levels = levels.reshape(len(levels), -1)
-    sums = np.zeros((len(weights), levels.shape[1]), np.float32)
-    _add_up(levels, np.round(weights, 9).astype(np.float32), sums)
-    return sums
-
-
-@compiled
-def _add_up(levels: Image, weights: Floats32, sums: Floats32) -> None:
-    for start in range(0, levels.shape[1], _BLOCK):
-        for frame in range(len(levels)):
-            of_frame = levels[frame, start : start + _BLOCK]
-            for component in range(len(sums)):
-                weight, into = weights[component, frame], sums[component, start : start + _BLOCK]
-                if weight != 0:  # half of those of four steps are
-                    for i in range(len(of_frame)):
-                        into[i] += weight * np.float32(of_frame[i])
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import hypot
-from typing import Literal, overload
 
 import cv2
 import numpy as np
@@ -158,10 +157,6 @@ class Decoder:
             samples = self._sampled(frames, corrections)
         is_steady = is_merged or corrections.ghost is not None
         found = self._decode(frames, corrections, samples, is_steady=is_steady)
-        if isinstance(found, AmbientLightChange):
-            corrections, found = self._without_ambient_change(frames, replace(corrections, switch=found))
-        for sentence in corrections.remarks(self._plan):
-            found = found.warning(sentence)
         return replace(found, noise=noise) if noise else found
 
     def _sampled(self, frames: Image, corrections: FrameCorrections) -> Samples:
@@ -169,9 +164,7 @@ class Decoder:
         read = partial(corrections.undone, frames, self._plan)
         return Samples.read(self._plan, frames.shape[1:], read, neighbours=needs_neighbours(self._plan))
 
-    def _without_ambient_change(
-        self, frames: Image, corrections: FrameCorrections
-    ) -> tuple[FrameCorrections, Decoding]:
+    def _without_ambient_change(self, frames: Image, corrections: FrameCorrections) -> Decoding:
         """Decode the frames (N, H, W) with the ambient light change removed.
 
         If that raises InputError, decode them unchanged: the apparent light change was something else.
@@ -179,41 +172,31 @@ class Decoder:
         errors = []
         for tried in (corrections, replace(corrections, switch=None)):
             try:
-                return tried, self._decode(frames, tried, self._sampled(frames, tried), is_steady=True)
+                return self._decode(frames, tried, self._sampled(frames, tried), is_steady=True)
             except InputError as error:
                 errors.append(error)
         raise errors[0]
 
-    @overload
-    def _decode(
-        self, frames: Image, corrections: FrameCorrections, samples: Samples, *, is_steady: Literal[True]
-    ) -> Decoding: ...
-
-    @overload
-    def _decode(
-        self, frames: Image, corrections: FrameCorrections, samples: Samples, *, is_steady: bool
-    ) -> Decoding | AmbientLightChange: ...
-
-    def _decode(
-        self, frames: Image, corrections: FrameCorrections, samples: Samples, *, is_steady: bool
-    ) -> Decoding | AmbientLightChange:
+    def _decode(self, frames: Image, corrections: FrameCorrections, samples: Samples, *, is_steady: bool) -> Decoding:
         """Decode the kept frames (N, H, W), of which corrected samples are given.
 
-        Unless the light `is_steady`, return a harmful ambient light change if there is one.
+        Unless the light `is_steady`, a harmful ambient light change is removed if there is one.
         """
         if self._texture is None:
             raise RuntimeError("no frames were kept")
-        read = partial(corrections.undone, frames, self._plan)
-        folded = FoldedFrames(self._plan, samples.scattered, read)
+        folded = FoldedFrames(self._plan, samples.scattered, partial(corrections.undone, frames, self._plan))
         if self._merger is not None:
             folded.log_exposure = self._merger.log_exposure
         observed = observe(folded, samples, self._projector_size)
+        blaming = partial(blaming_motion, lambda: observed.motion, observed.broken)
         anomalies: list[Anomaly] = []
-        with blaming_motion(lambda: observed.motion, observed.broken):
+        with blaming(), suspecting(anomalies):
+            calibrated = check_and_calibrate(folded, samples.scattered, observed, anomalies, is_steady=is_steady)
+        if isinstance(calibrated, AmbientLightChange):
+            del folded, samples
+            return self._without_ambient_change(frames, replace(corrections, switch=calibrated))
+        with blaming():
             with suspecting(anomalies):
-                calibrated = check_and_calibrate(folded, samples.scattered, observed, anomalies, is_steady=is_steady)
-                if isinstance(calibrated, AmbientLightChange):
-                    return calibrated
                 maps, by_pixel = checked_maps(folded, calibrated, observed, is_anomalous=bool(anomalies))
                 stripes = finest_stripes(folded, samples.scattered, maps)
                 del samples
@@ -239,7 +222,7 @@ class Decoder:
         warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
         phase_remark = (remark_on(unchecked),) if unchecked else ()
-        return Decoding(
+        found = Decoding(
             matches,
             self._texture if self._merger is None else self._merger.alike(self._texture),
             reasons,
@@ -255,6 +238,9 @@ class Decoder:
             shifts=(shift_of(unchecked),) if unchecked else (),
             stripes=stripes,
         )
+        for sentence in corrections.remarks(self._plan):
+            found = found.warning(sentence)
+        return found
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):

@@ -108,7 +108,7 @@ def _with_response(
     seen = []
     for decoder, part in alone:
         (fringe,) = decoder.plan.fringes
-        cosine, sine = (component.astype(np.float64)[lit] for component in part.fringes[0])
+        cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
         mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
         amplitude, level = (np.log(np.maximum(each, NEGLIGIBLE)) for each in (np.hypot(cosine, sine), mean[lit]))
         seen.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))

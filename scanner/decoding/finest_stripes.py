@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.axis_signals import components
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import STRAY_PART
@@ -61,7 +60,7 @@ def finest_stripes(folded: FoldedFrames, sample: Sample, maps: Maps) -> FinestSt
         places = np.divmod(pixels, maps.reason.shape[1])
         shown = dict(folded.alike(places, {*finest[0].frames, *finest[1].frames}))
         of_x, of_y = (
-            np.hypot(*components(np.stack([shown[frame] for frame in fringe.frames]), fringe.weights[1:]))
+            np.hypot(*fringe.weights32 @ np.stack([shown[frame] for frame in fringe.frames], dtype=np.float32))
             for fringe in finest
         )
         return _where_kept(pixels, of_x, of_y, (finest[0].period, finest[1].period), maps)
@@ -98,7 +97,7 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
     """Return the contrast (P,) of an axis's finest fringe or bit, 0 where unknown, and the period of its stripes."""
     if axis.fringes:
         fringe = axis.fringes[-1]
-        return np.hypot(*components(levels[list(fringe.frames)], fringe.weights[1:])), fringe.period
+        return np.hypot(*fringe.weights32 @ levels[list(fringe.frames)]), fringe.period
     for code in axis.codes:
         bit = max(code.pairs, default=-1)
         if bit == code.bits - 1 and bit not in code.relative:

@@ -78,7 +78,7 @@ def _is_lost(axis: AxisPlan, signals: Signals, folded: FoldedFrames, noise: Nois
     decided = (least > certain_from) & (2 * half_lit > seen_from) & lit
     if np.count_nonzero(decided) < FEWEST_PIXELS:
         return False
-    cosine, sine = signals.fringes[0]
+    cosine, sine = signals.fringe(0)
     fringe = axis.fringes[0]
     variance = (fringe.period / (2 * np.pi) * fringe.noise_gain) ** 2 * noise.variance(signals.middle)
     power = cosine**2 + sine**2

@@ -37,7 +37,7 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
     if len(longest.frames) <= COSINE_PARAMETERS:
         return None
     interval = interval_of(axis, signals.words, len(signals.middle))
-    cosine, sine = signals.fringes[0]
+    cosine, sine = signals.fringe(0)
     amplitude2 = cosine**2 + sine**2
     seen = (
         resting

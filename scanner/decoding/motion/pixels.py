@@ -104,7 +104,7 @@ def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tu
     variance = noise.variance(signals.middle)
     seen = np.ones(len(variance), np.bool_)
     for number, fringe in enumerate(axis.fringes):
-        cosine, sine = signals.fringes[number]
+        cosine, sine = signals.fringe(number)
         seen &= cosine**2 + sine**2 > SIGNIFICANT_SIGMAS**2 * fringe.noise_gain**2 * variance
     period = axis.fringes[0].period
     if not axis.codes:
@@ -115,7 +115,7 @@ def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tu
         interval = interval_of(axis, signals.words, len(variance))
         seen &= interval.possible
         centre = interval.centre.astype(np.float64)
-    cosine, sine = signals.fringes[0]
+    cosine, sine = signals.fringe(0)
     position = np.arctan2(sine, cosine).astype(np.float64) * period / (2 * np.pi)
     return position + period * np.rint((centre - position) / period), seen
 

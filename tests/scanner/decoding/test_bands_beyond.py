@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from scanner.decoding.axis_signals import components
 from scanner.decoding.light.brightness import Gains, Places
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
@@ -22,7 +21,7 @@ def test_bands_beyond_the_picture_give_no_fringes() -> None:
     light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
     divided = gains.within(Places(LIT_ROWS, HEIGHT)).divided
     alike = np.stack([divided(k, frame[:, None], (rows, rows)) for k, frame in enumerate(light.astype(np.float32))])
-    cosine, sine = components(alike[..., 0], fringe.weights[1:])
+    cosine, sine = fringe.weights32 @ alike[..., 0]
     seen = np.hypot(cosine, sine) > 0
     assert np.array_equal(seen, is_lit)
     assert np.abs(np.hypot(cosine, sine)[seen] - AMPLITUDE).max() < 0.01
