@@ -154,8 +154,8 @@ class AxisDecoder:
         positions, variances = (np.empty(shape, np.float32) for _ in range(2))
         for k, (fringe, ripple) in enumerate(zip(self.plan.fringes, self.ripple, strict=True)):
             px_per_radian = np.float32(fringe.period / (2 * pi))
-            noise = signals.middle, *self._units_px2[k]
-            _measure(*signals.steps[k], *noise, px_per_radian, variances[k], positions[k])
+            (levels, weights), noise = signals.steps[k], (signals.middle, *self._units_px2[k])
+            _measure(levels, weights, *noise, px_per_radian, variances[k], positions[k])
             if ripple is not None:
                 _straighten(positions[k], px_per_radian * ripple, np.float32(len(ripple) / fringe.period))
         return Wrapped(positions, variances)
