@@ -30,9 +30,8 @@ def checked_maps(
     all over the image, RefusalError if something moved between codes and fringes.
     """
     plan = folded.plan
-    corrupted = observed.corrupted
-    if observed.inconsistent is not None and corrupted is not None:
-        corrupted = corrupted & ~_repaired(folded, observed.inconsistent)
+    inconsistent = observed.inconsistent
+    corrupted = None if inconsistent is None else inconsistent.corrupted & ~_repaired(folded, inconsistent)
     maps = coordinate_maps(folded, calibrated.decoders, observed.moved, corrupted)
     if observed.moved is not None and not observed.code_shifts:
         mask_wrong_bits(plan, maps, observed.moved)

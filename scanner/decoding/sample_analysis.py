@@ -67,11 +67,6 @@ class Observations:
         return None if self.inconsistent is None else self.inconsistent.moved
 
     @property
-    def corrupted(self) -> Bools | None:
-        """(H, W): True where motion leaves no usable coordinate; None if nothing moved."""
-        return None if self.inconsistent is None else self.inconsistent.corrupted
-
-    @property
     def motion(self) -> MotionFound | None:
         """The motion of the devices; waits for its measurement to finish."""
         return self.measuring_motion.result()
