@@ -14,6 +14,7 @@ from itertools import chain
 from math import exp, inf
 from typing import cast
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,6 +59,8 @@ class CameraResponse:
         """Convert grey levels to light, as 16-bit integers; values brighter than white are clipped
         to the table's end.
         """
+        if frame.dtype == np.uint8 and len(self._table) == 256:
+            return cast(Image, cv2.LUT(frame, self._table).reshape(frame.shape))  # many times as fast
         return cast(Image, np.take(self._table, frame, mode="clip"))
 
     @cached_property
