@@ -330,7 +330,8 @@ def reconstruct(
         with refusal_saved(captures, folder, config, matches) as reached:
             with progress.step("Calibrating"):
                 labelled = label(captures, reached, config, masks)
-                reached[:] = calibrated = calibrate(labelled, config, lambda: matches.begin(labelled))
+                matches.begin(labelled)
+                reached[:] = calibrated = calibrate(labelled, config)
             reconstructed = triangulate(calibrated, reached, progress)
             result = Scan(reconstructed)
             if len(captures) > 1 and config.corner.same:

@@ -29,14 +29,20 @@ def distort(ideal: Floats, distortion: Distortion) -> Floats:
     return distorted.T.reshape(ideal.shape)
 
 
-def undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole = (1.0, 1.0, 0.0, 0.0)) -> Floats:
+def undistort(
+    distorted: Floats,
+    distortion: Distortion,
+    pinhole: Pinhole = (1.0, 1.0, 0.0, 0.0),
+    *,
+    converged: float = _CONVERGED,
+) -> Floats:
     """Inverse of `distort` by Newton's method, (..., 2); NaN where it has none within the lens's monotonic range.
 
-    With a `pinhole`, focal lengths and principal point, it takes pixels.
+    With a `pinhole`, focal lengths and principal point, it takes pixels. `converged`: largest last step.
     """
     columns = by_columns(distorted.reshape(-1, 2)).T
     ideal = np.empty_like(columns)
-    _undistort(columns, distortion, pinhole, ideal)
+    _undistort(columns, distortion, pinhole, converged, ideal)
     return ideal.T.reshape(distorted.shape)
 
 
@@ -150,7 +156,7 @@ def _derive(ideal: Floats, distortion: Distortion, distorted: Floats, by_ideal: 
 
 
 @compiled
-def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, ideal: Floats) -> None:
+def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, converged: float, ideal: Floats) -> None:
     # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
     # All points take a step before any takes the next, for the same reason.
     u, v, x, y = distorted[0], distorted[1], ideal[0], ideal[1]
@@ -162,7 +168,7 @@ def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, idea
         for i in range(len(x)):
             bent_x, bent_y = (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale
             x[i], y[i], step, monotonic = _newton_step(x[i], y[i], bent_x, bent_y, distortion)
-            moving += step > _CONVERGED
+            moving += step > converged
             outside += not monotonic
         if moving + outside == 0:
             return
