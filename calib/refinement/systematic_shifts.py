@@ -58,8 +58,7 @@ def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, captur
             field[members, axis] = smooth_px * np.sqrt(len(members)) * modes
             fields.append(field)
     responses = _responses(refinement, np.concatenate(fields, axis=2), capture)
-    covariance: Floats = times * responses @ responses.T
-    return covariance
+    return times * responses @ responses.T
 
 
 def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
@@ -85,8 +84,7 @@ def percent_of_intrinsics(state: State, step: Floats) -> float:
 def together(responses: Sequence[Floats], size: int) -> Floats:
     """Return the covariance (size, size) of independent shifts of one standard deviation, given their responses."""
     rows = np.reshape(responses, (-1, size))
-    covariance: Floats = rows.T @ rows
-    return covariance
+    return rows.T @ rows
 
 
 def _gradient(state: State, cells: Cells, capture: int) -> Floats:

@@ -74,8 +74,7 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
     with np.errstate(divide="ignore", invalid="ignore"):
         points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
     predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
-    off: Floats = matches.projector_px - predicted
-    return off
+    return matches.projector_px - predicted
 
 
 def misses(report: ReportInput) -> Misses | None:
