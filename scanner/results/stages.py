@@ -70,11 +70,7 @@ class Decoded:
     @property
     def texture(self) -> Image | None:
         """The camera's image of the lit scene."""
-        match self.origin:
-            case Decoding(texture=texture):
-                return texture
-            case GivenMatches(photograph=photograph):
-                return photograph
+        return self.origin.texture if isinstance(self.origin, Decoding) else self.origin.photograph
 
     @property
     def only_axis(self) -> Axis | None:
@@ -144,11 +140,8 @@ class Reconstructed:
     @property
     def uncertainty(self) -> Uncertainty | None:
         """The uncertainty of the calibration in use; None where unknown."""
-        match self.calibrated:
-            case SelfCalibrated(solution=solution):
-                return solution.uncertainty
-            case GivenCalibration(stated=stated):
-                return stated
+        known = self.calibrated
+        return known.solution.uncertainty if isinstance(known, SelfCalibrated) else known.stated
 
 
 Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
