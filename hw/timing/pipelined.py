@@ -229,7 +229,7 @@ class PipelinedAcquisition:
             if begun_s > latest_s:
                 raise FrameLostError(f"{1e3 * (begun_s - latest_s):.1f} ms too late for its picture")
         except FrameLostError as lost:
-            log.info("frame %d was lost (%s)", number, lost)
+            log.info("frame %d was lost (%s)", number, str(lost))  # the error itself would keep its frames alive
             self.tally.retriggered += 1
             return number, None
         self._schedule.captured()

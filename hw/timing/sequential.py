@@ -121,7 +121,7 @@ class SequentialAcquisition:
 
     def _again(self, image: Image, lost: FrameLostError, number: int) -> Frames:
         for attempt in range(1, ATTEMPTS):
-            log.warning("frame %d was lost (%s), attempt %d", number, lost, attempt)
+            log.warning("frame %d was lost (%s), attempt %d", number, str(lost), attempt)
             self.tally.retriggered += 1
             self._prepare(image)
             self._flip(image)

@@ -44,7 +44,7 @@ def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None)
                     yield Round(number, tuple(taken), _grey(taken), time.monotonic())
                     number, taken, lost_in_a_row = number + 1, [], 0
         except FrameLostError as lost:
-            log.info("round %d was lost (%s)", number, lost)
+            log.info("round %d was lost (%s)", number, str(lost))
             number, lost_in_a_row = number + 1, lost_in_a_row + 1
             if lost_in_a_row == _MOST_LOST:
                 raise DeviceError(f"{_MOST_LOST} rounds one after the other lost a frame; the last: {lost}") from lost

@@ -300,6 +300,23 @@ def test_a_frame_that_is_lost_every_time_ends_the_scan(monkeypatch: pytest.Monke
         list(frames)
 
 
+def test_what_is_logged_of_a_lost_frame_keeps_nothing_alive(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An error leads through its traceback to the frames of the whole capture, for as long as its record is kept."""
+    bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
+    rig = synchronised(bench, bench, {})
+    bench._lost = frozenset({bench.exposures + 6, bench.exposures + 11})
+    with caplog.at_level("INFO"):
+        assert len(list(rig.photograph(pictures(), redundancy=Redundancy(pairs())))) == COUNT
+    lost = [record for record in caplog.records if "was lost" in record.message]
+    assert len(lost) == 2
+    assert {type(argument) for record in lost if isinstance(record.args, tuple) for argument in record.args} == {
+        int,
+        str,
+    }
+
+
 def test_a_complement_may_come_much_later(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(0.05, transfer_s=0.005).install(monkeypatch)
     rig = synchronised(bench, bench, {})
