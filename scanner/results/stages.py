@@ -186,11 +186,8 @@ def decoded_of(stage: Stage) -> Decoded:
 
 def solution_of(stage: Stage) -> SelfCalibration | None:
     """Return the self-calibration of the capture; None without one, or if the calibration was given."""
-    match stage:
-        case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
-            return solution
-        case _:
-            return None
+    calibrated = stage.calibrated if isinstance(stage, Reconstructed) else stage
+    return calibrated.solution if isinstance(calibrated, SelfCalibrated) else None
 
 
 def remarks_on(stage: Stage) -> tuple[str, ...]:
