@@ -223,8 +223,7 @@ def sweep_trials(camera_size: tuple[int, int]) -> Floats:
 
 
 def _trials(camera_size: tuple[int, int], count: int) -> Floats:
-    trials: Floats = np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
-    return trials
+    return np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
 
 
 def _by_paper(
@@ -358,8 +357,7 @@ def _trials_around(known: KnownCalibration) -> Floats:
     focal = float(known.calibration.camera.focal_px[0])
     sigma = float(np.sqrt(known.uncertainty.covariance[CAMERA.start, CAMERA.start]))
     reach = max(_AROUND_KNOWN, _AROUND_SIGMAS * sigma)
-    trials: Floats = focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
-    return trials
+    return focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
 
 
 def _on_known(raised: float, limit: float) -> str:
