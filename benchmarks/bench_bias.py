@@ -49,8 +49,8 @@ SWITCHED_OFF: dict[str, Off] = {
     "without comparing periods": (("axis_decoder", "correct_systematic", _nothing),),
     "without bringing periods together": (("fringes.systematic_error", "_bring_together", _nothing),),
     "without equalising": (
-        ("learning", "swings_of", lambda *_: {}),
-        ("light.equalise", "PairEqualiser.gains", _nothing),
+        ("sample_analysis", "swings_of", lambda *_: {}),
+        ("folded_frames", "gains_of_pairs", lambda *_: {}),
     ),
     "without taking motion back": (("motion.device_motion", "Disturbance.take_back", _nothing),),
     "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),

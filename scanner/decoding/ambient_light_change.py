@@ -61,7 +61,7 @@ class AmbientLightChange:
 def without_change(
     frames: Callable[[], Iterable[Image]], plan: SequencePlan, switch: AmbientLightChange
 ) -> Iterator[Image]:
-    """Yield the frames (H, W) of a capture, which are read twice in the order in which they were shown, without the
+    """Yield the frames (...) of a capture, which are read twice in the order in which they were shown, without the
     change.
     """
     light: NDArray[Any] | None = None
@@ -69,11 +69,15 @@ def without_change(
         number = plan.shown[place]
         if place == plan.shown.index(number):
             other, kept = (frame, 0) if light is None else (light, 1)
-            light = cv2.addWeighted(other, kept, frame, float(switch.weights[number]), 0, dtype=cv2.CV_32F)
+            weight = float(switch.weights[number])
+            light = cv2.addWeighted(other, kept, frame, weight, 0, dtype=cv2.CV_32F).reshape(frame.shape)
     begin = plan.shown.index(switch.frame)
     for place, frame in enumerate(frames()):
         depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
-        yield frame if place < begin or light is None else cast(Image, cv2.subtract(frame, light, dtype=depth))
+        if place < begin or light is None:
+            yield frame
+        else:
+            yield cast(Image, cv2.subtract(frame, light, dtype=depth)).reshape(frame.shape)
 
 
 def may_be_switched(plan: SequencePlan, levels: Floats32) -> bool:

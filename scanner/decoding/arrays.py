@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats32 = NDArray[np.float32]
-Component = NDArray[np.float32] | NDArray[np.int16] | NDArray[np.int32]
 Words = NDArray[np.unsignedinteger[Any]]
 Reasons = NDArray[np.uint8]
 # Smaller than all grey levels, amplitudes and powers of light that matter: it keeps a division by them finite.
 NEGLIGIBLE = 1e-6
-# Rows and columns of an image.
-Part = tuple[slice, slice]
-WHOLE: Part = slice(None), slice(None)
+# Rows and columns of an image, and those of any of its pixels, in arrays of one shape.
+Window = tuple[slice, slice]
+Part = Window | tuple[NDArray[np.int64], NDArray[np.int64]]
+WHOLE: Window = slice(None), slice(None)

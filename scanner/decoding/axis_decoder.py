@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import Component, Floats32, Reasons, Words
+from scanner.decoding.arrays import Floats32, Reasons, Words
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -41,6 +41,8 @@ _ARCTAN_1, _ARCTAN_3, _ARCTAN_5, _ARCTAN_7 = (
 )
 _QUARTER_TURN, _HALF_TURN, _WHOLE_TURN = (np.float32(angle) for angle in (pi / 2, pi, 2 * pi))
 _FAINTEST, _ZERO = np.float32(1e-6), np.float32(0)
+
+_BLOCK = 2048  # pixels whose components stay in the nearest cache
 
 # Variance at black, and per grey level.
 Unit = tuple[np.float32, np.float32]
@@ -152,8 +154,8 @@ class AxisDecoder:
         positions, variances = (np.empty(shape, np.float32) for _ in range(2))
         for k, (fringe, ripple) in enumerate(zip(self.plan.fringes, self.ripple, strict=True)):
             px_per_radian = np.float32(fringe.period / (2 * pi))
-            noise = signals.middle, *self._units_px2[k]
-            _measure(*signals.corrected(k), *noise, px_per_radian, variances[k], positions[k])
+            (levels, weights), noise = signals.steps[k], (signals.middle, *self._units_px2[k])
+            _measure(levels, weights, *noise, px_per_radian, variances[k], positions[k])
             if ripple is not None:
                 _straighten(positions[k], px_per_radian * ripple, np.float32(len(ripple) / fringe.period))
         return Wrapped(positions, variances)
@@ -238,9 +240,8 @@ def largest_variance(fringe: Fringe, *, with_gray: bool = False) -> float:
 
 @compiled
 def _measure(
-    cosine: Component,
-    sine: Component,
-    scale: np.float32,
+    levels: Image,
+    weights: Floats32,
     level: Floats32,
     at_black: np.float32,
     per_level: np.float32,
@@ -248,21 +249,35 @@ def _measure(
     variance: Floats32,
     position: Floats32,
 ) -> None:
-    """Compute a fringe's position (P,) within its period from its components (P,), and its variance (P,) from noise
-    that grows with the grey level.
+    """Compute a fringe's position (P,) within its period from the levels of its frames (N, P), and its variance (P,)
+    from noise that grows with the grey level.
 
-    The polynomial gives the arc tangent of 0 to 1 to 1.7e-4 (that of `cv2.phase`).
+    The `weights` (2, N) give its components. The polynomial gives the arc tangent of 0 to 1 to 1.7e-4 (that of
+    `cv2.phase`).
     """
-    for i in range(len(cosine)):
-        across, up = scale * np.float32(cosine[i]), scale * np.float32(sine[i])
-        variance[i] = (at_black + per_level * level[i]) / max(across * across + up * up, _FAINTEST)
-        larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
-        ratio = smaller / max(larger, _FAINTEST)
-        square = ratio * ratio
-        angle = (((_ARCTAN_7 * square + _ARCTAN_5) * square + _ARCTAN_3) * square + _ARCTAN_1) * ratio
-        angle = _QUARTER_TURN - angle if abs(up) > abs(across) else angle
-        angle = _HALF_TURN - angle if across < _ZERO else angle
-        position[i] = px_per_radian * (_WHOLE_TURN - angle if up < _ZERO else angle)
+    components = np.empty((2, _BLOCK), np.float32)
+    for start in range(0, len(level), _BLOCK):
+        stop = min(start + _BLOCK, len(level))
+        components[:] = _ZERO
+        for frame in range(len(levels)):
+            of_frame = levels[frame, start:stop]
+            for component in range(2):
+                weight, into = weights[component, frame], components[component]
+                if weight != _ZERO:
+                    for i in range(len(of_frame)):
+                        into[i] += weight * np.float32(of_frame[i])
+        of_cosine, of_sine = components[0], components[1]
+        of_level, of_variance, of_position = level[start:stop], variance[start:stop], position[start:stop]
+        for i in range(len(of_level)):
+            across, up = of_cosine[i], of_sine[i]
+            of_variance[i] = (at_black + per_level * of_level[i]) / max(across * across + up * up, _FAINTEST)
+            larger, smaller = max(abs(across), abs(up)), min(abs(across), abs(up))
+            ratio = smaller / max(larger, _FAINTEST)
+            square = ratio * ratio
+            angle = (((_ARCTAN_7 * square + _ARCTAN_5) * square + _ARCTAN_3) * square + _ARCTAN_1) * ratio
+            angle = _QUARTER_TURN - angle if abs(up) > abs(across) else angle
+            angle = _HALF_TURN - angle if across < _ZERO else angle
+            of_position[i] = px_per_radian * (_WHOLE_TURN - angle if up < _ZERO else angle)
 
 
 @compiled

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Image
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.axis_decoder import least_contrasts
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.significance import FEWEST_PIXELS, NEARLY_ALL
 from scanner.decoding.subsampling import FARTHEST_PX, lines_of
@@ -27,11 +27,11 @@ from scanner.errors import InputError
 _WEAK = 0.25
 
 
-def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+def resolve_bits(folded: FoldedFrames, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
     """Drop the bits that are not resolved at sample pixels (P,); yield a warning for each code."""
     chosen = []
-    for fold in accumulators.codes:
-        resolved, count = _resolved(accumulators, fold, noise, pixels) if fold.fine else (fold, 0)
+    for fold in folded.codes:
+        resolved, count = _resolved(folded, fold, noise, pixels) if fold.fine else (fold, 0)
         chosen.append(resolved)
         if count:
             code = fold.code
@@ -40,11 +40,11 @@ def resolve_bits(accumulators: Accumulators, noise: NoiseModel, pixels: NDArray[
                 f"Bit {bits} of the Gray code along {code.axis} is too fine for the lenses and was left out: cells of "
                 f"{chosen[-1].code.cell} px are decoded. Focus camera and projector, or move closer."
             )
-    accumulators.decode_as(chosen)
+    folded.decode_as(chosen)
 
 
 def _resolved(
-    accumulators: Accumulators, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]
+    folded: FoldedFrames, fold: GrayFold, noise: NoiseModel, pixels: NDArray[np.int64]
 ) -> tuple[GrayFold, int]:
     """Return the code to decode, and the number of bits dropped."""
 
@@ -52,7 +52,7 @@ def _resolved(
         return image.reshape(-1)[pixels]
 
     contrast = at(fold.least if fold.contrast is None else fold.contrast)
-    certain_from, seen_from = least_contrasts(noise, at(accumulators.middle))
+    certain_from, seen_from = least_contrasts(noise, at(folded.middle))
     lit = contrast > seen_from
     if np.count_nonzero(lit) < FEWEST_PIXELS:
         return fold.without_finest(0), 0
@@ -64,18 +64,18 @@ def _resolved(
     folds = [fold.without_finest(count) for count in range(weak + 1)]
     # A cell twice as long is worth a quarter, as its variance is four times as large.
     decided = [float(np.mean(at(one.least)[lit] > certain_from[lit])) for one in folds]
-    count = _count_left_out(accumulators, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
+    count = _count_left_out(folded, folds, noise, int(np.argmax(np.array(decided) / 4.0 ** np.arange(weak + 1))))
     # A bit is undecided at the edge of its stripe: where pixels are larger than cells, nearly all are near an edge.
     few = decided[count] < NEARLY_ALL
-    return fold.without_finest(count, optional=few and _cells_per_pixel(accumulators, fold, noise) > 1), count
+    return fold.without_finest(count, optional=few and _cells_per_pixel(folded, fold, noise) > 1), count
 
 
-def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseModel) -> float:
+def _cells_per_pixel(folded: FoldedFrames, fold: GrayFold, noise: NoiseModel) -> float:
     """Return the median number of finest cells between adjacent camera pixels."""
     squares = 0.0
     for is_transposed in (False, True):
         words, least, middle = (
-            lines_of(image.T if is_transposed else image) for image in (fold.words, fold.least, accumulators.middle)
+            lines_of(image.T if is_transposed else image) for image in (fold.words, fold.least, folded.middle)
         )
         number = cell_numbers(words).astype(np.float32)
         certain = least > least_contrasts(noise, middle)[0]
@@ -85,13 +85,13 @@ def _cells_per_pixel(accumulators: Accumulators, fold: GrayFold, noise: NoiseMod
     return float(np.sqrt(squares)) / FARTHEST_PX
 
 
-def _count_left_out(accumulators: Accumulators, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:
+def _count_left_out(folded: FoldedFrames, folds: Sequence[GrayFold], noise: NoiseModel, fewest: int) -> int:
     """Return the least number of bits to drop, from `fewest` on, such that cells that differ in one
     bit are adjacent.
     """
     for count in range(fewest, len(folds) - 1):
         try:
-            if not check_codes(accumulators.plan, [folds[count]], noise, accumulators.middle, accumulators.brightest):
+            if not check_codes(folded.plan, [folds[count]], noise, folded.middle, folded.brightest):
                 return count
         except InputError:
             continue

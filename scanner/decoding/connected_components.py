@@ -1,12 +1,15 @@
-"""Find connected components by runs, of which images of large surfaces have few per row."""
+"""Find small connected components."""
 
+import cv2
 import numpy as np
 
-from calib.numerics import Bools, Ints, compiled
+from calib.numerics import Bools
+from scanner.decoding.fringes.edge_shift_correction import CROSS
 from scanner.decoding.tiles import in_strips, widened
 
 SMALLEST_PATCH = 24  # pixels; fewer are taken for outliers that happen to touch
 _ROWS = 512  # at once, of which twice the smallest patch is searched twice
+_WITHIN = np.ones((5, 5), np.uint8)  # a square of more pixels
 
 
 def small_patches(image: Bools) -> Bools:
@@ -16,67 +19,17 @@ def small_patches(image: Bools) -> Bools:
     def find(rows: slice) -> None:
         # A component that reaches beyond the widened rows is not small.
         wider, inner = widened(rows, SMALLEST_PATCH, len(image))
-        large = image[wider].copy()
-        _remove_small(large)
-        np.greater(image[rows], large[inner], out=result[rows])
+        part = image[wider].view(np.uint8)
+        # Few pixels are not in a square that is part of their component: only these have to be connected.
+        large = cv2.morphologyEx(part, cv2.MORPH_OPEN, _WITHIN, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        rest = np.subtract(part, large)
+        _, labels = cv2.connectedComponents(rest, connectivity=4)
+        places = np.flatnonzero(rest)
+        label, beside = (of.reshape(-1)[places] for of in (labels, cv2.dilate(large, CROSS)))
+        small = np.bincount(label) < SMALLEST_PATCH
+        small[label[beside > 0]] = False
+        rest.reshape(-1)[places] = small[label]
+        result[rows] = rest[inner]
 
     in_strips(len(image), _ROWS, find)
     return result
-
-
-def _remove_small(image: Bools) -> None:
-    """Clear the small components of an image (H, W), in place."""
-    starts = image[:, 0].sum() + np.count_nonzero(image[:, 1:] > image[:, :-1])
-    runs = np.empty((3, starts), np.int32)
-    _remove(image, *runs)
-
-
-@compiled
-def _remove(image: Bools, begin: Ints, end: Ints, parent: Ints) -> None:
-    """Clear the small components; `begin`, `end`, `parent` (runs,) are work arrays, `end` exclusive."""
-    height, width = image.shape
-    size = np.zeros(len(begin), np.int32)
-    row_ends = np.zeros(height, np.int64)
-    above, above_end, run = 0, 0, 0
-    for row in range(height):
-        of_row = image[row]
-        column = 0
-        while column < width:
-            while column < width and not of_row[column]:
-                column += 1
-            if column == width:
-                break
-            begin[run] = column
-            while column < width and of_row[column]:
-                column += 1
-            end[run], parent[run], size[run] = column, run, column - begin[run]
-            while above < above_end and end[above] <= begin[run]:
-                above += 1
-            overlapping = above
-            while overlapping < above_end and begin[overlapping] < column:
-                _join(run, overlapping, parent, size)
-                overlapping += 1
-            run += 1
-        above, above_end, row_ends[row] = above_end, run, run
-    run = 0
-    for row in range(height):
-        while run < row_ends[row]:
-            if size[_root(run, parent)] < SMALLEST_PATCH:
-                image[row, begin[run] : end[run]] = False
-            run += 1
-
-
-@compiled
-def _root(run: int, parent: Ints) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
-
-
-@compiled
-def _join(one: int, other: int, parent: Ints, size: Ints) -> None:
-    one, other = _root(one, parent), _root(other, parent)
-    if one != other:
-        parent[one] = other
-        size[other] += size[one]

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Ints, compiled, in_parallel
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32, Part, Reasons
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
-from scanner.decoding.axis_signals import signals_of
+from scanner.decoding.axis_signals import signals_in, signals_of
 from scanner.decoding.discontinuities import breaks
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
 from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
@@ -50,7 +50,7 @@ class Maps:
 
 
 def coordinate_maps(
-    accumulators: Accumulators,
+    folded: FoldedFrames,
     decoders: tuple[AxisDecoder, AxisDecoder],
     moved: Bools | None = None,
     spoilt: Bools | None = None,
@@ -60,8 +60,8 @@ def coordinate_maps(
     `moved` (H, W): where something moved, which explains contradictions and saturation. `spoilt` (H, W): pixels to mask
     for it in any case.
     """
-    plan, (height, width) = accumulators.plan, accumulators.middle.shape
-    footprint = _footprint(accumulators, decoders)
+    plan, (height, width) = folded.plan, folded.middle.shape
+    footprint = _footprint(folded, decoders)
     projector_px, variance = np.empty((height, width, 2), np.float32), np.empty((height, width), np.float32)
     reasons = np.empty((height, width), np.uint8)
 
@@ -71,7 +71,7 @@ def coordinate_maps(
         )
         wide, own = (wide_rows, wide_columns), (own_rows, own_columns)
         # Lazily, so that the signals of x are freed before those of y are made.
-        found = list(map(AxisDecoder.decode, decoders, signals_of(accumulators, lambda image: image[wide])))
+        found = list(map(AxisDecoder.decode, decoders, signals_in(folded, wide)))
         if moved is not None and spoilt is not None:
             for c in found:
                 why = (spoilt[wide] & (c.reason != MaskReason.DARK)) | (moved[wide] & np.isin(c.reason, _OF_MOTION))
@@ -143,32 +143,37 @@ def _first_reason(coordinates: list[Coordinate]) -> Reasons:
     return reason
 
 
-def _footprint(accumulators: Accumulators, decoders: tuple[AxisDecoder, AxisDecoder]) -> Footprint:
+def _footprint(folded: FoldedFrames, decoders: tuple[AxisDecoder, AxisDecoder]) -> Footprint:
     """Estimate a camera pixel's footprint from tiles spread over the lit part of the image."""
-    height, width = accumulators.middle.shape
+    height, width = folded.middle.shape
     rows, columns = (np.arange(0, size - _TILE_PX + 1, _TILE_PX) for size in (height, width))
     corners = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-    if not accumulators.fringes or not len(corners):
+    if not folded.plan.fringes or not len(corners):
         return Footprint.round(TYPICAL_PX2)
-    middles = tuple((corners + _TILE_PX // 2).T)
+    middle = _TILE_PX // 2
+    middles = slice(middle, rows[-1] + _TILE_PX, _TILE_PX), slice(middle, columns[-1] + _TILE_PX, _TILE_PX)
     lit = np.ones(len(corners), np.bool_)
-    for decoder, at_middles in zip(decoders, signals_of(accumulators, lambda image: image[middles][None]), strict=True):
+    for decoder, at_middles in zip(decoders, signals_in(folded, middles), strict=True):
         if decoder.plan.fringes:
             lit &= decoder.measure(at_middles).well_lit
     corners = evenly_spread(corners[lit], _MOST_TILES)
     if not len(corners):
         return Footprint.round(TYPICAL_PX2)
 
-    def tiles(image: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([image[row : row + _TILE_PX, column : column + _TILE_PX] for row, column in corners])
+    parts = [(slice(row, row + _TILE_PX), slice(column, column + _TILE_PX)) for row, column in corners.tolist()]
+    shown = [dict(folded.alike(part, folded.plan.fringe_frames)) for part in parts]
 
-    both = zip(decoders, signals_of(accumulators, tiles), strict=True)
+    def tiles(image: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([image[part] for part in parts])
+
+    signals = signals_of(folded, tiles, lambda frame: np.concatenate([of_part[frame] for of_part in shown]))
+    both = zip(decoders, signals, strict=True)
     found = in_parallel(lambda axis: axis[0].decode(axis[1]), both)
     usable = _first_reason(found) == np.uint8(MaskReason.KEPT)
     shaded = [(c.value, c.log_amplitude) for c in found if c.log_amplitude is not None]
-    log_lit = np.log(np.maximum(tiles(accumulators.brightest), 1).astype(np.float32))
-    if accumulators.log_exposure is not None:
-        log_lit -= tiles(accumulators.log_exposure)
+    log_lit = np.log(np.maximum(tiles(folded.brightest), 1).astype(np.float32))
+    if folded.log_exposure is not None:
+        log_lit -= tiles(folded.log_exposure)
     # With three steps, harmonics ripple amplitude and phase alike: a correlation of the two is not shading alone.
     rippled = any(len(fringe.shifts) == 3 for decoder in decoders for fringe in decoder.plan.fringes)
     return footprint_of(shaded, log_lit, usable, _TILE_PX, 0.0 if rippled else TYPICAL_PX2)

@@ -1,14 +1,13 @@
 """Decode a stream of frames into matches: the projector pixel that lit each camera pixel, with its standard deviation.
 
-Each frame is kept, and folded into running images and a sparse sample as it arrives. No threshold has to be chosen:
-noise, saturation and tolerances are measured from the capture.
+Each frame is kept, and sampled as it arrives. No threshold has to be chosen: noise, saturation and tolerances are
+measured from the capture.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import hypot
-from typing import Literal, overload
 
 import cv2
 import numpy as np
@@ -24,15 +23,14 @@ from scanner.decoding.checks.consequences import judge, suspecting
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.frame_corrections import FrameCorrections
-from scanner.decoding.frame_statistics import FrameStatistics, frame_statistics, frames_alike
+from scanner.decoding.folded_frames import FoldedFrames
+from scanner.decoding.frame_corrections import FrameCorrections, corrections_of, saturation_of
 from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.single_fringe import remark_on, shift_of
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
-from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.motion import (
     MotionFound,
     blaming_motion,
@@ -44,11 +42,10 @@ from scanner.decoding.motion import (
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import check_and_calibrate, observe
+from scanner.decoding.samples import Samples
 from scanner.decoding.stack import Stack
 from scanner.errors import InputError
 from scanner.patterns import Axis, Pattern
-
-__all__ = ["Decoder", "Decoding", "MaskReason"]
 
 
 @dataclass(frozen=True)
@@ -92,9 +89,8 @@ class Decoder:
     """Take the frames of a known sequence one by one, and decode them at the end.
 
     If every pattern is repeated equally often in a row, the repeats are exposures to be merged, white first. With the
-    rig's calibration, patterns along one axis are enough. `as_taken`: correct neither ghosting nor ambient light
-    changes. Raises InputError if the patterns do not determine both coordinates of a projector of (width, height)
-    pixels.
+    rig's calibration, patterns along one axis are enough. Raises InputError if the patterns do not determine both
+    coordinates of a projector of (width, height) pixels.
     """
 
     def __init__(
@@ -102,19 +98,16 @@ class Decoder:
         patterns: Sequence[Pattern],
         projector_size: tuple[int, int],
         calibration: Calibration | None = None,
-        *,
-        as_taken: bool = False,
     ) -> None:
         once, repeats = exposures_of(patterns)
         plan = plan_sequence(once, projector_size, calibrated=calibration is not None)
         self._plan = replace(plan, repeats=repeats)
         self._one_axis = one_axis(plan, calibration)
         self._merger = ExposureMerger(once, repeats) if repeats > 1 else None
-        self._as_taken = as_taken or repeats > 1
         self._count = 0
         self._projector_size = projector_size
         self._stack: Stack | None = None
-        self._statistics: FrameStatistics | None = None
+        self._samples: Samples | None = None
         self._texture: Image | None = None
 
     def add(self, image: Image, exposure_us: float | None = None) -> None:
@@ -125,22 +118,24 @@ class Decoder:
         """
         self._check_form(image)
         if self._merger is None:
-            self._fold(image)
+            self._keep(image)
             return
         merged = self._merger.add(self._plan.name(self._plan.shown[self._count]), image, exposure_us)
         if merged is not None:
-            self._fold(merged)
+            self._keep(merged)
 
-    def _fold(self, image: Image) -> None:
+    def _keep(self, image: Image) -> None:
         if self._stack is None:
             self._stack = Stack(len(self._plan.shown), image, codes_alone=not self._plan.fringes)
-        grey = self._stack.keep(image)
-        if self._statistics is None:
-            self._statistics = FrameStatistics(self._plan, grey)
-        self._statistics.add(grey)
-        number = self._plan.shown[self._count]
-        if number not in self._plan.shown[: self._count]:
-            self._note_texture(image, number)
+        kept = self._stack.keep(image)
+        if self._samples is None:
+            self._samples = Samples.of((kept.shape[0], kept.shape[1]), neighbours=needs_neighbours(self._plan))
+        self._samples.add(self._plan, self._count, kept)
+        # The white frame, or without one the maximum of all frames.
+        if self._texture is None or self._plan.shown[self._count] == self._plan.white:
+            self._texture = image.copy()
+        elif self._plan.white is None:
+            cv2.max(self._texture, image, dst=self._texture)
         self._count += 1
 
     def finish(self) -> Decoding:
@@ -150,81 +145,70 @@ class Decoder:
                 f"the sequence has {self._plan.frame_count} frames, found {self._plan.repeats * self._count}; the "
                 f"first that is missing: {self._plan.name(self._plan.shown[self._count])}"
             )
-        if self._stack is None or self._statistics is None:
+        if self._stack is None or self._samples is None:
             raise RuntimeError("this decoder has finished already")
-        frames, self._stack = self._stack.frames, None
-        corrections = FrameCorrections() if self._as_taken else self._statistics.corrections()
-        noise = self._statistics.noise() if corrections.response else None
-        if not corrections.is_plain:
-            self._read(frames, corrections)
-        found = self._decode(frames, corrections, as_taken=self._as_taken or corrections.ghost is not None)
-        if isinstance(found, AmbientLightChange):
-            corrections, found = self._without_ambient_change(frames, replace(corrections, switch=found))
-        for sentence in corrections.remarks(self._plan):
-            found = found.warning(sentence)
+        frames, samples, self._stack = self._stack.frames, self._samples, None
+        is_merged = self._merger is not None
+        corrections = FrameCorrections() if is_merged else corrections_of(self._plan, frames, samples.scattered)
+        noise = None
+        if corrections.response:
+            noise = measure_noise(self._plan, samples.scattered, saturation_of(self._plan, frames))
+        if corrections != FrameCorrections():
+            samples = self._sampled(frames, corrections)
+        is_steady = is_merged or corrections.ghost is not None
+        found = self._decode(frames, corrections, samples, is_steady=is_steady)
         return replace(found, noise=noise) if noise else found
 
-    def _read(self, frames: Image, corrections: FrameCorrections) -> None:
-        self._statistics = frame_statistics(self._plan, corrections.undone(frames, self._plan))
+    def _sampled(self, frames: Image, corrections: FrameCorrections) -> Samples:
+        """Sample the corrected frames, from the kept ones (N, H, W)."""
+        read = partial(corrections.undone, frames, self._plan)
+        return Samples.read(self._plan, frames.shape[1:], read, neighbours=needs_neighbours(self._plan))
 
-    def _without_ambient_change(
-        self, frames: Image, corrections: FrameCorrections
-    ) -> tuple[FrameCorrections, Decoding]:
+    def _without_ambient_change(self, frames: Image, corrections: FrameCorrections) -> Decoding:
         """Decode the frames (N, H, W) with the ambient light change removed.
 
         If that raises InputError, decode them unchanged: the apparent light change was something else.
         """
         errors = []
         for tried in (corrections, replace(corrections, switch=None)):
-            self._read(frames, tried)
             try:
-                return tried, self._decode(frames, tried, as_taken=True)
+                return self._decode(frames, tried, self._sampled(frames, tried), is_steady=True)
             except InputError as error:
                 errors.append(error)
         raise errors[0]
 
-    @overload
-    def _decode(self, frames: Image, corrections: FrameCorrections, *, as_taken: Literal[True]) -> Decoding: ...
+    def _decode(self, frames: Image, corrections: FrameCorrections, samples: Samples, *, is_steady: bool) -> Decoding:
+        """Decode the kept frames (N, H, W), of which corrected samples are given.
 
-    @overload
-    def _decode(
-        self, frames: Image, corrections: FrameCorrections, *, as_taken: bool
-    ) -> Decoding | AmbientLightChange: ...
-
-    def _decode(self, frames: Image, corrections: FrameCorrections, *, as_taken: bool) -> Decoding | AmbientLightChange:
-        """Decode the kept frames (N, H, W), once folded, and release what was folded.
-
-        Unless `as_taken`, return a harmful ambient light change if there is one.
+        Unless the light `is_steady`, a harmful ambient light change is removed if there is one.
         """
-        if self._statistics is None or self._texture is None:
-            raise RuntimeError("no frames were folded")
-        whole, self._statistics = self._statistics, None
-        accumulators, samples = whole.accumulators, whole.samples
+        if self._texture is None:
+            raise RuntimeError("no frames were kept")
+        folded = FoldedFrames(self._plan, samples.scattered, partial(corrections.undone, frames, self._plan))
         if self._merger is not None:
-            accumulators.log_exposure = self._merger.log_exposure
-        observed = observe(accumulators, samples, self._projector_size)
-        alike = partial(frames_alike, accumulators, corrections, frames)
-        del whole
+            folded.log_exposure = self._merger.log_exposure
+        observed = observe(folded, samples, self._projector_size)
+        blaming = partial(blaming_motion, lambda: observed.motion, observed.broken)
         anomalies: list[Anomaly] = []
-        with blaming_motion(lambda: observed.motion, observed.broken):
+        with blaming(), suspecting(anomalies):
+            calibrated = check_and_calibrate(folded, samples.scattered, observed, anomalies, is_steady=is_steady)
+        if isinstance(calibrated, AmbientLightChange):
+            del folded, samples
+            return self._without_ambient_change(frames, replace(corrections, switch=calibrated))
+        with blaming():
             with suspecting(anomalies):
-                calibrated = check_and_calibrate(
-                    accumulators, samples.scattered, observed, anomalies, as_taken=as_taken
-                )
-                if isinstance(calibrated, AmbientLightChange):
-                    return calibrated
-                maps, by_pixel = checked_maps(accumulators, alike, calibrated, observed, is_anomalous=bool(anomalies))
-                stripes = finest_stripes(accumulators, samples.scattered, maps)
+                maps, by_pixel = checked_maps(folded, calibrated, observed, is_anomalous=bool(anomalies))
+                stripes = finest_stripes(folded, samples.scattered, maps)
                 del samples
                 motion = observed.motion
                 if halves := halves_of(self._plan):
-                    seen = accumulators.plan, maps.projector_px, self._projector_size
-                    motion = motion_between(halves, alike, *seen, motion)
+                    seen = folded.plan, maps.projector_px, self._projector_size
+                    motion = motion_between(halves, folded.alike, *seen, motion)
                 if motion is not None and motion.significant and not motion.is_too_large:
                     motion.shift.take_back(maps.projector_px)
                 # The running images are as large as the matches and no longer needed.
-                plan, brightest = accumulators.plan, accumulators.brightest
-                del accumulators, alike
+                plan, brightest = folded.plan, folded.brightest
+                del folded
             with blaming_shifts(plan, observed.code_shifts):
                 with suspecting(anomalies):
                     matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
@@ -238,7 +222,7 @@ class Decoder:
         warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
         phase_remark = (remark_on(unchecked),) if unchecked else ()
-        return Decoding(
+        found = Decoding(
             matches,
             self._texture if self._merger is None else self._merger.alike(self._texture),
             reasons,
@@ -254,6 +238,9 @@ class Decoder:
             shifts=(shift_of(unchecked),) if unchecked else (),
             stripes=stripes,
         )
+        for sentence in corrections.remarks(self._plan):
+            found = found.warning(sentence)
+        return found
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):
@@ -271,15 +258,6 @@ class Decoder:
             raise InputError(
                 f"{name}: expected an image like those before it, {_form(self._texture)}, found {_form(image)}"
             )
-
-    def _note_texture(self, image: Image, number: int) -> None:
-        """Keep the white frame, or without one the maximum of all frames."""
-        if number == self._plan.white and image.ndim == 2 and self._statistics is not None:
-            self._texture = self._statistics.accumulators.brightest
-        elif self._texture is None or number == self._plan.white:
-            self._texture = image.copy()
-        elif self._plan.white is None:
-            cv2.max(self._texture, image, dst=self._texture)
 
 
 def _form(image: Image) -> str:

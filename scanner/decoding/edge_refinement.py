@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Image, Ints, compiled
-from scanner.decoding.accumulators import Accumulators, Frames
 from scanner.decoding.arrays import Floats32, Reasons
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
 from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
@@ -29,16 +29,14 @@ _KEPT, _UNDECIDED, _ISOLATED = (
 )
 
 
-def refine_by_edges(
-    accumulators: Accumulators, frames: Frames, maps: Maps, noise: NoiseModel, undecided: Bools
-) -> bool:
+def refine_by_edges(folded: FoldedFrames, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
     """Interpolate coordinates between stripe edges, in place; return False if too few pixels lie between edges.
 
     Pixels that were `undecided` (H, W) are kept if they lie between edges. A pixel that is not between edges along an
     axis keeps its cell's centre there, if the cell is short and continues the pixels around it.
     """
-    measured = [number for number, axis in enumerate(accumulators.plan.axes) if axis.is_measured]
-    folds = [fold for number in measured if (fold := accumulators.with_edges(accumulators.plan.axes[number]))]
+    measured = [number for number, axis in enumerate(folded.plan.axes) if axis.is_measured]
+    folds = [fold for number in measured if (fold := folded.with_edges(folded.plan.axes[number]))]
     if len(folds) < len(measured):
         return False
     usable = _usable(maps, undecided)
@@ -49,10 +47,11 @@ def refine_by_edges(
     kept = seen.reason == _KEPT
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
     variance = np.full(value.shape, np.inf, np.float32)
+    shown = dict(folded.alike(part))
+    thresholds = folded.thresholds(shown)
     for fold, *into in zip(folds, value, variance, strict=True):
-        shown = {index: image for index, image in frames(part) if index in fold.code.frames}
-        levels = levels_of_bits(fold.code, shown, accumulators.thresholds_in(part))
-        images = (image[part] for image in (fold.words, accumulators.middle, accumulators.brightest))
+        levels = levels_of_bits(fold.code, shown, thresholds)
+        images = (image[part] for image in (fold.words, folded.middle, folded.brightest))
         _interpolate(fold.code, noise, levels, [usable, *images, *into])
     between = np.isfinite(variance).all(axis=0)
     # With fewer pixels between edges, cell centres are kept everywhere.
@@ -60,8 +59,8 @@ def refine_by_edges(
         return False
     apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True)], np.float32)
     _take_over(value, variance, np.array(measured), apart, usable, seen.projector_px, seen.variance, seen.reason)
-    _mask_breaks(accumulators.plan, seen)
-    widen_between_edges(accumulators.plan, maps)
+    _mask_breaks(folded.plan, seen)
+    widen_between_edges(folded.plan, maps)
     return True
 
 

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
-from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import STRAY_PART
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.samples import Sample
@@ -50,16 +49,21 @@ class FinestStripes:
         )
 
 
-def finest_stripes(accumulators: Accumulators, sample: Sample, maps: Maps) -> FinestStripes | None:
+def finest_stripes(folded: FoldedFrames, sample: Sample, maps: Maps) -> FinestStripes | None:
     """Measure the stripes at kept pixels, of the sample if there are codes only; None if an axis has no suitable
     stripes.
     """
-    x, y = accumulators.plan.axes
+    x, y = folded.plan.axes
     if x.fringes and y.fringes:
         pixels = at_random(maps.reason.size, MANY_PIXELS)
-        finest = [replace(axis, codes=(), fringes=axis.fringes[-1:]) for axis in (x, y)]
-        of_x, of_y = map(_of_fringe, signals_of(accumulators, lambda image: image.reshape(1, -1)[:, pixels], finest))
-        return _where_kept(pixels, of_x, of_y, (x.fringes[-1].period, y.fringes[-1].period), maps)
+        finest = x.fringes[-1], y.fringes[-1]
+        places = np.divmod(pixels, maps.reason.shape[1])
+        shown = dict(folded.alike(places, {*finest[0].frames, *finest[1].frames}))
+        of_x, of_y = (
+            np.hypot(*fringe.weights32 @ np.stack([shown[frame] for frame in fringe.frames], dtype=np.float32))
+            for fringe in finest
+        )
+        return _where_kept(pixels, of_x, of_y, (finest[0].period, finest[1].period), maps)
     pixels, levels = sample.pixels, sample.levels
     column, row = maps.projector_px.reshape(-1, 2)[pixels].T
     found_x, found_y = _of_axis(x, levels, column), _of_axis(y, levels, row)
@@ -89,18 +93,11 @@ def _where_kept(
     )
 
 
-def _of_fringe(signals: Signals) -> Floats32:
-    """Return the amplitude (P,) of the only fringe."""
-    cosine, sine = signals.fringe(0)
-    return np.hypot(cosine, sine)
-
-
 def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tuple[Floats32, float] | None:
     """Return the contrast (P,) of an axis's finest fringe or bit, 0 where unknown, and the period of its stripes."""
     if axis.fringes:
         fringe = axis.fringes[-1]
-        cosine, sine = fringe.weights[1:].astype(np.float32) @ levels[list(fringe.frames)]
-        return np.hypot(cosine, sine), fringe.period
+        return np.hypot(*fringe.weights32 @ levels[list(fringe.frames)]), fringe.period
     for code in axis.codes:
         bit = max(code.pairs, default=-1)
         if bit == code.bits - 1 and bit not in code.relative:

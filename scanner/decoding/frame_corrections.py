@@ -1,14 +1,19 @@
 """Effects on all frames of a capture that are corrected before decoding."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+
+import numpy as np
 
 from calib.numerics import Image
 from scanner.decoding.ambient_light_change import AmbientLightChange, without_change
 from scanner.decoding.arrays import WHOLE, Part
-from scanner.decoding.light.camera_response import CameraResponse
-from scanner.decoding.light.ghost import Ghost, without_ghost
+from scanner.decoding.light.camera_response import CameraResponse, camera_response
+from scanner.decoding.light.ghost import Ghost, find_ghost, without_ghost
+from scanner.decoding.light.lit_pixels import unclipped
+from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 
 
@@ -24,15 +29,18 @@ class FrameCorrections:
     ghost: Ghost | None = None
     switch: AmbientLightChange | None = None
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether the frames need no correction."""
-        return self == FrameCorrections()
-
-    def undone(self, frames: Image, plan: SequencePlan, part: Part = WHOLE) -> Iterator[Image]:
-        """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W)."""
-        read = partial(self._steady, frames, part)
-        return read() if self.switch is None else without_change(read, plan, self.switch)
+    def undone(
+        self, frames: Image, plan: SequencePlan, part: Part = WHOLE, places: Sequence[int] | None = None
+    ) -> Iterator[Image]:
+        """Yield a part of the corrected frames of a capture, from the kept frames (N, H, W): of all, or of those at
+        some places.
+        """
+        every = range(len(frames))
+        wanted = every if places is None else places
+        needed = wanted if self.ghost is None and self.switch is None else every
+        read = partial(self._steady, frames, part, needed)
+        found = read() if self.switch is None else without_change(read, plan, self.switch)
+        return (image for place, image in zip(needed, found, strict=True) if place in wanted)
 
     def remarks(self, plan: SequencePlan) -> Iterator[str]:
         """Yield sentences for the operator."""
@@ -41,8 +49,32 @@ class FrameCorrections:
         if self.switch:
             yield f"{self.switch.description(plan)}, and was taken out. Better: leave the room's light as it is."
 
-    def _steady(self, frames: Image, part: Part) -> Iterator[Image]:
-        # A ghost depends on the row, and on what is clipped anywhere in the frame.
-        seen = frames[:, *part] if self.ghost is None else frames
-        light = iter(seen) if self.response is None else map(self.response.light_of, seen)
-        return light if self.ghost is None else (image[part] for image in without_ghost(light, self.ghost))
+    def _steady(self, frames: Image, part: Part, places: Sequence[int]) -> Iterator[Image]:
+        seen = (frames[place][part] for place in places)
+        light = seen if self.response is None else map(self.response.light_of, seen)
+        if self.ghost is None:
+            return light
+        rows = np.arange(frames.shape[1])[part[0]]
+        return without_ghost(light, self.ghost, rows[:, None] if isinstance(part[0], slice) else rows)
+
+
+def corrections_of(plan: SequencePlan, frames: Image, sample: Sample) -> FrameCorrections:
+    """Estimate from a sample what affected all of the kept frames (N, H, W): a nonlinear response, and ghosting."""
+    taken, saturation = sample.as_taken, saturation_of(plan, frames)
+    lit = unclipped(taken, saturation)
+    seen = taken[:, lit]
+    top = np.iinfo(np.uint8).max if frames.dtype == np.uint8 else max(frame.max() for frame in _of(plan, frames, []))
+    response = camera_response(plan, seen.astype(np.float32), saturation, float(top))
+    light = response.light_of(seen) if response else seen
+    return FrameCorrections(response, find_ghost(plan, light.astype(np.float32), sample.rows[lit]))
+
+
+def saturation_of(plan: SequencePlan, frames: Image) -> float:
+    """Return the saturation level of the kept frames (N, H, W), of the fringes if there are any."""
+    return saturation_level(*_of(plan, frames, plan.fringe_frames))
+
+
+def _of(plan: SequencePlan, frames: Image, numbers: list[int]) -> list[Image]:
+    """Return the frames with these numbers; if there are none white or, without white, all."""
+    ends = [] if plan.white is None else [plan.white]
+    return [frames[plan.shown.index(number)] for number in numbers or ends or range(len(plan.patterns))]

@@ -56,16 +56,8 @@ class Against(IntFlag):
     CONTRADICTORY = 128
 
 
-_REASONS = {
-    Against.DARK: MaskReason.DARK,
-    Against.SATURATED: MaskReason.SATURATED,
-    Against.UNDECIDED: MaskReason.UNDECIDED,
-    Against.INDIRECT: MaskReason.INDIRECT,
-    Against.OUTSIDE: MaskReason.OUTSIDE,
-    Against.DISAGREES: MaskReason.INCONSISTENT,
-    Against.AMBIGUOUS: MaskReason.INCONSISTENT,
-    Against.CONTRADICTORY: MaskReason.INCONSISTENT,
-}
+# The flags without a reason of their own are contradictions.
+_REASONS = {flag: getattr(MaskReason, str(flag.name), MaskReason.INCONSISTENT) for flag in Against}
 _TABLE = np.array(
     [next((reason for flag, reason in _REASONS.items() if flag & found), MaskReason.KEPT) for found in range(256)],
     np.uint8,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Image
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.axis_signals import signals_of
@@ -17,9 +16,10 @@ from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.decoder_calibration import calibrated_decoders, measured_widely, modulation
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
-from scanner.decoding.light.equalise import correction, outlier_groups, swings_of
+from scanner.decoding.light.equalise import outlier_groups, swings_of
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.light.mosaic import log_mosaic
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
@@ -67,49 +67,44 @@ class Observations:
         return None if self.inconsistent is None else self.inconsistent.moved
 
     @property
-    def corrupted(self) -> Bools | None:
-        """(H, W): True where motion leaves no usable coordinate; None if nothing moved."""
-        return None if self.inconsistent is None else self.inconsistent.corrupted
-
-    @property
     def motion(self) -> MotionFound | None:
         """The motion of the devices; waits for its measurement to finish."""
         return self.measuring_motion.result()
 
 
-def observe(accumulators: Accumulators, samples: Samples, projector_size: tuple[int, int]) -> Observations:
+def observe(folded: FoldedFrames, samples: Samples, projector_size: tuple[int, int]) -> Observations:
     """Equalise the frames' brightness, drop unresolved fringes and bits, and measure noise, flicker and motion.
 
-    The corrections are made in the accumulators and the samples, in place.
+    The corrections are made in the folded and the samples, in place.
     """
     sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
-    notes = list(_finish(accumulators, sample))
-    mosaic = log_mosaic(accumulators.brightest) if accumulators.log_exposure is None else None
+    notes = list(_with_brighter_white(folded, sample))
+    mosaic = log_mosaic(folded.brightest) if folded.log_exposure is None else None
     if mosaic is not None:
-        accumulators.log_exposure = mosaic
+        folded.log_exposure = mosaic
         notes.append(
             "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
         )
     levels = sample.as_taken
-    saturation = saturation_level(accumulators.peak)
-    accumulators.forget_peaks(saturation)
-    shown = accumulators.plan
+    saturation = saturation_level(folded.peak)
+    shown = folded.plan
     noise = measure_noise(shown, sample, saturation)
     inconsistent = _inconsistent_pixels(shown, samples, noise)
-    flicker = _equalise(accumulators, samples, inconsistent)
+    flicker = _equalise(folded, samples, inconsistent)
     if grid.is_divided:
-        noise = measure_noise(accumulators.plan, sample, saturation)
-    notes += drop_lost_fringes(accumulators, noise, sample)
-    notes += resolve_bits(accumulators, noise, sample.pixels)
-    if grid.is_divided or accumulators.plan != shown:
-        inconsistent = _inconsistent_pixels(accumulators.plan, samples, noise)
+        noise = measure_noise(folded.plan, sample, saturation)
+    notes += drop_lost_fringes(folded, noise, sample)
+    notes += resolve_bits(folded, noise, sample.pixels)
+    if grid.is_divided or folded.plan != shown:
+        inconsistent = _inconsistent_pixels(folded.plan, samples, noise)
     if inconsistent is not None:
         rests = grid.levels[:, grid.of(inconsistent.resting)]
-        inconsistent = inconsistent if agree(accumulators.plan, rests, noise, saturation) else None
+        inconsistent = inconsistent if agree(folded.plan, rests, noise, saturation) else None
     if inconsistent is not None:
         tiles.leave_out(inconsistent.moved)
-        notes.append(inconsistent.message(accumulators.plan))
-    plan, (x, y) = accumulators.plan, signals_of(accumulators, lambda image: tiles.of(image)[None])
+        notes.append(inconsistent.message(folded.plan))
+    plan = folded.plan
+    x, y = signals_of(folded, lambda image: tiles.of(image)[None], lambda frame: tiles.level(plan.shown.index(frame)))
     aside = ThreadPoolExecutor(1)
     seen = SeenFringes(plan, tiles, (x, y), noise, saturation, projector_size)
     motion = aside.submit(measure_motion, seen)
@@ -136,18 +131,12 @@ def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel
     return None if an_exchange_explains(plan, levels, found.frames) else found
 
 
-def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
-    """Fold in the remaining frames.
-
-    If white is brighter in the patterns than in the white frame, rescale the white frame in the sample and yield a
-    warning.
-    """
-    white_frame = accumulators.brightest
-    white = accumulators.finish()
-    number = accumulators.plan.white
+def _with_brighter_white(folded: FoldedFrames, sample: Sample) -> Iterator[str]:
+    """If white is brighter in the patterns than in the white frame, rescale it in the sample and yield a warning."""
+    white, number = folded.white, folded.plan.white
     if white == 1 or number is None:
         return
-    seen, of_patterns = map(sample.of, (white_frame, accumulators.brightest))
+    seen, of_patterns = sample.level(number), sample.of(folded.brightest)
     sample.divide(number, np.maximum(seen, 1) / np.maximum(of_patterns, 1))
     yield (
         f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account. "
@@ -155,30 +144,24 @@ def _finish(accumulators: Accumulators, sample: Sample) -> Iterator[str]:
     )
 
 
-def _equalise(accumulators: Accumulators, samples: Samples, inconsistent: InconsistentPixels | None) -> float | None:
+def _equalise(folded: FoldedFrames, samples: Samples, inconsistent: InconsistentPixels | None) -> float | None:
     """Equalise frames that differ in brightness, in the samples and in the fringes; return the flicker, None if
     unknown.
 
     `inconsistent`: where something moved; those pixels are ignored, because motion changes their brightness.
     """
-    plan, sample = accumulators.plan, samples.scattered
-    found: list[tuple[tuple[int, ...], Gains]] = [*accumulators.gains_of_pairs.items()]
+    plan, sample = folded.plan, samples.scattered
+    found: list[tuple[tuple[int, ...], Gains]] = [*folded.gains.items()]
     levels = sample.levels
     lit = lit_by(np.ptp(levels, axis=0))
     if inconsistent is not None:
         resting = lit[sample.of(inconsistent.resting)[lit]]
         lit = resting if len(resting) >= FEWEST_PIXELS else lit
-    middle, brightest = (
-        sample.of(image)[lit].astype(np.float32) for image in (accumulators.middle, accumulators.brightest)
-    )
     places = Places(sample.rows[lit], sample.shape[0])
-    swings = swings_of(plan, levels[:, lit], places)
-    for fold in accumulators.fringes:
-        if fold.fringe in swings:
-            gains, common = swings[fold.fringe]
-            found.append((fold.fringe.frames, gains))
-            if gains.are_harmful:
-                fold.correction = correction(fold.fringe, gains, places, common, middle, brightest)
+    for fringe, gains in swings_of(plan, levels[:, lit], places).items():
+        found.append((fringe.frames, gains))
+        if gains.are_harmful:
+            folded.equalise(fringe.frames, gains.within(places).divided)
     for frames, gains in found:
         if gains.are_harmful:
             samples.equalise(plan, frames, gains)
@@ -196,16 +179,16 @@ class CalibratedDecoders:
 
 
 def check_and_calibrate(
-    accumulators: Accumulators, sample: Sample, observed: Observations, anomalies: list[Anomaly], *, as_taken: bool
+    folded: FoldedFrames, sample: Sample, observed: Observations, anomalies: list[Anomaly], *, is_steady: bool
 ) -> CalibratedDecoders | AmbientLightChange:
     """Check the frames, append what is wrong to `anomalies`, and calibrate the decoders on the sample. Raises
     InputError.
 
-    Returns the ambient light change instead if there is a harmful one to be corrected, unless `as_taken` is set.
+    Returns the ambient light change instead if there is a harmful one to be corrected, unless the light `is_steady`.
     """
-    plan, levels, moved = accumulators.plan, sample.levels, observed.moved
+    plan, levels, moved = folded.plan, sample.levels, observed.moved
     resting = sample if moved is None else sample.without(moved)
-    x, y = signals_of(accumulators, lambda image: resting.of(image)[None])
+    x, y = signals_of(folded, lambda image: resting.of(image)[None], resting.level)
     thin = x, y
     with ThreadPoolExecutor(1) as aside:
         # Errors in the frames are reported before any error of the calibration.
@@ -213,12 +196,10 @@ def check_and_calibrate(
         found, switch = check_frames(
             plan, observed.levels.astype(np.float32), levels, observed.noise, observed.saturation
         )
-        if not as_taken and switch is not None and switch.is_harmful:
+        if not is_steady and switch is not None and switch.is_harmful:
             return switch
         anomalies += found
-        code_anomalies = check_codes(
-            plan, accumulators.codes, observed.noise, accumulators.middle, accumulators.brightest, moved
-        )
+        code_anomalies = check_codes(plan, folded.codes, observed.noise, folded.middle, folded.brightest, moved)
         anomalies += _explained(plan, code_anomalies, anomalies, observed.inconsistent)
         decoders = calibrating.result()
         with blaming_shifts(plan, observed.code_shifts):

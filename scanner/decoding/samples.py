@@ -1,6 +1,6 @@
 """Samples of the frames, from which everything but the coordinates is measured: pixels at random, tiles, and a grid."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self, cast
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Image, Ints
-from scanner.decoding.arrays import Floats32
+from scanner.decoding.arrays import Floats32, Part
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.mosaic import BAYER_PX
 from scanner.decoding.sequence_plan import SequencePlan
@@ -50,11 +50,16 @@ class Sample:
         """Return the pixels (...) of an image (H, W)."""
         return image.reshape(-1).take(self.pixels, mode="clip")  # all are inside; clip mode skips the bounds check
 
-    def add(self, frame: int, grey: Image) -> None:
-        """Sample a frame (H, W)."""
-        self._frames[frame] = self.of(grey)
-        for sample in self.beside:
-            sample.add(frame, grey)
+    def number_of(self, plan: SequencePlan, place: int) -> int | None:
+        """Return the number of the frame at a place in the capture; None if it is not sampled."""
+        # A repeated pattern is only used to detect changes since it was first shown.
+        number = plan.shown[place]
+        return number if plan.shown.index(number) == place else None
+
+    def add(self, plan: SequencePlan, place: int, levels: NDArray[Any]) -> None:
+        """Add the levels (...) of the frame at a place in the capture."""
+        if (number := self.number_of(plan, place)) is not None:
+            self._frames[number] = levels
 
     def has(self, *frames: int) -> bool:
         """Whether these frames have been added."""
@@ -107,6 +112,10 @@ class TileSample(Sample):
         super().__init__(shape, (y * shape[1] + x).reshape(-1))
         self.count = rows * columns
         self.resting: Bools = np.ones(self.pixels.shape, np.bool_)
+
+    def number_of(self, plan: SequencePlan, place: int) -> int | None:
+        """Return the place, for fringes."""
+        return place if plan.shown[place] in plan.fringe_frames else None
 
     def leave_out(self, moved: Bools) -> None:
         """Exclude the pixels of the image (H, W) where objects moved from the `resting` ones (P,)."""
@@ -167,6 +176,28 @@ class Samples:
     def of(cls, shape: tuple[int, int], *, neighbours: bool) -> Self:
         """Return samples of images (H, W), without frames; with `neighbours` as in `Sample.at_random`."""
         return cls(Sample.at_random(shape, neighbours=neighbours), TileSample(shape), GridSample(shape))
+
+    @property
+    def each(self) -> tuple[Sample, ...]:
+        """All samples."""
+        return self.scattered, *self.scattered.beside, self.tiles, self.grid
+
+    def add(self, plan: SequencePlan, place: int, grey: Image) -> None:
+        """Sample the frame (H, W) at a place in the capture."""
+        for sample in self.each:
+            if sample.number_of(plan, place) is not None:
+                sample.add(plan, place, sample.of(grey))
+
+    @classmethod
+    def read(
+        cls, plan: SequencePlan, shape: tuple[int, int], read: Callable[[Part], Iterator[Image]], *, neighbours: bool
+    ) -> Self:
+        """Return samples of images (H, W) of which `read` yields a part of all frames, in order."""
+        found = cls.of(shape, neighbours=neighbours)
+        for sample in found.each:
+            for place, levels in enumerate(read((sample.rows, sample.pixels - sample.rows * shape[1]))):
+                sample.add(plan, place, levels)
+        return found
 
     def equalise(self, plan: SequencePlan, frames: Sequence[int], gains: Gains) -> None:
         """Divide some frames by their gains."""

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Floats, Ints
-from scanner.decoding.arrays import Words
+from scanner.decoding.arrays import Floats32, Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12  # frames in a message
@@ -92,6 +92,11 @@ class Fringe:
     def weights(self) -> Floats:
         """(3, N): least squares of offset, a cos θ and a sin θ in I = offset + a cos(θ + 2π shift)."""
         return np.linalg.pinv(self.design).astype(np.float64)
+
+    @cached_property
+    def weights32(self) -> Floats32:
+        """(2, N): those of a cos θ and a sin θ, in single precision; half of those of four equal shifts are 0."""
+        return np.round(self.weights[1:], 9).astype(np.float32)
 
     @cached_property
     def design(self) -> Floats:
@@ -184,6 +189,11 @@ class SequencePlan:
     def fringes(self) -> tuple[Fringe, ...]:
         """The fringes of both axes."""
         return self.x.fringes + self.y.fringes
+
+    @property
+    def fringe_frames(self) -> list[int]:
+        """The frames of all fringes."""
+        return [frame for fringe in self.fringes for frame in fringe.frames]
 
     @property
     def complements(self) -> list[tuple[int, int]]:

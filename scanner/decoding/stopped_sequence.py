@@ -65,30 +65,22 @@ def _trimmed(
     axes = [_decodable(axis, length, once, wanted) for axis, length in zip(_AXES, size, strict=True)]
     axes = _balanced(axes, wanted, calibrated=calibrated)
     decoded_as = {p: p for p in once if not isinstance(p, Gray | Xor | Phase)} | axes[0] | axes[1]
-    # Fringes that repeat within the remaining cells are left out as well.
-    decoded_as, plan, reason = _first_plan((decoded_as, _only_codes(decoded_as)), once, size, calibrated=calibrated)
+    plan: SequencePlan | None = None
+    troubles = []
+    # The codes alone only if the fringes repeat within the remaining cells.
+    for choice in (_only_codes(decoded_as), decoded_as):
+        try:
+            plan = plan_sequence([choice[p] for p in once if p in choice], size, calibrated=calibrated)
+            decoded_as = choice
+        except InputError as error:
+            troubles.append(error)
     taken = f"{len(patterns)} of its {len(planned)} frames were taken. " if planned else ""
     missing = f"The capture stops early: {taken}Missing or left out: {_listed(wanted, decoded_as)}"
     if plan is None:
-        raise InputError(f"{missing}. From what there is nothing can be decoded: {reason}")
+        raise InputError(f"{missing}. From what there is nothing can be decoded: {troubles[-1]}")
     kept = (decoded_as.get(pattern) for pattern in patterns[: len(whole)])
     words = f"{missing}. What it costs: {'; '.join(_cost(axis, by_edges=not plan.fringes) for axis in plan.axes)}."
     return Usable((*kept, *[None] * (len(patterns) - len(whole))), words)
-
-
-def _first_plan(
-    choices: Sequence[dict[Pattern, Pattern]], once: Sequence[Pattern], size: tuple[int, int], *, calibrated: bool
-) -> tuple[dict[Pattern, Pattern], SequencePlan | None, str]:
-    """Return the first of the choices that determines the coordinates, with its plan; otherwise what the first one
-    lacks.
-    """
-    troubles = []
-    for choice in choices:
-        try:
-            return choice, plan_sequence([choice[p] for p in once if p in choice], size, calibrated=calibrated), ""
-        except InputError as error:
-            troubles.append(str(error))
-    return choices[0], None, troubles[0]
 
 
 def _exposures(patterns: Sequence[Pattern]) -> int:

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from calib.numerics import Bools, in_parallel, in_slices
-from scanner.decoding.arrays import Part
+from scanner.decoding.arrays import Window
 
 # Larger tiles cost memory; smaller ones cost time between the loops, where the interpreter runs one thread at a time.
 _TILE_PX = (120, 1224)
@@ -35,7 +35,7 @@ def _parts(size: int, most: int) -> list[slice]:
     return [slice(start, min(start + length, size)) for start in range(0, size, length)]
 
 
-def around(pixels: Bools, margin: int = 0) -> Part:
+def around(pixels: Bools, margin: int = 0) -> Window:
     """Return the rows and columns that hold all the chosen pixels (H, W), at least one, and a margin."""
     spans = []
     for size, across in zip(pixels.shape, (1, 0), strict=True):

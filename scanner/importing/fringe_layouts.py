@@ -4,14 +4,14 @@ Programs differ in the origin of the cosine and in the direction of its shifts. 
 here, and the frames determine which it is.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import chain, product
 
 from scanner.importing.layout import Layout, SequenceOf, Size
-from scanner.importing.orders import bits_of, gray_bits, with_ends, x_and_y
-from scanner.patterns import Axis, Gray, Pattern, Phase
+from scanner.importing.orders import bits_of, fringe, gray_bits, with_ends, x_and_y
+from scanner.patterns import Axis, Gray, Pattern
 
 _STEPS = range(3, 9)
 _AXES: tuple[tuple[Axis, ...], ...] = (("x", "y"), ("y", "x"), ("x",), ("y",))
@@ -77,12 +77,9 @@ class _Direction:
             return ()
         shown: list[Pattern] = []
         for axis, (periods, code) in parts.items():
-            shown += [one for period in periods for one in self._fringe(axis, period, steps)]
+            shown += chain(*(fringe(axis, period, steps, first=self.first, sign=self.sign) for period in periods))
             shown += code
         return tuple(shown)
-
-    def _fringe(self, axis: Axis, period: float, steps: int) -> Iterator[Phase]:
-        return (Phase(axis, period, self.first + self.sign * step / steps) for step in range(steps))
 
 
 def _close(counts: Sequence[float], axis: Axis, length: int) -> _Parts:

@@ -36,7 +36,7 @@ def _phase_shifting(size: Size, cell: int, frames: int) -> tuple[Pattern, ...]:
         shown
         for axis, _ in x_and_y(size)
         for period in (2 * cell / 3, float(cell))
-        for shown in fringe(axis, period, 3, first=-1)
+        for shown in fringe(axis, period, 3, first=-1 / 3)
     )
     return (*fringes, *pairs(size, cell, frames), White(), Black())
 
@@ -82,7 +82,7 @@ def _slstudio_fringes(cycles: int, steps: int, *axes: Axis) -> SequenceOf:
             shown
             for axis in axes
             for number, count in ((cycles, steps), (1, 3))
-            for shown in fringe(axis, lengths[axis] / number, count, backwards=True)
+            for shown in fringe(axis, lengths[axis] / number, count, sign=-1)
         )
 
     return sequence

@@ -43,10 +43,9 @@ def gray_bits(
     )
 
 
-def fringe(axis: Axis, period: float, steps: int, *, first: int = 0, backwards: bool = False) -> Iterator[Phase]:
-    """A fringe in equal steps over a cycle, from the given step on."""
-    for step in range(first, first + steps):
-        yield Phase(axis, period, (-step if backwards else step) / steps)
+def fringe(axis: Axis, period: float, steps: int, *, first: float = 0, sign: int = 1) -> Iterator[Phase]:
+    """A fringe in equal steps over a cycle, from the `first` shift on, in either direction."""
+    return (Phase(axis, period, first + sign * step / steps) for step in range(steps))
 
 
 def x_and_y(size: Size) -> tuple[tuple[Axis, int], tuple[Axis, int]]:

@@ -188,20 +188,15 @@ class _Judge:
         return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
 
     def _decoded(self, candidate: Candidate) -> Matches | str:
-        """The matches, or the reason why there are none.
-
-        What a scan corrects, as a camera's tone curve, is corrected only where the frames do not decode as they are.
-        """
+        """The matches, or the reason why there are none."""
         key = candidate.patterns, candidate.projector_size
         if key not in self._found:
-            found = self._decode(candidate, as_taken=True)
-            again = self._decode(candidate, as_taken=False) if isinstance(found, str) else found
-            self._found[key] = found if isinstance(again, str) else again
+            self._found[key] = self._decode(candidate)
         return self._found[key]
 
-    def _decode(self, candidate: Candidate, *, as_taken: bool) -> Matches | str:
+    def _decode(self, candidate: Candidate) -> Matches | str:
         try:
-            decoder = Decoder(candidate.patterns, candidate.projector_size, as_taken=as_taken)
+            decoder = Decoder(candidate.patterns, candidate.projector_size)
             for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
                 decoder.add(read_image(path))
             matches = decoder.finish().matches

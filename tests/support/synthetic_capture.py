@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from calib.numerics.array_types import Bools, Image
 from scanner.decoding.decoder import Decoder, Decoding
+from scanner.decoding.frame_corrections import FrameCorrections, corrections_of
+from scanner.decoding.planning import plan_sequence
+from scanner.decoding.samples import Samples
 from scanner.patterns.pattern import Pattern, Phase, draw, phase_sequence
 
 Light = NDArray[np.floating[Any]]
@@ -160,6 +163,15 @@ def _light(scene: Scene, pattern: Pattern) -> Light:
 @lru_cache(maxsize=8)
 def _fine(scene: Scene) -> tuple[Light, Light, Light, Bools]:
     return scene.seen()
+
+
+def corrections_to(
+    patterns: Sequence[Pattern], frames: Sequence[Image], projector: tuple[int, int]
+) -> FrameCorrections:
+    """What is found to affect all frames."""
+    plan, taken = plan_sequence(patterns, projector), np.array(frames, np.uint8)
+    samples = Samples.read(plan, taken.shape[1:], lambda part: (frame[part] for frame in taken), neighbours=False)
+    return corrections_of(plan, taken, samples.scattered)
 
 
 def decode(patterns: Sequence[Pattern], frames: Iterable[Image], projector: tuple[int, int]) -> Decoding:

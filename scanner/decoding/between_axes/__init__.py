@@ -2,5 +2,3 @@
 
 from scanner.decoding.between_axes.evenly_lit import halves_of
 from scanner.decoding.between_axes.measure import motion_between
-
-__all__ = ["halves_of", "motion_between"]

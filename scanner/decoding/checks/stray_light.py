@@ -10,10 +10,10 @@ import numpy as np
 
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Image
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.consequences import EPIPOLAR_PX, epipolar_matrix, from_epipolar_lines
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.decoding.subsampling import at_random
@@ -23,10 +23,10 @@ _STEPS, _MOST_OUTLIERS = 20, 0.25
 _FEWEST = _STEPS * FEWEST_PIXELS
 
 
-def leave_out_stray_light(accumulators: Accumulators, maps: Maps) -> None:
+def leave_out_stray_light(folded: FoldedFrames, maps: Maps) -> None:
     """Mask, in place, pixels without fringes whose contrast is too low for reliable codes."""
-    plan = accumulators.plan
-    contrasts = [fold.contrast for fold in accumulators.codes if fold.contrast is not None]
+    plan = folded.plan
+    contrasts = [fold.contrast for fold in folded.codes if fold.contrast is not None]
     if plan.fringes or plan.only_axis is not None or not contrasts:
         return
     contrast: Image = np.min(contrasts, axis=0)

@@ -52,13 +52,14 @@ def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brigh
     group, count = number[group], counts[cells]
 
     weight, of_variance, square = np.zeros((3, len(cells)))
-    camera_px = np.zeros((len(cells), 2))
-    _add_up(pixels, group, brightness.astype(np.float32), variance, weight, camera_px, of_variance)
+    camera_px, middle_px = np.zeros((2, len(cells), 2))
+    _add_up(pixels, group, brightness.astype(np.float32), variance, weight, camera_px, middle_px, square, of_variance)
     camera_px /= weight[:, None]
-    _add_squares(pixels, group, camera_px, square)
-    good = square / count <= _SMALLEST_SPREAD + np.median(count)
+    middle_px /= count[:, None]
+    spread = square / count + np.sum((camera_px - middle_px) ** 2 - middle_px**2, axis=1)
+    good = spread <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
-    _reject(pixels, group, good, rejected)
+    rejected[kept] = ~good[group]
     centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
     return CellMatches(camera_px[good], centre_px[good], (of_variance / count**2)[good], rejected)
 
@@ -97,31 +98,21 @@ def _add_up(
     variance: Floats32,
     weight: Floats,
     camera_px: Floats,
+    middle_px: Floats,
+    square: Floats,
     of_variance: Floats,
 ) -> None:
-    """Sum weights, weighted pixels and variances by group."""
+    """Sum weights, weighted pixels, pixels, their squares and variances by group."""
     for n in range(len(group)):
         (column, row), into = pixels[n], group[n]
         by = brightness[row, column] + 1.0
         weight[into] += by
         camera_px[into, 0] += by * column
         camera_px[into, 1] += by * row
+        middle_px[into, 0] += column
+        middle_px[into, 1] += row
+        square[into] += column * column + row * row
         of_variance[into] += variance[row, column]
-
-
-@compiled
-def _add_squares(pixels: Ints, group: Ints, camera_px: Floats, square: Floats) -> None:
-    """Sum the squared distances from `camera_px` by group."""
-    for n in range(len(group)):
-        into = group[n]
-        across, down = pixels[n, 0] - camera_px[into, 0], pixels[n, 1] - camera_px[into, 1]
-        square[into] += across * across + down * down
-
-
-@compiled
-def _reject(pixels: Ints, group: Ints, good: Bools, rejected: Bools) -> None:
-    for n in range(len(group)):
-        rejected[pixels[n, 1], pixels[n, 0]] = not good[group[n]]
 
 
 def _is_whole(cell_x: Ints, cell_y: Ints, count: Ints) -> Bools:

@@ -18,6 +18,7 @@ import numpy as np
 from calib.numerics import Bools, Floats, Image, Ints, compiled
 from scanner.decoding.arrays import Floats32, Words
 from scanner.decoding.codes.gray_code import cell_numbers
+from scanner.decoding.codes.gray_fold import compared
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode
 
@@ -67,15 +68,10 @@ def levels_of_bits(
 
     `frames`: by index. `thresholds`: per frame of a bit without an inverse, in place of the other image.
     """
-    bright, dark, nothing = [], [], next(iter(frames.values()))
-    for bit in range(code.bits):
-        normal, inverse = code.normal.get(bit), code.inverse.get(bit)
-        only = normal if inverse is None else inverse
-        # Pixels do not differ in a bit that was never shown: any image will do.
-        lone = nothing if only is None else thresholds.get(only, nothing)
-        bright.append(lone if normal is None else frames[normal])
-        dark.append(lone if inverse is None else frames[inverse])
-    return bright, dark
+    nothing = next(iter(frames.values()))  # pixels do not differ in a bit that was never shown: any image will do
+    shown = {bit: images for bit, *images in compared(code, frames, thresholds)}
+    bright, dark = zip(*(shown.get(bit, [nothing, nothing]) for bit in range(code.bits)), strict=True)
+    return list(bright), list(dark)
 
 
 def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32, variance: Floats32) -> None:

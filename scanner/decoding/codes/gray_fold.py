@@ -1,61 +1,52 @@
-"""Fold the bits of a Gray code into code words as their frames arrive."""
+"""Fold the bits of a Gray code into code words."""
 
+from collections.abc import Iterator, Mapping
 from copy import copy
-from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.numerics import Bools, Image, compiled
+from calib.numerics import Bools, Image
 from scanner.decoding.arrays import Words
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode
-
-Planes = NDArray[np.uint8]
 
 
 class GrayFold:
     """The code word of each pixel, with the contrast of its bits.
 
-    `least` and `contrast` (H, W): smallest and largest |bright − dark| among the bits, in grey levels. `contrast` is
-    None where fringes show what is lit. Without fringes, each of the finest bits has its own contrast image in `fine`,
-    by bit, and is not included in `least`: whether the camera resolves it is decided after all frames. It may then
-    become `optional`.
+    `words` (H, W): of the plain Gray code, bit 0 in place bits − 1, as in the pattern. `least` and `contrast` (H, W):
+    smallest and largest |bright − dark| among the bits, in grey levels. `contrast` is None where fringes show what is
+    lit. Without fringes, each of the finest bits has its own contrast image in `fine`, by bit, and is not included in
+    `least`: whether the camera resolves it is decided later. It may then become `optional`.
     """
 
     def __init__(self, code: GrayCode, shape: tuple[int, int], dtype: np.dtype[Any], *, contrast: bool) -> None:
         self.code = code
         self.contrast: Image | None = np.zeros(shape, dtype) if contrast else None
         self.least: Image = np.full(shape, np.iinfo(dtype).max, dtype)
-        self.fine: dict[int, Image] = {}
+        keeps_fine = contrast and code.base is None and code.bits > FINE_BITS
+        fine = range(code.bits - FINE_BITS, code.bits) if keeps_fine else ()
+        self.fine: dict[int, Image] = {bit: self.least.copy() for bit in fine if code.frames_of([bit])}
         self.optional: dict[int, Image] = {}
         self._least_of_others = self.least
-        self._keeps_fine = contrast and code.base is None
-        planes = next(n for n in (1, 2, 4) if 8 * n >= code.bits)
-        self._planes = [np.full(shape, code.constant >> 8 * n & 255, np.uint8) for n in range(planes)]
+        words = next(kind for kind in (np.uint8, np.uint16, np.uint32) if np.iinfo(kind).bits >= code.bits)
+        self.words: Words = np.full(shape, code.constant, words)
 
-    def fold(self, bit: int, bright: Image, dark: Image, *, half: bool = False) -> None:
-        """Set a bit where `bright` is brighter than `dark`; `half` if one of them is the threshold."""
-        place, position = divmod(self.code.bits - 1 - bit, 8)
-        plane, largest = self._planes[place].reshape(-1), bright.dtype.type(np.iinfo(bright.dtype).max)
-        least = self.least
-        if self._keeps_fine and 0 < self.code.bits - bit <= FINE_BITS < self.code.bits:
-            least = self.fine.setdefault(bit, np.full_like(self.least, largest))
-        bright, dark = bright.reshape(-1), dark.reshape(-1)
-        _note_bit(bright, dark, np.uint8(1 << position), half, largest, plane, least.reshape(-1))
-        if self.contrast is not None:
-            _note_contrast(bright, dark, half, largest, self.contrast.reshape(-1))
-
-    @cached_property
-    def words(self) -> Words:
-        """(H, W): words of the plain Gray code, bit 0 in place bits − 1, as in the pattern; once all frames are in."""
-        planes, self._planes = self._planes, []
-        if len(planes) == 1:
-            return self.code.relative_to_base(planes[0])
-        merged = cast(Words, cv2.merge(planes))
-        words: Words = merged.view("<u2" if len(planes) == 2 else "<u4")[..., 0]
-        return self.code.relative_to_base(words)
+    def fold(self, frames: Mapping[int, Image], thresholds: Mapping[int, Image], rows: slice = slice(None)) -> None:
+        """Fill in some rows, from their frames, and from the thresholds of bits without an inverse."""
+        words = self.words[rows]
+        for bit, bright, dark in compared(self.code, frames, thresholds):
+            shown = cv2.compare(bright, dark, cv2.CMP_GT).view(np.int8)  # all bits are set, or none
+            words |= shown.astype(words.dtype) & words.dtype.type(1 << self.code.bits - 1 - bit)
+            contrast = cv2.absdiff(bright, dark)
+            if bit in self.code.unpaired:
+                contrast = cv2.add(contrast, contrast)
+            least = self.fine.get(bit, self.least)[rows]
+            np.minimum(least, contrast, out=least)
+            if self.contrast is not None:
+                np.maximum(self.contrast[rows], contrast, out=self.contrast[rows])
+        words[:] = self.code.relative_to_base(words)
 
     @property
     def least_needed(self) -> Image:
@@ -71,8 +62,7 @@ class GrayFold:
             np.maximum(contrast, least, out=contrast, where=where)
 
     def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
-        """Return the coarser code without its `count` finest bits, once all frames are in; its `least` covers all its
-        bits.
+        """Return the coarser code without its `count` finest bits; its `least` covers all its bits.
 
         `optional`: a pixel may lack some of the remaining fine bits.
         """
@@ -88,29 +78,14 @@ class GrayFold:
         return other
 
 
-@compiled
-def _note_bit(
-    bright: Image, dark: Image, bit: np.uint8, half: bool, largest: np.unsignedinteger[Any], plane: Planes, least: Image
-) -> None:
-    """Set a bit where one frame is brighter than the other, and lower `least` to their difference; (P,).
+def compared(
+    code: GrayCode, frames: Mapping[int, Image], thresholds: Mapping[int, Image]
+) -> Iterator[tuple[int, Image, Image]]:
+    """Yield each bit that was shown, with its bright and its dark image, from frames by index.
 
-    The difference from a half-way threshold is doubled, up to the largest value of the type.
+    A bit without an inverse is compared with its frame's threshold.
     """
-    for i in range(len(bright)):
-        one, other = bright[i], dark[i]
-        plane[i] = plane[i] | (bit if one > other else np.uint8(0))
-        difference = one - other if one > other else other - one
-        if half:
-            difference = difference + difference if difference <= largest // 2 else largest
-        least[i] = difference if difference < least[i] else least[i]
-
-
-@compiled
-def _note_contrast(bright: Image, dark: Image, half: bool, largest: np.unsignedinteger[Any], contrast: Image) -> None:
-    """Raise `contrast` to the difference that `_note_bit` uses; (P,)."""
-    for i in range(len(bright)):
-        one, other = bright[i], dark[i]
-        difference = one - other if one > other else other - one
-        if half:
-            difference = difference + difference if difference <= largest // 2 else largest
-        contrast[i] = difference if difference > contrast[i] else contrast[i]
+    for bit in sorted({*code.normal, *code.inverse}):
+        normal, inverse = code.normal.get(bit), code.inverse.get(bit)
+        bright = thresholds[code.inverse[bit]] if normal is None else frames[normal]
+        yield bit, bright, thresholds[code.normal[bit]] if inverse is None else frames[inverse]

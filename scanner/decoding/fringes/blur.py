@@ -5,16 +5,14 @@ a stripe, which separates the two.
 """
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
-from scanner.decoding.accumulators import Accumulators
 from scanner.decoding.arrays import Floats32
 from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.axis_signals import Signals, signals_of
+from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan
@@ -44,20 +42,19 @@ def weakened(axis: AxisPlan, least: Floats32, amplitude: Floats32) -> float:
     return weaker if weaker > _IN_FOCUS else 1.0
 
 
-def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, sample: Sample) -> Iterator[str]:
+def drop_lost_fringes(folded: FoldedFrames, noise: NoiseModel, sample: Sample) -> Iterator[str]:
     """Drop all fringes if blur leaves hardly any on an axis with a code, judged by a sample; yield a warning."""
     pixels = evenly_spread(sample.pixels)
-
-    def of_sample(image: NDArray[Any]) -> NDArray[Any]:
-        return image.reshape(1, -1)[:, pixels]
-
+    signals = signals_of(
+        folded, lambda image: image.reshape(1, -1)[:, pixels], lambda frame: evenly_spread(sample.level(frame))
+    )
     lost = [
         axis
-        for axis, signals in zip(accumulators.plan.axes, signals_of(accumulators, of_sample), strict=True)
-        if axis.codes and axis.fringes and _is_lost(axis, signals, accumulators, noise, sample)
+        for axis, of_axis in zip(folded.plan.axes, signals, strict=True)
+        if axis.codes and axis.fringes and _is_lost(axis, of_axis, folded, noise, sample)
     ]
-    if lost and all(axis.codes for axis in accumulators.plan.axes):
-        accumulators.forget_fringes()
+    if lost and all(axis.codes for axis in folded.plan.axes):
+        folded.forget_fringes()
         cell = max(axis.cell for axis in lost)
         yield (
             f"The fringes along {' and '.join(axis.axis for axis in lost)} are blurred away and were left out: cells "
@@ -65,13 +62,13 @@ def drop_lost_fringes(accumulators: Accumulators, noise: NoiseModel, sample: Sam
         )
 
 
-def _is_lost(axis: AxisPlan, signals: Signals, accumulators: Accumulators, noise: NoiseModel, sample: Sample) -> bool:
+def _is_lost(axis: AxisPlan, signals: Signals, folded: FoldedFrames, noise: NoiseModel, sample: Sample) -> bool:
     certain_from, seen_from = least_contrasts(noise, signals.middle)
     # Light from other surfaces may lie on one side of the threshold in all bits without an inverse, as by a tone curve:
     # only where fine bits differ are their stripes seen.
     fine = sorted({frame for code in axis.codes for frame in code.fine_frames})
     least = np.ptp([evenly_spread(sample.level(frame)) for frame in fine], axis=0)
-    for fold in accumulators.codes:
+    for fold in folded.codes:
         if fold.code in axis.codes:
             least = np.minimum(least, fold.least.reshape(-1)[evenly_spread(sample.pixels)])
     # Ambient light that was switched on decides bits at unlit pixels, too.

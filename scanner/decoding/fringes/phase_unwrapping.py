@@ -132,10 +132,7 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
         trial[0] += periods[0]
         cost = _followed(trial, interval, wrapped, periods, tolerances)
         _choose(trial[0], cost, best, best_cost, second_cost)
-    for longer, shorter, position, period in zip(
-        coordinates, coordinates[1:], positions[1:], periods[1:], strict=False
-    ):
-        _nearest_order(position, period, longer, shorter)
+    _followed(coordinates, interval, wrapped, periods, tolerances)
     against = (best_cost == _INFINITE) * np.uint8(Against.DISAGREES)
     against |= (second_cost < best_cost + np.float32(REJECTED)) * np.uint8(Against.AMBIGUOUS)
     return Orders(coordinates, against)
@@ -166,13 +163,6 @@ def _first_order(
     for i in range(len(position)):
         start = _HALF * (low[i] + high[i]) - search
         coordinate[i] = position[i] + np.ceil((start - position[i]) / period) * period
-
-
-@compiled
-def _nearest_order(position: Floats32, period: np.float32, target: Floats32, coordinate: Floats32) -> None:
-    """Compute the coordinate with this position that is nearest to the target."""
-    for i in range(len(position)):
-        coordinate[i] = position[i] + np.rint((target[i] - position[i]) / period) * period
 
 
 @compiled

@@ -11,7 +11,6 @@ from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Image, median
 from scanner.decoding.arrays import Floats32
@@ -46,12 +45,12 @@ class BitLevels:
         return cast(Image, cv2.addWeighted(middle, self.of_black - of_white, white, of_white, 0))
 
 
-def levels_of_bit(frame: Image, middle: Image, white: Image, pixels: NDArray[np.int64]) -> BitLevels | None:
-    """Fit the levels of a frame, given the half-way level and white (H, W), at sample pixels (P,).
+def levels_of_bit(frame: Image, middle: Image, white: Image) -> BitLevels | None:
+    """Fit the levels of a frame, given the half-way level and white, at pixels of a sample (P,).
 
     None if too few pixels have either level, or the levels are not distinct.
     """
-    level, half_way, brightest = (image.reshape(-1)[pixels].astype(np.float32) for image in (frame, middle, white))
+    level, half_way, brightest = (image.astype(np.float32) for image in (frame, middle, white))
     lit = lit_by(brightest - half_way)
     half = np.maximum((brightest - half_way)[lit], np.float32(0.5))
     relative, black = level[lit] / (2 * half), (half_way[lit] - half) / (2 * half)

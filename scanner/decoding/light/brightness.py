@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median, reweighted
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from scanner.decoding.arrays import NEGLIGIBLE, Floats32, Part
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
@@ -77,12 +77,31 @@ class Gains:
         """Return the gains at given rows, (frames, P), or (frames, 1) if uniform."""
         return self.of_rows[:, rows] if self.are_banded else self.of_rows
 
-    def equalised(self, frame: int, image: Image, rows: slice) -> Image:
-        """Scale these rows (H, W) of one of the frames to the darkest of the group, keeping its type."""
-        of_rows = self.of_rows[:, rows] if self.are_banded else self.of_rows
-        factors = of_rows.min(axis=0) / of_rows[frame]
-        result: Image = np.rint(image * factors.astype(np.float32)[:, None]).astype(image.dtype)
+    def equalised(self, frame: int, image: Image, part: Part) -> Image:
+        """Scale a part of one of the frames to the darkest of the group, keeping its type."""
+        gains = self._in(part)
+        result: Image = np.rint(image * _as_rows_of(image, gains.min(axis=0) / gains[frame])).astype(image.dtype)
         return result
+
+    def divided(self, frame: int, image: Image, part: Part) -> Floats32:
+        """Divide a part of one of the frames by its gain."""
+        divided: Floats32 = image.astype(np.float32) / _as_rows_of(image, self._in(part)[frame])
+        return divided
+
+    def within(self, places: Places) -> "Gains":
+        """Return the gains; if banded, such as leave nothing of frames in the rows beyond those of lit pixels."""
+        beyond = np.full_like(self.of_rows, inf)
+        lit = slice(places.rows[0], places.rows[-1] + 1)
+        beyond[:, lit] = self.of_rows[:, lit]
+        return Gains(beyond) if self.are_banded else self
+
+    def _in(self, part: Part) -> Floats:
+        return self.of_rows[:, part[0]] if self.are_banded else self.of_rows
+
+
+def _as_rows_of(image: Image, values: Floats) -> Floats32:
+    """Return values of each row, or one, in a shape that fits an image (H, W), or pixels (P,)."""
+    return values.astype(np.float32).reshape(-1, *[1] * (image.ndim - 1))
 
 
 def left_by_gains(levels: Floats32, common: Floats32) -> Floats:

@@ -7,8 +7,10 @@ response g = f⁻¹ makes all sums equal, g(I) + g(I') = M at every pixel: least
 g(I).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from math import exp, inf
 from typing import cast
 
@@ -77,8 +79,7 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     if len(plan.complements) >= MAJORITY:
         light = _of_inverses(plan, evenly_spread(seen, TRIAL_PIXELS, axis=-1))
     else:
-        light = _of_narrow_stripes(plan, seen)
-        light = _of_wide_stripes(plan, seen) if light is None else light
+        light = _of_bits(plan, seen)
     return None if light is None else CameraResponse(light / light[-1], top, saturation)
 
 
@@ -148,45 +149,52 @@ def _of_inverses(plan: SequencePlan, seen: Floats32) -> Floats | None:
     return fit.light if fit.is_likely(_NOTABLE) and fit.after <= most else None
 
 
-def _of_wide_stripes(plan: SequencePlan, seen: Floats32) -> Floats | None:
-    """Return the same for fine bits without inverses, whose stripes are wide.
-
-    The brightest and the darkest of an axis's fine bits are a pair, and so are white and black. Other surfaces send as
-    much light to both, half of what they send to white, so that these are at medium levels. None without such bits.
+def _of_bits(plan: SequencePlan, seen: Floats32) -> Floats | None:
+    """Return the same for fine bits without inverses, from narrow stripes or else from wide ones; None without such
+    bits.
     """
     by_axis = _fine_bits(plan)
     if not by_axis or plan.white is None or plan.black is None:
         return None
-    white, black = seen[plan.white], seen[plan.black]
-    ends = [(seen[frames].max(axis=0), seen[frames].min(axis=0)) for frames in by_axis]
-    wide = np.flatnonzero(np.all([high - low > HALF * (white - black) for high, low in ends], axis=0))
-    if len(wide) < FEWEST_PIXELS:
-        return None
-    pairs: Floats32 = evenly_spread(np.array([(white, black), *ends])[..., wide], TRIAL_PIXELS, axis=-1)
-    sums, swing = _sums_of(pairs), _interpolation(pairs[0, 0]) - _interpolation(pairs[0, 1])
-    if _are_darker(sums):
-        return None
-    fit = _fit([sums], swing, _STIFF)
-    return fit.light if fit.is_likely(_NOTABLE) else None
+    ends = seen[[plan.white, plan.black]]
+    evidence = chain(_of_narrow_stripes(seen, ends, by_axis), _of_wide_stripes(seen, ends, by_axis))
+    for sums, swing, stiffness, notable in evidence:
+        # Bits are darker than white and black if stripes lose light, or if white differs in patterns.
+        if np.all(swing @ _LINEAR > 0) and np.sum((sums - sums[0]) @ _LINEAR) > 0:
+            fit = _fit([sums], swing, stiffness)
+            if fit.is_likely(notable):
+                return fit.light
+    return None
 
 
-def _of_narrow_stripes(plan: SequencePlan, seen: Floats32) -> Floats | None:
-    """Return the same for fine bits without inverses, whose stripes are narrow.
+# Sums (sums, P, _LEVELS) that are to be equal, swings (P, _LEVELS), the stiffness of g, and notable unevenness.
+_Evidence = Iterator[tuple[Floats, Floats, float, float]]
 
-    Averages over groups of equally bright pixels replace pairs, as half of the pixels are lit. None without such bits.
+
+def _of_narrow_stripes(seen: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
+    """Yield averages over groups of equally bright pixels, of which each fine bit lights half.
+
+    `ends` (2, P): white and black.
     """
-    bits = [frame for frames in _fine_bits(plan) for frame in frames]
-    if not bits or plan.white is None or plan.black is None:
-        return None
-    ordered = _interpolation(seen[[plan.white, plan.black, *bits]][:, np.argsort(seen[plan.white])])
+    bits = [frame for frames in by_axis for frame in frames]
+    ordered = _interpolation(np.concatenate([ends, seen[bits]])[:, np.argsort(ends[0])])
     starts = np.arange(_GROUPS) * seen.shape[1] // _GROUPS
     counts = np.diff(starts, append=seen.shape[1])
     white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
-    sums, swing = np.stack([white + black, *(2 * bit for bit in of_bits)]), white - black
-    if np.any(swing @ _LINEAR <= 0) or _are_darker(sums):
-        return None
-    fit = _fit([sums], swing, 1 / _GROUPS)
-    return fit.light if fit.is_likely(_NOTABLE_OF_BITS) else None
+    yield np.stack([white + black, *(2 * bit for bit in of_bits)]), white - black, 1 / _GROUPS, _NOTABLE_OF_BITS
+
+
+def _of_wide_stripes(seen: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
+    """Yield pairs of single pixels: the brightest and the darkest of an axis's fine bits, and white and black (2, P).
+
+    Other surfaces send as much light to both, half of what they send to white, so that these are at medium levels.
+    """
+    pairs = np.array([ends, *([seen[frames].max(axis=0), seen[frames].min(axis=0)] for frames in by_axis)])
+    swings = pairs[:, 0] - pairs[:, 1]
+    wide = np.flatnonzero(np.all(swings[1:] > HALF * swings[0], axis=0) & (swings[0] > 0))
+    if len(wide) >= FEWEST_PIXELS:
+        some: Floats32 = evenly_spread(pairs[..., wide], TRIAL_PIXELS, axis=-1)
+        yield _sums_of(some), _interpolation(some[0, 0]) - _interpolation(some[0, 1]), _STIFF, _NOTABLE
 
 
 def _fine_bits(plan: SequencePlan) -> list[list[int]]:
@@ -201,11 +209,6 @@ def _fine_bits(plan: SequencePlan) -> list[list[int]]:
         for axis in plan.axes
     ]
     return [frames for frames in by_axis if frames]
-
-
-def _are_darker(sums: Floats) -> bool:
-    """Whether the bits are darker than white and black: stripes lose light, or white differs in patterns."""
-    return bool(np.sum((sums - sums[0]) @ _LINEAR) <= 0)
 
 
 def _left_by_gains(pairs: Floats32, swing: Floats32) -> float:

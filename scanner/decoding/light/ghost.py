@@ -48,15 +48,17 @@ class Ghost:
         subject = "each frame shows" if self.place is None else f"{plan.name(plan.shown[self.place])} shows"
         return f"{subject} {self.share:.0%} of the picture before it"
 
-    def of_rows(self, height: int) -> Floats32:
-        """Return the share in each row of an image, (height, 1)."""
+    def of_rows(self, rows: NDArray[np.int64]) -> Floats32:
+        """Return the share in rows of an image, by their numbers (...)."""
         odd = self.share if self.of_odd_rows is None else self.of_odd_rows
-        return np.resize(np.array([self.share, odd], np.float32), height)[:, None]
+        return np.where(rows % 2, odd, self.share).astype(np.float32)
 
 
-def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
-    """Yield the frames (N, H, W) of a capture without the ghost; if it is in all frames alike, they stay darker by the
+def without_ghost(frames: Iterable[Image], ghost: Ghost, rows: NDArray[np.int64]) -> Iterator[Image]:
+    """Yield the frames (N, ...) of a capture without the ghost; if it is in all frames alike, they stay darker by the
     factor 1 − g.
+
+    `rows` (...): numbers of the image rows.
 
     Clipped pixels are unchanged. The picture before the first frame is taken as dark; if rows differ, as the first one.
     """
@@ -68,7 +70,7 @@ def without_ghost(frames: Iterable[Image], ghost: Ghost) -> Iterator[Image]:
             continue
         without = frame.astype(np.float32)
         if before is not None:
-            share = ghost.of_rows(len(frame))
+            share = ghost.of_rows(rows)
             without -= share * before if not is_even else share / (1 - share) * before
             # Restore the brightness of the other frames, or rows.
             without *= np.float32(1) if is_even else 1 / (1 - share)

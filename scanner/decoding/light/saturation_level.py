@@ -12,13 +12,13 @@ _FULL_SCALES = tuple(((1 << bits) - 1) << shift for bits in (10, 12, 14, 16) for
 _CLIPPED_8_BIT = 254.0
 
 
-def saturation_level(peak: Image) -> float:
-    """Return the lowest clipped level of a capture whose largest grey levels are `peak`; infinity if nothing is
+def saturation_level(*images: Image) -> float:
+    """Return the lowest clipped level of images that have the largest grey levels of a capture; infinity if nothing is
     clipped.
 
     The bit depth within a 16-bit image is not recorded, but clipped pixels have exactly the largest number of its bits.
     """
-    if peak.dtype == np.uint8:
+    if images[0].dtype == np.uint8:
         return _CLIPPED_8_BIT
-    top = int(peak.max())
+    top = max(int(image.max()) for image in images)
     return float(top) if top in _FULL_SCALES else inf

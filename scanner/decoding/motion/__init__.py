@@ -18,27 +18,3 @@ from scanner.decoding.motion.refusals import (
 )
 from scanner.decoding.motion.rigid import Fit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits
-
-__all__ = [
-    "SUSPECTED_PX",
-    "UNSEEN_MOTION",
-    "CodeShift",
-    "Fit",
-    "InconsistentPixels",
-    "MotionFound",
-    "SeenFringes",
-    "blaming_motion",
-    "blaming_shifts",
-    "broken_between",
-    "find_inconsistent_pixels",
-    "fit_motion",
-    "mask_wrong_bits",
-    "measure_motion",
-    "moved",
-    "moved_device",
-    "refuse_period_slips",
-    "refuse_unexplained_motion",
-    "remarks_on",
-    "shifts_by_motion",
-    "shifts_of_codes",
-]

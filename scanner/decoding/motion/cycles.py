@@ -7,8 +7,7 @@ tracks relative periods, as in region-wise phase unwrapping. Segments that disag
 wrong.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import cast
 
 import cv2
@@ -29,20 +28,8 @@ _GOES_ON, _FEWEST = 0.08, 4
 _SMALLEST = 0.001
 
 
-@dataclass(frozen=True)
-class _Borders:
-    """Borders between the segments `first` and `second` (B,): the second is `cycles` (B,) periods ahead, by `count`
-    (B,) places.
-    """
-
-    first: Ints
-    second: Ints
-    cycles: Ints
-    count: Ints
-
-    def longest_first(self) -> Iterator[tuple[int, int, int]]:
-        for border in np.argsort(-self.count, kind="stable"):
-            yield int(self.first[border]), int(self.second[border]), int(self.cycles[border])
+# Segments, and how many periods the second one is ahead.
+_Border = tuple[int, int, int]
 
 
 def in_wrong_cycles(plan: SequencePlan, maps: Maps) -> Bools:
@@ -81,8 +68,8 @@ def _without_jumps(position: Floats32) -> Bools:
     return known
 
 
-def _borders(position: Floats32, segment: Ints) -> _Borders:
-    """Return the borders on whose relative period most places agree."""
+def _borders(position: Floats32, segment: Ints) -> list[_Border]:
+    """Return the borders on whose relative period most places agree, longest first."""
     found = []
     for turned in (False, True):
         values = np.ascontiguousarray(position.T if turned else position)
@@ -100,7 +87,8 @@ def _borders(position: Floats32, segment: Ints) -> _Borders:
     ties, at, count = np.unique(np.stack([first, second, cycles])[:, on], axis=1, return_index=True, return_counts=True)
     whole = all_places[border.reshape(-1)[on][at]]
     agreed = (count >= _FEWEST) & (count > HALF * whole)
-    return _Borders(*(each[agreed] for each in (*ties, count)))
+    longest_first = np.argsort(-count[agreed], kind="stable")
+    return [*map(tuple, ties[:, agreed][:, longest_first].T.tolist())]
 
 
 @compiled
@@ -134,7 +122,7 @@ def _record_crossings(position: Floats32, segment: Ints, first: Ints, second: In
     return crossed
 
 
-def _merged(count: int, borders: _Borders) -> tuple[Ints, Ints]:
+def _merged(count: int, borders: Sequence[_Border]) -> tuple[Ints, Ints]:
     """Return for each segment the root of its surface, and how many periods it is ahead of the root, (count,) each."""
     parent, ahead = list(range(count)), [0] * count
 
@@ -149,7 +137,7 @@ def _merged(count: int, borders: _Borders) -> tuple[Ints, Ints]:
             cycles, parent[each], ahead[each] = cycles - ahead[each], segment, cycles
         return segment, total
 
-    for first, second, cycles in borders.longest_first():
+    for first, second, cycles in borders:
         (one, of_first), (other, of_second) = root(first), root(second)
         if one != other:
             parent[other], ahead[other] = one, of_first + cycles - of_second

@@ -80,21 +80,22 @@ def _groups(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
     if not levels.shape[1]:
         return
     blurred = set() if plan.fringes else frames_of_fine_bits(plan)
-    pairs = [pair for pair in plan.complements if not blurred & {*pair}]
     fine = [pair for pair in plan.complements if blurred & {*pair}]
+    pairs = [pair for pair in plan.complements if pair not in fine]
     half_lit = [(levels[a] + levels[b]) / 2 for a, b in pairs]
     even = [fringe for fringe in plan.fringes if fringe.equal_steps]
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     usual = medians(np.stack(half_lit or means), axis=0) if half_lit or means else None
     if usual is not None:
-        for frames in pairs:
-            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0)
-        for frames in fine:
-            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0, _OF_FINE)
+        for frames in (*pairs, *fine):
+            times = _OF_FINE if frames in fine else 1.0
+            yield _Group(frames, _deviation_from_usual(levels[list(frames)], usual), 1.0, times)
         ambient = levels.min(axis=0)
         for fringe, light in zip(even, means, strict=True):
             yield _Group(fringe.frames, _deviation_from_mean(fringe, levels, np.stack([light, ambient]), usual), 1.0)
-    yield from _cosines(plan, levels)
+    for fringe in plan.fringes:
+        if len(fringe.frames) > COSINE_PARAMETERS:
+            yield _Group(fringe.frames, _deviation_from_cosine(fringe, levels[list(fringe.frames)]), 1.0)
     yield from _beyond_white(plan, levels)
     yield from _beyond_white_and_black(plan, levels)
 
@@ -108,13 +109,6 @@ def _beyond_white(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
         for fringe in plan.fringes:
             above = levels[list(fringe.frames)].max(axis=0) - levels[plan.white]
             yield _Group(fringe.frames, np.maximum(above, 0), sqrt(2), HALF / FEW)
-
-
-def _cosines(plan: SequencePlan, levels: Floats32) -> Iterator[_Group]:
-    """Yield the deviation from a cosine of each fringe with enough steps."""
-    for fringe in plan.fringes:
-        if len(fringe.frames) > COSINE_PARAMETERS:
-            yield _Group(fringe.frames, _deviation_from_cosine(fringe, levels[list(fringe.frames)]), 1.0)
 
 
 def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:

@@ -3,7 +3,6 @@
 import numpy as np
 
 from scanner.decoding.light.brightness import Gains, Places
-from scanner.decoding.light.equalise import correction
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
 
@@ -16,15 +15,13 @@ def test_bands_beyond_the_picture_give_no_fringes() -> None:
     bands = 1 + BANDS * np.sin(2 * np.pi * (rows / 60 + 0.3 * steps[:, None] ** 2))
     gains = Gains(bands / np.exp(np.log(bands).mean(axis=0)))
     is_lit, phase = np.isin(rows, LIT_ROWS), 0.7
-    middle = np.where(is_lit, AMBIENT + AMPLITUDE, AMBIENT).astype(np.float32)
-    brightest = np.where(is_lit, middle + AMPLITUDE, middle).astype(np.float32)
-    told = Places(LIT_ROWS, HEIGHT)
-    found = correction(fringe, gains, told, middle[LIT_ROWS], middle[LIT_ROWS], brightest[LIT_ROWS])
+    middle = np.where(is_lit, AMBIENT + AMPLITUDE, AMBIENT)
     waves = np.cos(phase + 2 * np.pi * np.array(fringe.shifts))[:, None]
     # Outside the picture there is only steady room light.
     light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
-    first, second = (fringe.weights[1:] @ light).astype(np.float32)
-    cosine, sine = found.apply(first, second, middle, brightest, rows)
+    divided = gains.within(Places(LIT_ROWS, HEIGHT)).divided
+    alike = np.stack([divided(k, frame[:, None], (rows, rows)) for k, frame in enumerate(light.astype(np.float32))])
+    cosine, sine = fringe.weights32 @ alike[..., 0]
     seen = np.hypot(cosine, sine) > 0
     assert np.array_equal(seen, is_lit)
     assert np.abs(np.hypot(cosine, sine)[seen] - AMPLITUDE).max() < 0.01

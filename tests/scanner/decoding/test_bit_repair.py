@@ -34,7 +34,7 @@ def folded(position: np.ndarray, spoilt: dict[int, Bools], seed: int) -> tuple[G
         for k, frame in enumerate(pair):
             where = spoilt.get(bit, np.zeros(SHAPE, np.bool_))
             frames[frame] = np.where(where, rng.integers(20, 120, SHAPE), of_pair[k]).astype(np.uint8)
-        fold.fold(bit, *(frames[frame] for frame in pair))
+    fold.fold(frames, {})
     return fold, frames
 
 

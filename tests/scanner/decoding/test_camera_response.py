@@ -11,12 +11,10 @@ import pytest
 
 from calib.numerics.array_types import Floats, Image
 from scanner.decoding.decoder import Decoding
-from scanner.decoding.frame_statistics import frame_statistics
 from scanner.decoding.light.camera_response import CameraResponse
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns import sequence_for
 from scanner.patterns.pattern import Pattern
-from tests.support.synthetic_capture import Scene, decode
+from tests.support.synthetic_capture import Scene, corrections_to, decode
 
 pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered once
 
@@ -59,7 +57,7 @@ def photographs(patterns: Sequence[Pattern], curve: Curve, scene: Scene = SCENE)
 
 
 def response_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> CameraResponse | None:
-    return frame_statistics(plan_sequence(patterns, SCENE.projector, calibrated=False), frames).corrections().response
+    return corrections_to(patterns, frames, SCENE.projector).response
 
 
 def share_kept(decoding: Decoding) -> float:

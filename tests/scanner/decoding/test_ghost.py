@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Image
-from scanner.decoding.frame_statistics import frame_statistics
 from scanner.decoding.light.ghost import Ghost, without_ghost
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns.pattern import Gray, Pattern, sequence_for
 from scanner.patterns.presets import PRESETS
-from tests.support.synthetic_capture import Scene, decode, fringes
+from tests.support.synthetic_capture import Scene, corrections_to, decode, fringes
 
 SCENE = Scene()
 SEQUENCES = {
@@ -32,7 +30,7 @@ def ghostly(frames: Sequence[Image], share: float, top: int = 255) -> list[Image
 
 
 def ghost_of(patterns: Sequence[Pattern], frames: Sequence[Image]) -> Ghost | None:
-    return frame_statistics(plan_sequence(patterns, SCENE.projector), frames).corrections().ghost
+    return corrections_to(patterns, frames, SCENE.projector).ghost
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -44,7 +42,7 @@ def test_ghosting_is_detected_and_corrected(sequence: str, share: float) -> None
     assert found is not None
     assert found.place is None
     assert share - 0.02 < found.share < share + 0.02
-    without = [*without_ghost(np.array(frames, np.uint8), found)]
+    without = [*without_ghost(np.array(frames, np.uint8), found, np.arange(SCENE.camera[1])[:, None])]
     assert ghost_of(patterns, without) is None
     decoding = decode(patterns, frames, SCENE.projector)
     limit = 0.4 if sequence == "gray" else 0.08

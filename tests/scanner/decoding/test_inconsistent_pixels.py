@@ -200,7 +200,7 @@ def test_a_bumped_camera_is_not_taken_for_a_moving_object(preset: PresetName, kn
         for number, frame in enumerate(SCENE.frames(patterns))
     ]
     for number in range(len(plan.patterns)):
-        grid.add(number, frames[plan.shown.index(number)])
+        grid.add(plan, plan.shown.index(number), grid.of(frames[plan.shown.index(number)]))
     assert find_inconsistent_pixels(plan, grid, NoiseModel(at_black=1.0, gain=1 / 30)) is None
 
 

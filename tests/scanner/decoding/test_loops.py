@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from calib.numerics.array_types import Image
+from scanner.decoding.axis_decoder import _measure
 from scanner.decoding.checks.code_checks import _changes, _note_changes
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift
@@ -21,11 +22,14 @@ SHAPE = (3, 4)
 
 
 def gray_fold(images: list[Image], *, half: bool) -> GrayFold:
-    """Fold a code of two bits, each brighter in its first image than in its second."""
-    (code,) = plan_sequence([*gray_sequence("x", 4, 1), *gray_sequence("y", 4, 1)], (4, 4)).x.codes
+    """Fold a code of two bits, each brighter in its first image than in its second; `half`: which is its threshold."""
+    bits = [*gray_sequence("x", 4, 1, inverses=not half), *gray_sequence("y", 4, 1)]
+    (code,) = plan_sequence(bits, (4, 4)).x.codes
     fold = GrayFold(code, SHAPE, images[0].dtype, contrast=True)
-    for bit in range(2):
-        fold.fold(bit, images[2 * bit], images[2 * bit + 1], half=half)
+    if half:
+        fold.fold(dict(zip(code.frames, images[::2], strict=True)), dict(zip(code.frames, images[1::2], strict=True)))
+    else:
+        fold.fold(dict(zip(code.frames, images, strict=True)), {})
     return fold
 
 
@@ -41,6 +45,21 @@ def test_a_code_keeps_its_smallest_and_largest_difference(frames: Image, half: b
     np.testing.assert_array_equal(fold.contrast, difference.max(axis=0))
     bits = (one > other).astype(int)
     np.testing.assert_array_equal(fold.words, 2 * bits[0] + bits[1])
+
+
+@pytest.mark.parametrize(("steps", "dtype"), [(3, np.uint8), (4, np.uint16), (5, np.float32)])
+def test_positions_are_those_of_the_fringe(steps: int, dtype: np.dtype) -> None:
+    """At more pixels than are measured at once."""
+    (fringe, *_) = plan_sequence([*phase_sequence("x", 40, steps), *phase_sequence("y", 40, steps)], (40, 40)).fringes
+    place = np.random.default_rng(0).uniform(0.2, 39.8, 5000)
+    angle = 2 * np.pi * (place[None] / 40 + np.array(fringe.shifts)[:, None])
+    levels = (110 + 100 * np.cos(angle)).astype(dtype)
+    level = np.full(len(place), 110, np.float32)
+    variance, position = np.empty((2, len(place)), np.float32)
+    per_radian = np.float32(40 / (2 * np.pi))
+    _measure(levels, fringe.weights32, level, np.float32(1), np.float32(0.1), per_radian, variance, position)
+    assert np.abs(position - place).max() < 0.1
+    assert variance == pytest.approx(np.full(len(place), 12e-4), rel=0.03)
 
 
 def test_the_shift_is_the_product_of_the_slopes() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.decoding.decoder import MaskReason
+from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns import Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, decode, dimmed
 

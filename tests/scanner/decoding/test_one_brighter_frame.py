@@ -53,7 +53,7 @@ def test_bits_are_thresholded_between_their_own_two_levels(
     gain: float, dark: float, bright: float, ambient: float
 ) -> None:
     frame, middle, white, lit = frame_of_bit(gain, dark, bright, ambient)
-    levels = levels_of_bit(frame, middle, white, np.arange(frame.size))
+    levels = levels_of_bit(frame.ravel(), middle.ravel(), white.ravel())
     assert levels is not None
     assert np.mean((frame > levels.threshold(middle, white)) == lit) > 0.999
     assert levels.bright - levels.dark == pytest.approx(gain * (bright - dark), abs=0.03)
@@ -61,7 +61,7 @@ def test_bits_are_thresholded_between_their_own_two_levels(
 
 def test_a_uniform_frame_has_no_bit_levels() -> None:
     frame, middle, white, _ = frame_of_bit(1.0, 0.5, 0.5, 10.0)
-    assert levels_of_bit(frame, middle, white, np.arange(frame.size)) is None
+    assert levels_of_bit(frame.ravel(), middle.ravel(), white.ravel()) is None
 
 
 @pytest.mark.parametrize(

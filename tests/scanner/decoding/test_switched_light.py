@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calib.numerics.array_types import Image
-from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
 from scanner.patterns import sequence_for
 from scanner.patterns.pattern import Pattern
@@ -75,10 +74,6 @@ def test_exchanged_frames_are_not_taken_for_switched_light(one: int, other: int)
 
 
 def test_steady_light_changes_nothing() -> None:
-    frames = SCENE.frames(QUICK)
-    decoder = Decoder(QUICK, SCENE.projector, as_taken=True)
-    for frame in frames:
-        decoder.add(frame)
-    found = decode(QUICK, frames, SCENE.projector)
-    assert np.array_equal(found.matches.projector_px, decoder.finish().matches.projector_px)
-    assert not any("switched" in warning for warning in found.warnings)
+    found = decode(QUICK, SCENE.frames(QUICK), SCENE.projector)
+    assert not any("taken out" in warning or "switched" in warning for warning in found.warnings)
+    assert 0.01 < np.median(np.abs(SCENE.errors(found))) < 0.06

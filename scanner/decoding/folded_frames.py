@@ -1,0 +1,140 @@
+"""The bits and the light of all pixels, and the frames that they come from, equally bright."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.numerics import Image
+from scanner.decoding.arrays import WHOLE, Floats32, Part
+from scanner.decoding.codes.gray_fold import GrayFold
+from scanner.decoding.light.bits_without_inverse import levels_of_bit, white_of
+from scanner.decoding.light.equalise import gains_of_pairs
+from scanner.decoding.samples import Sample
+from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.decoding.tiles import STRIP_ROWS, in_strips
+
+# Yields the index and the image of each pattern in a part of the picture.
+Frames = Callable[[Part], Iterator[tuple[int, NDArray[Any]]]]
+
+
+class FoldedFrames:
+    """The full-size images that the bits of a capture give, and its frames.
+
+    `codes`: words and contrasts. `brightest` (H, W): the white frame or, without one, the maximum over all frames.
+    `middle` (H, W): grey level half-way between lit and unlit; without black, that of a pair. `peak` (H, W): maximum
+    over the fringe frames, or as `brightest` without fringes. `log_exposure` (H, W): logarithm of each pixel's relative
+    exposure; None if all were exposed alike. `gains`: of the patterns that have an inverse. `white`: brightness of
+    white in the patterns relative to the white frame; if it differs from 1, `brightest` and `middle` are those of the
+    patterns.
+
+    `sample`: of all frames. `read`: yields a part of the frames at some places in the capture.
+    """
+
+    def __init__(
+        self, plan: SequencePlan, sample: Sample, read: Callable[[Part, Sequence[int]], Iterator[Image]]
+    ) -> None:
+        self.plan = self._shown = plan
+        self._read = read
+        self._alike: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
+        self._first = {plan.shown.index(index): index for index in plan.shown}
+        self.gains = gains_of_pairs(plan, sample)
+        for pair, gains in self.gains.items():
+            if gains.are_harmful:
+                self.equalise(pair, gains.equalised)
+        levels = {index: sample.level(index) for index in self._first.values()}
+        brightest, middle = _light(plan, levels)
+        alone = {frame for code in plan.codes for frame in code.unpaired.values()}
+        self._bits = {frame: levels_of_bit(levels[frame], middle, brightest) for frame in alone}
+        self.white = white_of([bit for bit in self._bits.values() if bit])
+        shape, dtype = sample.shape, middle.dtype
+        self.codes = [
+            GrayFold(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+        ]
+        self.log_exposure: Floats32 | None = None
+        self.brightest, self.middle = np.empty(shape, dtype), np.empty(shape, dtype)
+        self.peak = np.empty(shape, dtype) if plan.fringes else self.brightest
+        in_strips(shape[0], STRIP_ROWS, self._fold)
+
+    def _fold(self, rows: slice) -> None:
+        """Fill in some rows."""
+        shown = dict(self.alike((rows, slice(None))))
+        thresholds = self.thresholds(shown)
+        for fold in self.codes:
+            fold.fold(shown, thresholds, rows)
+        brightest, middle = _light(self.plan, shown)
+        if self.white != 1:
+            of_white = 2 * self.white - 1, self.white - 1
+            brightest, middle = (cast(Image, cv2.addWeighted(brightest, of, middle, 1 - of, 0)) for of in of_white)
+        self.brightest[rows], self.middle[rows] = brightest, middle
+        steps = [shown[frame] for frame in self.plan.fringe_frames]
+        if steps:
+            self.peak[rows] = _extreme(np.maximum, steps)
+
+    def thresholds(self, shown: Mapping[int, Image]) -> dict[int, Image]:
+        """Return the thresholds of bits without an inverse, by the frame's index, where all frames are `shown`."""
+        brightest, middle = _light(self._shown, shown)
+        return {frame: bit.threshold(middle, brightest) if bit else middle for frame, bit in self._bits.items()}
+
+    def alike(self, part: Part = WHOLE, frames: Collection[int] | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield the index of each pattern, or of some, and a part of its image, equalised."""
+        places = [place for place, index in self._first.items() if frames is None or index in frames]
+        for place, frame in zip(places, self._read(part, places), strict=True):
+            index = self._first[place]
+            yield index, self._alike[index](frame, part) if index in self._alike else frame
+
+    def equalise(self, group: Sequence[int], by: Callable[[int, Image, Part], NDArray[Any]]) -> None:
+        """Equalise a group of frames from now on, each by its number in the group."""
+        self._alike |= {frame: partial(by, number) for number, frame in enumerate(group)}
+
+    def with_edges(self, axis: AxisPlan) -> GrayFold | None:
+        """Return the finest code of an axis whose stripe edges bound its cells; None with fringes, or if there is none.
+
+        Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
+        displaced too.
+        """
+        whole = [] if self._shown.fringes else [code for code in self._shown.codes if code.base is None]
+        folds = [fold for fold in self.codes if fold.code in axis.codes and fold.code in whole]
+        return min(folds, key=lambda fold: fold.code.cell, default=None)
+
+    def decode_as(self, codes: Sequence[GrayFold]) -> None:
+        """Replace the codes by these, one for one."""
+        x, y = (
+            replace(axis, codes=tuple(n.code for o, n in zip(self.codes, codes, strict=True) if o.code in axis.codes))
+            for axis in self.plan.axes
+        )
+        self.plan, self.codes = replace(self.plan, x=x, y=y), list(codes)
+
+    def forget_fringes(self) -> None:
+        """Drop the fringes and decode the codes alone; white and black show what is lit."""
+        x, y = (replace(axis, fringes=()) for axis in self.plan.axes)
+        self.plan = replace(self.plan, x=x, y=y)
+        half = cv2.subtract(self.brightest, self.middle)
+        for fold in self.codes:
+            fold.contrast = cast(Image, cv2.add(half, half))
+
+
+def _light(plan: SequencePlan, shown: Mapping[int, Image]) -> tuple[Image, Image]:
+    """Return the brightest level, and that half-way between lit and unlit, where all frames are `shown` (...)."""
+    brightest = _extreme(np.maximum, [*shown.values()]) if plan.white is None else shown[plan.white]
+    if plan.black is not None:
+        return brightest, _mean(brightest, shown[plan.black])
+    if plan.complements:
+        first = min(plan.complements, key=lambda pair: max(map(plan.shown.index, pair)))
+        return brightest, _mean(*(shown[frame] for frame in first))
+    return brightest, _mean(brightest, _extreme(np.minimum, [*shown.values()]))
+
+
+def _extreme(of: np.ufunc, images: Sequence[Image]) -> Image:
+    extreme = images[0].copy()
+    for image in images[1:]:
+        of(extreme, image, out=extreme)
+    return extreme
+
+
+def _mean(first: Image, second: Image) -> Image:
+    return cast(Image, cv2.addWeighted(first, 0.5, second, 0.5, 0).reshape(first.shape))
