@@ -17,9 +17,8 @@ def turns_by_itself(settings: RigSettings) -> bool:
 
 def at_place_or_last(settings: RigSettings, step: int) -> RigSettings:
     """As `at_place`, but a simulated rig stops at its last place."""
-    match settings:
-        case SimulatedRigSettings():
-            step = min(step, settings.places - 1 - settings.pose)
+    if isinstance(settings, SimulatedRigSettings):
+        step = min(step, settings.places - 1 - settings.pose)
     return at_place(settings, step)
 
 
@@ -28,12 +27,11 @@ def at_place(settings: RigSettings, step: int) -> RigSettings:
 
     Raises DeviceError if a simulated rig has no such place.
     """
-    match settings:
-        case SimulatedRigSettings():
-            last = settings.places - 1
-            if settings.pose + step > last:
-                raise DeviceError(
-                    f"the simulated rig has poses 0 to {last}; from pose {settings.pose} it cannot move {step} times"
-                )
-            settings = settings.model_copy(update={"pose": settings.pose + step})
-    return settings
+    if not isinstance(settings, SimulatedRigSettings):
+        return settings
+    last = settings.places - 1
+    if settings.pose + step > last:
+        raise DeviceError(
+            f"the simulated rig has poses 0 to {last}; from pose {settings.pose} it cannot move {step} times"
+        )
+    return settings.model_copy(update={"pose": settings.pose + step})

@@ -12,14 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Size
+from calib.numerics import Bools
 from scanner import pipeline
 from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
 from scanner.io import read_calibration, refuse_other_sizes
 from scanner.reconstruction import is_calibration, lenses_of, read_captures, read_masks, refuse_impossible
-from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Scan, new_result, read_uncertainty, settle, unused
+from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import SILENT, Operator, Progress, Terminal
 
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
@@ -45,16 +46,12 @@ def scan(
     being saved. Raises InputError, DeviceError, RefusalError.
     """
     # Everything that could be refused is checked before the capture.
-    config.principal_point(config.camera_size)
     if captures < 1:
         raise InputError(f"--captures: expected 1 or more, found {captures}")
     if masks and captures > 1:
         raise InputError("--masks are of one view of the corner, and --captures takes several: give one of them")
-    drawn = read_masks(masks, config.camera_size) if masks else None
     check_places(config.required_rig, captures, operator or terminal)
-    earlier = read_captures(config.earlier, config.camera_size, config.projector_size)
-    lenses_of(config, config.camera_size, config.projector_size)
-    refuse_impossible(config, len(earlier) + captures)
+    earlier, drawn = _read_beside(captures, config, (config.camera_size, config.projector_size), masks, config.earlier)
     with new_result(out, config, overwrite=overwrite, keep_capture=True, tell=terminal.note) as folder:
         return pipeline.scan(
             config,
@@ -93,14 +90,13 @@ def resume(
     for note in begun.notes:
         terminal.note(note)
     settings.refuse_other_sizes(folder, begun.camera_size, begun.projector_size)
-    settings.principal_point(settings.camera_size)
-    drawn = read_masks(masks, settings.camera_size) if masks else None
     whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []
-    earlier = read_captures([*settings.earlier, *whole], settings.camera_size, settings.projector_size)
-    lenses_of(settings, begun.camera_size, begun.projector_size)
-    refuse_impossible(settings, len(earlier) + 1)
+    sizes = begun.camera_size, begun.projector_size
+    earlier, drawn = _read_beside(1, settings, sizes, masks, [*settings.earlier, *whole])
     with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
-        return pipeline.resume(begun, settings, made, terminal, masks=drawn, earlier=earlier), out
+        name = f"Capture {len(earlier) + 1}"
+        found = pipeline.take(settings.required_rig, settings, made, terminal, name, begun)
+        return pipeline.reconstruct([*earlier, found], settings, made, terminal, masks=drawn), out
 
 
 def replay(
@@ -126,18 +122,17 @@ def replay(
         )
     settings = config or Config()
     recording = open_capture(capture)
-    settings.principal_point(recording.camera_size)
-    drawn = read_masks(masks, recording.camera_size) if masks else None
     known = _calibration_for(recording, calibration, settings) if calibration else None
-    earlier = read_captures(settings.earlier, recording.camera_size, recording.projector_size)
-    lenses_of(settings, recording.camera_size, recording.projector_size)
-    refuse_impossible(settings, len(earlier) + 1)
+    sizes = recording.camera_size, recording.projector_size
+    earlier, drawn = _read_beside(1, settings, sizes, masks, settings.earlier)
     with new_result(out, settings, overwrite=overwrite, tell=terminal.note) as folder:
         if keep_recording:
             recording.copy_to(folder / CAPTURE_FOLDER)
         if known:
             return pipeline.replay_calibrated(recording, *known, settings, folder, terminal)
-        return pipeline.replay(recording, settings, folder, terminal, masks=drawn, earlier=earlier)
+        with pipeline.noting_missing_frames(recording):
+            found = pipeline.decode_recording(recording, terminal)
+            return pipeline.reconstruct([*earlier, found], settings, folder, terminal, masks=drawn)
 
 
 def calibrate(
@@ -156,6 +151,21 @@ def calibrate(
     refuse_impossible(config, len(captures))
     with new_result(out, config, overwrite=overwrite, tell=terminal.note) as folder:
         return pipeline.reconstruct(captures, config, folder, terminal)
+
+
+def _read_beside(
+    taken: int, config: Config, sizes: tuple[Size, Size], masks: Path | None, captures: Sequence[Path]
+) -> tuple[list[Decoded], Bools | None]:
+    """The `captures` that are calibrated with so many that are `taken`, and the masks of the newest.
+
+    Raises InputError, also if no calibration of all of them is possible.
+    """
+    config.principal_point(sizes[0])
+    drawn = read_masks(masks, sizes[0]) if masks else None
+    earlier = read_captures(captures, *sizes)
+    lenses_of(config, *sizes)
+    refuse_impossible(config, len(earlier) + taken)
+    return earlier, drawn
 
 
 def _calibration_for(recording: Recording, path: Path, config: Config) -> tuple[Calibration, Uncertainty | None]:

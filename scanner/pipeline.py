@@ -92,21 +92,6 @@ def scan(
     return reconstruct(captures, config, folder, progress, masks=masks, on_cloud=on_cloud)
 
 
-def resume(
-    begun: Recording,
-    config: Config,
-    folder: Path,
-    terminal: Terminal,
-    *,
-    masks: Bools | None = None,
-    earlier: Sequence[Decoded] = (),
-) -> Scan:
-    """Take the missing frames of an interrupted capture, then reconstruct. Raises InputError, DeviceError too."""
-    name = f"Capture {len(earlier) + 1}"
-    found = take(config.required_rig, config, folder, terminal, name, begun)
-    return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
-
-
 def _additional_truth(opened: OpenedRig) -> dict[str, Any]:
     """Additional entries of truth.yaml: the pose of the rig, and the thing's volume and area, in metres."""
     entries: dict[str, Any] = {}
@@ -196,21 +181,6 @@ def take_together(
     ]
 
 
-def replay(
-    recording: Recording,
-    config: Config,
-    folder: Path,
-    terminal: Terminal,
-    *,
-    masks: Bools | None = None,
-    earlier: Sequence[Decoded] = (),
-) -> Scan:
-    """Reconstruct from a recording. Raises InputError for a bad frame, RefusalError."""
-    with _noting_missing_frames(recording):
-        found = decode_recording(recording, terminal)
-        return reconstruct([*earlier, found], config, folder, terminal, masks=masks)
-
-
 def replay_calibrated(
     recording: Recording,
     calibration: Calibration,
@@ -219,11 +189,11 @@ def replay_calibrated(
     folder: Path,
     terminal: Terminal,
 ) -> Scan:
-    """The same with a calibration that is known, as is its covariance if `stated`: nothing is calibrated.
+    """Reconstruct with a calibration that is known, as is its covariance if `stated`: nothing is calibrated.
 
     Raises InputError, RefusalError.
     """
-    with _noting_missing_frames(recording):
+    with noting_missing_frames(recording):
         found = decode_recording(recording, terminal, calibration)
     with EarlyMatches(folder) as matches:
         matches.begin([found])
@@ -263,7 +233,7 @@ def _resumption(recording: Recording) -> str:
 
 
 @contextmanager
-def _noting_missing_frames(recording: Recording) -> Iterator[None]:
+def noting_missing_frames(recording: Recording) -> Iterator[None]:
     """If a capture fails, say that it was interrupted, which may be the cause."""
     try:
         yield
@@ -330,7 +300,8 @@ def reconstruct(
         with refusal_saved(captures, folder, config, matches) as reached:
             with progress.step("Calibrating"):
                 labelled = label(captures, reached, config, masks)
-                reached[:] = calibrated = calibrate(labelled, config, lambda: matches.begin(labelled))
+                matches.begin(labelled)
+                reached[:] = calibrated = calibrate(labelled, config)
             reconstructed = triangulate(calibrated, reached, progress)
             result = Scan(reconstructed)
             if len(captures) > 1 and config.corner.same:

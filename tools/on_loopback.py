@@ -27,7 +27,7 @@ from hw.opencv import OpenCVRigSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
-from scanner.commands.catalogue import NAMED
+from scanner.commands.arguments import NAMED
 from scanner.configuration import Config, load_config
 from scanner.io import read_calibration, write_calibration
 from scanner.quantities import truth_line

@@ -27,6 +27,7 @@ ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
 MOTION, BEND = slice(18, 24), slice(24, 31)
 SHARED = 31
 FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # columns of a device
+_ROW = 2  # y_0's column of one with square pixels
 # Columns of log focal length and principal point of camera and projector.
 INTRINSIC_COLUMNS = [0, 2, 3, 9, 11, 12]
 
@@ -203,7 +204,8 @@ def meet(state: State, rays: Floats, view: int) -> Floats:
 
 def rays_of(device: Floats, pixels: Floats) -> Floats:
     """Ideal image points (N, 2) of a device's pixels, in focals."""
-    return _ideal(device, pixels)
+    f, aspect, x0, y0, k1, k2, p1, p2, k3 = (float(value) for value in device)
+    return lens.undistort(pixels, (k1, k2, p1, p2, k3), (f, f * aspect, x0, y0))
 
 
 def points_along(device: Floats, pixels: Floats, depth: float) -> Floats:
@@ -230,36 +232,30 @@ def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
     return -by_point @ _cross_matrices(points), by_device
 
 
-def _ideal(device: Floats, pixels: Floats) -> Floats:
-    (fx, fy), (x0, y0) = _focals(device), device[CENTRE]
-    return lens.undistort(pixels, _terms(device), (fx, fy, x0, y0))
-
-
 def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Ideal points (N, 2), and derivatives (N, 2, 9) by the device: J dx = du − (∂ distorted / ∂k) dk."""
-    focals = _focals(device)
-    ideal = _ideal(device, pixels)
-    _, by_ideal, by_terms = lens.derivatives(ideal, _terms(device))
-    by_device = np.zeros((len(pixels), 2, PER_DEVICE))
-    distorted = (pixels - device[CENTRE]) / focals
-    by_device[:, :, FOCAL] = -distorted
-    by_device[:, 1, ASPECT] = -distorted[:, 1]
-    by_device[:, 0, 2], by_device[:, 1, 3] = -1 / focals[0], -1 / focals[1]
-    by_device[:, :, LENS] = -by_terms
-    return ideal, _solved(by_ideal, by_device)
+    """Ideal points (N, 2), NaN where there is none, and their derivatives (N, 2, 9) by the device."""
+    aspect, centre = device[ASPECT], device[CENTRE]
+    square = centre + (pixels - centre) / (1.0, aspect)
+    _, by_square = lens.unproject(_with_square_pixels(device), square)
+    by_aspect = by_square[:, :2, _ROW] * (square - centre)[:, 1:]
+    by_square[:, :, _ROW] /= aspect
+    return rays_of(device, pixels), np.insert(by_square[:, :2], ASPECT, by_aspect, axis=2)
 
 
 def _project(device: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Pixels (N, 2), their derivatives (N, 2, 3) by the point and (N, 2, 9) by the device."""
-    focals = _focals(device)
-    distorted, by_ideal, by_terms = lens.derivatives(points[:, :2] / points[:, 2:], _terms(device))
-    offset = focals * distorted
-    by_device = np.zeros((len(points), 2, PER_DEVICE))
-    by_device[:, :, FOCAL] = offset
-    by_device[:, 1, ASPECT] = offset[:, 1]
-    by_device[:, 0, 2] = by_device[:, 1, 3] = 1.0
-    by_device[:, :, LENS] = focals[:, None] * by_terms
-    return offset + device[CENTRE], (focals[:, None] * by_ideal) @ _by_point(points), by_device
+    aspect, centre = device[ASPECT], device[CENTRE]
+    square, by_point, by_square = lens.project(_with_square_pixels(device), points)
+    offset = (square - centre) * (1.0, aspect)
+    by_point[:, 1] *= aspect
+    by_square[:, 1] *= aspect
+    by_square[:, 1, _ROW] = 1.0
+    return centre + offset, by_point, np.insert(by_square, ASPECT, offset * (0.0, 1.0), axis=2)
+
+
+def _with_square_pixels(device: Floats) -> Floats:
+    """The device (8,) whose y, from the principal point, are f_x / f_y times those of a device (9,)."""
+    return np.delete(device, ASPECT)
 
 
 def _solved(matrices: Floats, values: Floats) -> Floats:
@@ -301,16 +297,6 @@ def _cross_matrices(vectors: Floats) -> Floats:
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _focals(device: Floats) -> Floats:
-    focals: Floats = device[0] * np.array([1.0, device[1]])
-    return focals
-
-
-def _terms(device: Floats) -> lens.Distortion:
-    k1, k2, p1, p2, k3 = (float(value) for value in device[LENS])
-    return k1, k2, p1, p2, k3
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 For a trial focal each board has its pose in closed form (Collins and Bartoli 2014, through OpenCV); the few best trials
 are refined. With the camera known, all matches have points in space, and those of all boards are not in one plane: the
-projector's matrix is then linear in them (Hartley and Zisserman, 2nd ed., section 7.1).
+projector's matrix is then linear in them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from scipy.linalg import rq
 
 from calib.boards.likelihood import Fit, Levels, Prior, View, minimise
 from calib.boards.parameters import (
@@ -26,7 +25,8 @@ from calib.boards.parameters import (
     meet,
     rays_of,
 )
-from calib.geometry import Motion, homogeneous, normalisation
+from calib.closed_form import resected
+from calib.geometry import Motion
 from calib.numerics import Bools, Floats, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
@@ -107,16 +107,8 @@ def _cameras(
 def _turned_over(views: Sequence[View], fit: Fit, prior: Prior, levels: Levels, free: Bools) -> Fit:
     """The same with each board in the other of the two poses that a weak perspective leaves, where that is better."""
     boards = tuple(pose_of(view.points, view.corners_px, fit.state.camera)[0] for view in views)
-    other = minimise(
-        views,
-        replace(fit.state, boards=boards),
-        prior,
-        levels,
-        free=free,
-        matches=False,
-        tolerance=_ROUGH,
-        steps=_STEPS,
-    )
+    start = replace(fit.state, boards=boards)
+    other = minimise(views, start, prior, levels, free=free, matches=False, tolerance=_ROUGH, steps=_STEPS)
     return min(fit, other, key=lambda each: each.cost)
 
 
@@ -135,11 +127,11 @@ def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[Placed, flo
 def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> Iterator[State]:
     """The state with the projector that the lit points give, and with one for each of several focals."""
     points, pixels = _lit(views, state)
-    solved = _resected(points, pixels)
+    solved = resected(points, pixels)
     if solved is not None:
-        matrix, rotation, translation = solved
+        matrix, motion = solved
         if 0.1 < matrix[0, 0] / size[0] < 20 and 0.5 < matrix[1, 1] / matrix[0, 0] < 2:
-            yield _with_projector(state, matrix[0, 0], matrix[:2, 2], Motion(rotation, translation))
+            yield _with_projector(state, matrix[0, 0], matrix[:2, 2], motion)
     trials = []
     for focal in np.geomspace(0.5, 5.0, 6) * size[0]:
         for centre in (
@@ -170,28 +162,3 @@ def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
         points.append(met @ board.rotation[:, :2].T + board.middle)
         pixels.append(view.cells.projector_px[few])
     return np.concatenate(points), np.concatenate(pixels)
-
-
-def _resected(points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """K, R, t of the pinhole that projects points (N, 3) to pixels (N, 2), without skew; None if there is none."""
-    after = normalisation(pixels)
-    middle, length = points.mean(axis=0), float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
-    before = np.diag([1 / length, 1 / length, 1 / length, 1.0])
-    before[:3, 3] = -middle / length
-    x = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ before.T
-    u = homogeneous(pixels) @ after.T
-    zero = np.zeros_like(x)
-    rows = np.concatenate(
-        [np.concatenate([x, zero, -u[:, :1] * x], axis=1), np.concatenate([zero, x, -u[:, 1:2] * x], axis=1)]
-    )
-    matrix = np.linalg.inv(after) @ np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4) @ before
-    if np.linalg.det(matrix[:, :3]) < 0:
-        matrix = -matrix
-    upper, rotation = rq(matrix[:, :3])
-    signs = np.diag(np.sign(np.diag(upper)))
-    upper, rotation = upper @ signs, signs @ rotation
-    translation = np.linalg.solve(upper, matrix[:, 3])
-    in_front = (points @ rotation[2] + translation[2]) > 0
-    if not np.all(np.isfinite(upper)) or in_front.mean() < 1 or np.linalg.det(rotation) < 0:
-        return None
-    return upper / upper[2, 2], np.asarray(rotation, np.float64), translation

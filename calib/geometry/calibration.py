@@ -55,7 +55,7 @@ class Calibration:
             raise ValueError("rotation must be 3 × 3 and translation have 3 numbers")
         if not (np.all(np.isfinite(self.rotation)) and np.all(np.isfinite(self.translation))):
             raise ValueError("rotation and translation must be finite numbers")
-        if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(self.rotation) < 0:
+        if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(self.rotation) < 0:
             raise ValueError("rotation must be orthonormal with determinant +1")
         if not np.linalg.norm(self.translation) > 0:
             raise ValueError("translation must not be zero: camera and projector would be in one place")

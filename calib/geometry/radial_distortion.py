@@ -3,8 +3,7 @@
 A lens moves the ideal image point x, in units of the focal length, to x (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms
 in p1, p2, with r = |x| (Brown 1971; signs and order k1, k2, p1, p2, k3 as in OpenCV).
 
-The devices of a corner's refinement are (8,): f, x_0, y_0, k1, k2, p1, p2, k3. Boards, which determine the shape of
-pixels too, have their own: `derivatives`.
+Devices are (8,): f, x_0, y_0, k1, k2, p1, p2, k3.
 """
 
 import numpy as np
@@ -29,14 +28,20 @@ def distort(ideal: Floats, distortion: Distortion) -> Floats:
     return distorted.T.reshape(ideal.shape)
 
 
-def undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole = (1.0, 1.0, 0.0, 0.0)) -> Floats:
+def undistort(
+    distorted: Floats,
+    distortion: Distortion,
+    pinhole: Pinhole = (1.0, 1.0, 0.0, 0.0),
+    *,
+    converged: float = _CONVERGED,
+) -> Floats:
     """Inverse of `distort` by Newton's method, (..., 2); NaN where it has none within the lens's monotonic range.
 
-    With a `pinhole`, focal lengths and principal point, it takes pixels.
+    With a `pinhole`, focal lengths and principal point, it takes pixels. `converged`: largest last step.
     """
     columns = by_columns(distorted.reshape(-1, 2)).T
     ideal = np.empty_like(columns)
-    _undistort(columns, distortion, pinhole, ideal)
+    _undistort(columns, distortion, pinhole, converged, ideal)
     return ideal.T.reshape(distorted.shape)
 
 
@@ -47,14 +52,6 @@ def distort_steps(ideal: Floats, steps: Floats, distortion: Distortion) -> tuple
     distorted, moved = np.empty_like(ideal), np.empty_like(ideal)
     _distort_steps(ideal, steps, distortion, distorted, moved)
     return distorted, moved
-
-
-def derivatives(ideal: Floats, distortion: Distortion) -> tuple[Floats, Floats, Floats]:
-    """Distorted points (N, 2), their derivatives by the ideal ones (N, 2, 2) and by k1, k2, p1, p2, k3 (N, 2, 5)."""
-    distorted, by_ideal = np.empty((len(ideal), 2)), np.empty((len(ideal), 2, 2))
-    by_terms = np.empty((len(ideal), 2, 5))
-    _derive(np.ascontiguousarray(ideal, np.float64), distortion, distorted, by_ideal, by_terms)
-    return distorted, by_ideal, by_terms
 
 
 def unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
@@ -135,22 +132,7 @@ def _distort(ideal: Floats, distortion: Distortion, distorted: Floats) -> None:
 
 
 @compiled
-def _derive(ideal: Floats, distortion: Distortion, distorted: Floats, by_ideal: Floats, by_terms: Floats) -> None:
-    for i in range(len(ideal)):
-        x, y = ideal[i]
-        u, v, a, b, d = distorted_point(x, y, distortion)
-        distorted[i, 0], distorted[i, 1] = u, v
-        by_ideal[i, 0, 0], by_ideal[i, 0, 1], by_ideal[i, 1, 0], by_ideal[i, 1, 1] = a, b, b, d
-        r2 = x * x + y * y
-        by_terms[i, 0, 0], by_terms[i, 1, 0] = x * r2, y * r2
-        by_terms[i, 0, 1], by_terms[i, 1, 1] = x * r2 * r2, y * r2 * r2
-        by_terms[i, 0, 2], by_terms[i, 1, 2] = 2.0 * x * y, r2 + 2.0 * y * y
-        by_terms[i, 0, 3], by_terms[i, 1, 3] = r2 + 2.0 * x * x, 2.0 * x * y
-        by_terms[i, 0, 4], by_terms[i, 1, 4] = x * r2 * r2 * r2, y * r2 * r2 * r2
-
-
-@compiled
-def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, ideal: Floats) -> None:
+def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, converged: float, ideal: Floats) -> None:
     # Rows are taken out of the arrays before the loop: columns indexed inside it kept the compiler from vectorising.
     # All points take a step before any takes the next, for the same reason.
     u, v, x, y = distorted[0], distorted[1], ideal[0], ideal[1]
@@ -162,7 +144,7 @@ def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, idea
         for i in range(len(x)):
             bent_x, bent_y = (u[i] - x_0) * x_scale, (v[i] - y_0) * y_scale
             x[i], y[i], step, monotonic = _newton_step(x[i], y[i], bent_x, bent_y, distortion)
-            moving += step > _CONVERGED
+            moving += step > converged
             outside += not monotonic
         if moving + outside == 0:
             return

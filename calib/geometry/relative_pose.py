@@ -50,6 +50,13 @@ def nearest_rotation(matrix: Floats) -> Floats:
     return np.asarray(u @ vt)
 
 
+def angle_between(rotations: Floats, other: Floats) -> Floats:
+    """How far rotations (..., 3, 3) are from another one (3, 3), in radians, (...,)."""
+    cosine = (np.einsum("...ij,ij->...", rotations, other) - 1) / 2
+    angle: Floats = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return angle
+
+
 @compiled
 def rotation_about(vector: Floats) -> Floats:
     """The rotation (3, 3) about a vector (3,) by its length in radians.

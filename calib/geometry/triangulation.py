@@ -7,13 +7,15 @@ import numpy as np
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
-from calib.geometry.radial_distortion import Distortion, Pinhole, distort_steps, distorted_point
+from calib.geometry.radial_distortion import Distortion, Pinhole, distort_steps, distorted_point, undistort
 from calib.numerics import Bools, Floats, by_columns, compiled, in_pieces, inlined
 
 # Squared sine of an angle below which it is rounding error.
 _PARALLEL = (8 * 2.0**-52) ** 2
 # Steps of Newton's method, from the plane that an ideal lens would show: distortion is small.
 _LENS_STEPS = 3
+# Largest last step towards an ideal point: the error after it, about its square, is below the rounding of a pixel.
+_CONVERGED = 3e-5
 _NUMBERS = 8  # numbers per match, to choose pieces that fit into the cache
 
 
@@ -95,7 +97,7 @@ def depths_on_stripes(
 
 def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
     """Where the rays of pixels (N, 2) meet z = 1, (2, N)."""
-    return by_columns(device.ideal(pixels)).T
+    return by_columns(undistort(pixels, device.distortion, device.pinhole, converged=_CONVERGED)).T
 
 
 def _pose(calibration: Calibration) -> tuple[float, ...]:

@@ -2,6 +2,7 @@
 
 from calib.numerics.array_types import Bools, Floats, Image, Ints
 from calib.numerics.chunks import by_columns, in_pieces
+from calib.numerics.differences import by_pixel
 from calib.numerics.grey_levels import grey
 from calib.numerics.jit import compiled, inlined
 from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Minimum, Quadratic, descend, minimise, newton

@@ -14,6 +14,7 @@ from calib.objects.joint import WIDE, settled
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
+from calib.rooms.alignment import STILL
 from calib.rooms.marked_poses import rigid
 
 _SEARCHED = 8
@@ -30,10 +31,9 @@ def suggested_poses(first: View, second: View, *, thorough: bool = False) -> lis
     """
     if thorough:
         return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
-    still = Motion(np.eye(3), np.zeros(3))
     own, other = mark_pairs(first, second)
     by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)
-    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (still, *by_marks)]
+    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (STILL, *by_marks)]
     return [*rough, *searched_poses(first, second, _SEARCHED)]
 
 

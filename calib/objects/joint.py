@@ -18,7 +18,7 @@ from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import huber_weights
-from calib.rooms.alignment import composed, coupled, inverse, twisted
+from calib.rooms.alignment import STILL, composed, coupled, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -98,7 +98,7 @@ def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEs
 
 def settled(first: View, second: View, pose: Motion, grains: Sequence[float], count: int) -> Motion:
     """One pair alone, by some of the patches."""
-    places = [Motion(np.eye(3), np.zeros(3)), pose]
+    places = [STILL, pose]
     for each in grains:
         for _ in range(_STEPS):
             found = residuals_of(first, second, (0, 1), places, each * first.grain, count)

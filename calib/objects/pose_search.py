@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion, rotation_about
-from calib.numerics import Bools, Floats, compiled
+from calib.numerics import Floats, compiled
 from calib.objects.view import View
+from calib.rooms.alignment import are_near, is_near
 from calib.rooms.projection import pixel_under, rotated
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
@@ -24,7 +25,7 @@ _WIDELY, _WIDE = 200, np.array([8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 3.0, 3.0, 2.0, 2.0
 _CLOSELY, _CLOSE = 500, np.array([2.0, 1.5, 1.5, 1.0, 1.0, 0.7, 0.5, 0.5])
 _DISTINCT = 60
 THOROUGHLY = 600  # distinct descents that are refined if the best few leave a view out
-_SAME_TURN, _SAME_GRAINS = float(np.cos(np.radians(6.0))), 8.0
+_SAME_TURN, _SAME_GRAINS = np.radians(6.0), 8.0
 _LIKE = float(np.cos(np.radians(50.0)))
 _DAMPING = 1e-3
 _TOWARDS_MIDDLE = 0.1  # share of a patch's weight by which a centre is drawn to a point behind the visible surface
@@ -72,20 +73,13 @@ def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
     while left.any() and len(found) < most:
         best = int(np.argmax(left))
         found.append(poses[best])
-        left &= ~_near(turns, shifts, poses[best], grain)
+        left &= ~are_near(turns, shifts, poses[best], _SAME_TURN, _SAME_GRAINS * grain)
     return found
-
-
-def _near(turns: Floats, shifts: Floats, pose: Motion, grain: float) -> Bools:
-    """Which of K poses are nearly equal to one, (K,)."""
-    cosine = (np.einsum("kij,ij->k", turns, pose.rotation) - 1) / 2
-    near: Bools = (cosine > _SAME_TURN) & (np.linalg.norm(shifts - pose.translation, axis=1) < _SAME_GRAINS * grain)
-    return near
 
 
 def near_each_other(one: Motion, other: Motion, grain: float) -> bool:
     """Whether two poses are about the same."""
-    return bool(_near(one.rotation[None], one.translation[None], other, grain)[0])
+    return is_near(one, other, _SAME_TURN, _SAME_GRAINS * grain)
 
 
 def even_turns(count: int) -> Floats:

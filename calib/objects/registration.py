@@ -13,13 +13,13 @@ from typing import Literal
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Motion, angle_between
 from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
 from calib.objects.patch_overlap import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
 from calib.objects.view import PATCHES, View
-from calib.rooms.alignment import composed, inverse
+from calib.rooms.alignment import STILL, composed, inverse
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -135,7 +135,7 @@ def _grown(
 ) -> tuple[dict[int, Motion], list[Alternative]]:
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
-    places = {first: Motion(np.eye(3), np.zeros(3))}
+    places = {first: STILL}
     missing = [k for k in views if k != first]
     while missing:
         tried = {k: _tried(views, edges, places, k) for k in missing}
@@ -164,7 +164,8 @@ def _alternatives(
             step = composed(each.pose, inverse(places[k]))
             moved = _judged(views, rest, {member: composed(step, places[member]) for member in part})
             if moved.holds and moved.rate > _AS_GOOD * own.rate:
-                yield Alternative(k, _turn_deg(places[k], each.pose), moved.rate)
+                turn_deg = float(np.degrees(angle_between(places[k].rotation, each.pose.rotation)))
+                yield Alternative(k, turn_deg, moved.rate)
 
 
 def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Suggestion]:
@@ -222,8 +223,3 @@ def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mappi
     ]
     agreeing, against = sum(each.agreeing for each in evidences), sum(each.against for each in evidences)
     return _Judgement(sum(each.worth for each in evidences), agreeing, agreeing + against)
-
-
-def _turn_deg(one: Motion, other: Motion) -> float:
-    cosine = (float(np.trace(one.rotation.T @ other.rotation)) - 1) / 2
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
 from calib.rooms.drawings import logarithmic
-from calib.rooms.marks import Marks, no_marks
+from calib.rooms.marks import Marks, described, no_marks
 from calib.rooms.segments import relative_noise
+from calib.rooms.surfaces import spread
 
 PATCHES = 3000  # drawn from each view; with fewer pixels than that, it is seen too small or too dark
 STEEPEST = 0.35  # cosine of the slant beyond which a patch's area is unreliable
@@ -20,7 +21,7 @@ PARTS = _PARTS_ACROSS**2
 _WINDOW = 7  # window of the normals in pixels; larger with noise
 _AROUND = 5  # uncertainty of the edges of things, in pixels
 FEWEST_PIXELS = _AROUND**4  # of a view
-_MARKS, _CONTRAST = 500, 0.015
+_MARKS = 500
 _OF_SIZE = 1 / 60  # the grain over the size: spacing of points for features and coarse alignment
 
 
@@ -129,7 +130,7 @@ def view_of(
     turned = np.where(there[..., None], normals, np.float32(np.nan))
     known = np.where(depth > 0, depth, np.float32(np.inf))
     near = np.asarray(cv2.erode(known, np.ones((_AROUND, _AROUND), np.uint8)), np.float32)
-    patches = _spread(own, turned)
+    patches = spread(own, turned, PATCHES, STEEPEST, beyond=False)
     size = float(np.linalg.norm(np.ptp(own[there], axis=0)))
     marks = no_marks() if picture is None else _marks(picture, own, there)
     noise = relative_noise(own, turned)
@@ -148,29 +149,11 @@ def without_small_pieces(there: Bools) -> Bools:
     return kept
 
 
-def _spread(points: NDArray[np.float32], normals: NDArray[np.float32]) -> Ints:
-    flat, towards = points.reshape(-1, 3), normals.reshape(-1, 3)
-    there = np.flatnonzero(np.isfinite(flat[:, 2]))
-    seen = flat[there].astype(np.float64)
-    slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
-    there, seen, slant = there[slant > STEEPEST], seen[slant > STEEPEST], slant[slant > STEEPEST]
-    area = np.cumsum(seen[:, 2] ** 2 / slant)
-    rng = np.random.default_rng(0)
-    places = (np.arange(PATCHES) + rng.random(PATCHES)) / PATCHES * area[-1]
-    chosen: Ints = there[np.unique(np.minimum(np.searchsorted(area, places), len(there) - 1))]
-    return rng.permutation(chosen)
-
-
 def _marks(picture: Image, points: NDArray[np.float32], there: Bools) -> Marks:
     """SIFT's, on the thing, lifted to its surface."""
-    inside = cv2.erode(there.astype(np.uint8), np.ones((_AROUND, _AROUND), np.uint8))
-    finder = cv2.SIFT.create(nfeatures=_MARKS, contrastThreshold=_CONTRAST)
-    keypoints, descriptors = finder.detectAndCompute(logarithmic(picture), inside)
-    if not keypoints:
-        return no_marks()
-    pixels = np.array([keypoint.pt for keypoint in keypoints])
+    inside = np.asarray(cv2.erode(there.astype(np.uint8), np.ones((_AROUND, _AROUND), np.uint8)), np.uint8)
+    pixels, descriptors = described(logarithmic(picture), inside, _MARKS)
     column, row = np.rint(pixels).astype(np.int64).T
     lifted = points[row, column].astype(np.float64)
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)).astype(np.float32)
     on = np.isfinite(lifted[:, 2])
-    return Marks(pixels[on], lifted[on], np.full(int(on.sum()), -1), root[on])
+    return Marks(pixels[on], lifted[on], np.full(int(on.sum()), -1), descriptors[on])

@@ -168,8 +168,7 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
     picks = rng.integers(0, len(lines), (_SAMPLES, 2))
     epipoles = np.cross(lines[picks[:, 0]], lines[picks[:, 1]])
     epipoles = epipoles[np.linalg.norm(epipoles, axis=1) > 0]
-    candidates: Floats = np.cross(np.eye(3)[None], epipoles[:, None, :]).transpose(0, 2, 1) @ homography
-    return candidates
+    return np.cross(np.eye(3)[None], epipoles[:, None, :]).transpose(0, 2, 1) @ homography
 
 
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:

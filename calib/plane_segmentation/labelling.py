@@ -14,6 +14,7 @@ _GATE = 3.7  # in sigmas: a 2-D normal error exceeds it once in 940
 # A match that two planes explain is assigned to neither unless one is e^4.5 times as likely.
 _CLEARER_BY = 9.0
 _SAMPLE = 100_000
+_BLOCK = 512  # matches whose numbers fit into the processor's cache
 
 # The arguments of `rescaled_point` behind the pixel.
 _Device = tuple[float, float, float, Floats]
@@ -28,13 +29,13 @@ def label_matches(
     planes, means none.
     """
     view, homographies = segments.view, segments.view.homography(segments.planes)
-    near = _near(surfels, segments.label, len(homographies))
+    candidates, near = _near(surfels, segments.label, len(homographies))
     cell_sigma, scale = _cell_sigma(surfels), _scale(matches, surfels, rng)
     plane = np.empty(len(matches), np.int32)
     camera, projector = _numbers_of(view.camera), _numbers_of(view.projector)
 
     def label(at: slice) -> Ints:
-        camera_px, counts = np.ascontiguousarray(matches.camera_px[at]), np.zeros(len(homographies) + 1, np.int64)
+        camera_px, counts = np.ascontiguousarray(matches.camera_px[at]), np.zeros(len(homographies), np.int64)
         cell = surfels.grid.cell(camera_px)
         sigma = cell_sigma.take(cell) if matches.sigma_px is None else scale * matches.sigma_px[at].astype(np.float64)
         _label(
@@ -42,15 +43,15 @@ def label_matches(
             np.ascontiguousarray(matches.projector_px[at]),
             camera,
             projector,
-            cell,
+            near.take(cell),
             sigma,
             segments.model_px,
             homographies,
-            near,
+            candidates,
             plane[at],
             counts,
         )
-        return counts[:-1]
+        return counts
 
     counts: Ints = np.sum(in_pieces(len(matches), label), axis=0)
     return plane, counts
@@ -60,16 +61,17 @@ def _numbers_of(lens: Lens) -> _Device:
     return *lens.centre_px, 1 / lens.unit_px, lens.parameters
 
 
-def _near(surfels: Surfels, label: Ints, planes: int) -> Ints:
-    """Return the planes in or next to each cell, (cells, n), padded with n."""
+def _near(surfels: Surfels, label: Ints, planes: int) -> tuple[Ints, Ints]:
+    """Return the sets of planes that occur in or next to a cell, (sets, n), padded with n, and each cell's (cells,)."""
     grid = surfels.grid
     image = np.zeros((planes, grid.rows * grid.columns), np.uint8)
     on_plane = label >= 0
     image[label[on_plane], surfels.cell[on_plane]] = 1
     kernel = np.ones((3, 3), np.uint8)
-    dilated = np.stack([cv2.dilate(one.reshape(grid.rows, grid.columns), kernel).ravel() for one in image], axis=1)
-    near: Ints = np.sort(np.where(dilated > 0, np.arange(planes, dtype=np.int32), np.int32(planes)), axis=1)
-    return near
+    dilated = np.stack([cv2.dilate(one.reshape(grid.rows, grid.columns), kernel).ravel() for one in image])
+    _, first, near = np.unique((1 << np.arange(planes)) @ dilated, return_index=True, return_inverse=True)
+    sets = np.where(dilated[:, first].T > 0, np.arange(planes, dtype=np.int32), np.int32(planes))
+    return np.sort(sets, axis=1), near.astype(np.int32)
 
 
 def _cell_sigma(surfels: Surfels) -> Floats:
@@ -97,35 +99,57 @@ def _label(
     projector_px: Floats,
     camera: _Device,
     projector: _Device,
-    cell: Ints,
+    near: Ints,
     sigma_px: Floats,
     model_px: float,
     homographies: Floats,
-    near: Ints,
+    candidates: Ints,
     plane: Ints,
     counts: Ints,
 ) -> None:
-    """Pixels (N, 2) of both devices → `plane` (N,), and how often each occurs, (n + 1,)."""
-    h, none, unit_px = homographies, len(homographies), 1.0 / projector[2]
-    for i in range(len(plane)):
-        c = cell[i]
-        x0, x1 = rescaled_point(camera_px[i, 0], camera_px[i, 1], *camera)
-        u0, u1 = rescaled_point(projector_px[i, 0], projector_px[i, 1], *projector)
-        per_variance = unit_px * unit_px / (sigma_px[i] * sigma_px[i] + model_px * model_px)
-        best, second, found = np.inf, np.inf, none
-        for candidate in range(none):
-            p = near[c, candidate]
-            if p == none:
+    """Pixels (N, 2) of both devices → `plane` (N,), and how often each of the n occurs, (n,).
+
+    Matches are in image order: long runs have the same `near` (N,), a row of `candidates`, and are vectorised.
+    """
+    none, per_unit, end = len(homographies), 1.0 / (projector[2] * projector[2]), 0
+    x, y, u, v, per_variance, best, second = np.empty((7, _BLOCK))
+    found = np.empty(_BLOCK, np.int32)
+    while end < len(plane):
+        start, run = end, near[end]
+        while end < min(start + _BLOCK, len(plane)) and near[end] == run:
+            end += 1
+        seen, lit, sigma, own = camera_px[start:end], projector_px[start:end], sigma_px[start:end], plane[start:end]
+        _rescale(seen, camera, x, y)
+        _rescale(lit, projector, u, v)
+        for i in range(len(own)):
+            per_variance[i] = per_unit / (sigma[i] * sigma[i] + model_px * model_px)
+        best[:], second[:], found[:] = np.inf, np.inf, none
+        for candidate in candidates[run]:
+            if candidate == none:
                 break
-            per_third = 1.0 / (h[p, 2, 0] * x0 + h[p, 2, 1] * x1 + h[p, 2, 2])
-            off0 = (h[p, 0, 0] * x0 + h[p, 0, 1] * x1 + h[p, 0, 2]) * per_third - u0
-            off1 = (h[p, 1, 0] * x0 + h[p, 1, 1] * x1 + h[p, 1, 2]) * per_third - u1
-            error = (off0 * off0 + off1 * off1) * per_variance
-            if error < best:
-                best, second, found = error, best, p
-            elif error < second:
-                second = error
-        if best > _GATE * _GATE or second < best + _CLEARER_BY:
-            found = none
-        plane[i] = found
-        counts[found] += 1
+            (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = homographies[candidate]
+            for i in range(len(own)):
+                per_third = 1.0 / (h20 * x[i] + h21 * y[i] + h22)
+                off_x = (h00 * x[i] + h01 * y[i] + h02) * per_third - u[i]
+                off_y = (h10 * x[i] + h11 * y[i] + h12) * per_third - v[i]
+                error = (off_x * off_x + off_y * off_y) * per_variance[i]
+                # Everything is read before a choice: reads that depend on one are not vectorised.
+                least, next_least, last = best[i], second[i], found[i]
+                nearer = error < least
+                other = least if nearer else error
+                second[i] = other if other < next_least else next_least
+                best[i], found[i] = (error, candidate) if nearer else (least, last)
+        for i in range(len(own)):
+            clear = (best[i] <= _GATE * _GATE) & (second[i] >= best[i] + _CLEARER_BY)
+            own[i] = found[i] if clear else none
+        for candidate in candidates[run]:
+            if candidate == none:
+                break
+            counts[candidate] += np.sum(own == candidate)
+
+
+@compiled
+def _rescale(pixels: Floats, device: _Device, x: Floats, y: Floats) -> None:
+    """Ideal coordinates of pixels (N, 2), into the beginning of `x` and `y`."""
+    for i in range(len(pixels)):
+        x[i], y[i] = rescaled_point(pixels[i, 0], pixels[i, 1], *device)

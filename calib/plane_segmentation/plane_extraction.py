@@ -88,8 +88,7 @@ def covariances(evidence: Evidence, label: Ints, planes: int) -> Floats:
         information[plane] = x @ x.T
     # Large instead of infinite along what surfels in one line leave open.
     ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    inverse: Floats = np.linalg.inv(information + ridge)
-    return inverse
+    return np.linalg.inv(information + ridge)
 
 
 def spill(evidence: Evidence, planes: Floats, label: Ints) -> float:

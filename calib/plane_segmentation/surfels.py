@@ -102,8 +102,7 @@ def make_surfels(matches: Matches, camera_size: tuple[int, int], rng: np.random.
 def _least_eigenvalue(matrices: Floats) -> Floats:
     """Return the smaller eigenvalue of symmetric matrices (N, 2, 2)."""
     a, b, d = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    least: Floats = (a + d) / 2 - np.hypot((a - d) / 2, b)
-    return least
+    return (a + d) / 2 - np.hypot((a - d) / 2, b)
 
 
 def _choose_grid(matches: Matches, camera_size: tuple[int, int]) -> tuple[Grid, float]:

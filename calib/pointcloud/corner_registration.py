@@ -119,8 +119,7 @@ def _upright(views: Sequence[View], turns: tuple[int, ...]) -> tuple[int, ...]:
 
 def _up(view: View, turn: int) -> Floats:
     """The camera's up in the corner's frame, (3,)."""
-    up: Floats = np.roll(view.axes @ np.array([0.0, -1.0, 0.0]), turn)
-    return up
+    return np.roll(view.axes @ np.array([0.0, -1.0, 0.0]), turn)
 
 
 def _cost_of_tilt(a: View, b: View, turn: int) -> float:

@@ -45,8 +45,7 @@ class View:
 
     def in_camera(self, points: Floats, turn: int = 0) -> Floats:
         """The inverse of `in_corner`."""
-        points_in_camera: Floats = np.roll(points, -turn, axis=1) @ self.axes + self.corner.vertex
-        return points_in_camera
+        return np.roll(points, -turn, axis=1) @ self.axes + self.corner.vertex
 
     def depths_around(self, points: Floats) -> tuple[Floats, Floats, Bools]:
         """Smallest and largest depth (N,) in the 3 × 3 pixels around the images of points (N, 3) in the camera's

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.numerics import Bools, Floats, in_slices
+from calib.numerics import Bools, Floats, Ints, in_slices
 from calib.pointcloud.local_plane_fit import FEWEST_NEIGHBOURS, LARGEST_WINDOW, WindowPlanes, window_planes
 
 _SMALLEST_WINDOW = 7
@@ -25,7 +25,7 @@ _NEIGHBOURS = 12
 _STEEPEST = 1 / cos(radians(85.0))
 _OUTLIER_SIGMAS = 6.0
 _SAMPLE = 200_000
-_AT_A_TIME = 4096
+_AT_A_TIME, _STRIP_ROWS = 4096, 64
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,14 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
     if wider > window:
         planes, window = window_planes(points, focal_px, wider), wider
         noise, filled = _typical(planes)
-    normals, there = planes.normals, planes.count.ravel() > 0
-    hard = np.flatnonzero(~(planes.roughness <= max(1.0, _OUTLIER_SIGMAS * noise)))
-    hard = hard[there[hard]]
+    normals, width = planes.normals, points.shape[1]
+
+    def uneven(rows: slice) -> Ints:
+        even = planes.roughness[rows] <= max(1.0, _OUTLIER_SIGMAS * noise)
+        places: Ints = rows.start * width + np.flatnonzero(~even & (planes.count[rows] > 0))
+        return places
+
+    hard = np.concatenate(in_slices(len(points), _STRIP_ROWS, uneven))
     if len(hard):
         spacing, cloud = max(1.0, window / float(np.sqrt(filled))), points.reshape(-1, 3)
         reach = max(_STEEPEST * spacing, _OUTLIER_SIGMAS * noise) * cloud[hard, 2].astype(np.float64) / focal_px
@@ -60,7 +65,7 @@ def surface(points: NDArray[np.float32], focal_px: float) -> Surface:
         marked.flat[hard] = 1
         nearby = np.asarray(cv2.dilate(marked, np.ones((2 * window + 1, 2 * window + 1), np.uint8)))
         around = np.flatnonzero(nearby.view(np.bool_))
-        around = around[there[around]]
+        around = around[planes.count.ravel()[around] > 0]
         normals.reshape(-1, 3)[hard], isolated.flat[hard] = _neighbour_planes(cloud[hard], cloud[around], reach)
     return Surface(normals, isolated)
 
@@ -118,7 +123,7 @@ def _fit_to_neighbours(
     weight: Floats = near.sum(axis=1)
     mean = np.einsum("mk,mki->mi", near, offsets) / np.maximum(weight, 1.0)[:, None]  # no neighbours within reach
     centred = (offsets - mean[:, None]) * near[..., None]
-    spread, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", centred, centred))
+    spread, axes = np.linalg.eigh(np.matmul(centred.transpose(0, 2, 1), centred))
     toward_camera = -points.astype(np.float64) / np.linalg.norm(points, axis=1, keepdims=True)
     # Points on a line, or single ones, have no normal; they get the direction to the camera.
     normals: Floats = np.where((spread[:, 1] > 0.01 * spread[:, 2])[:, None], axes[:, :, 0], toward_camera)

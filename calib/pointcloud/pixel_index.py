@@ -41,5 +41,4 @@ def without_gaps(index: Ints) -> Ints:
     distance, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     point_of_label = np.full(int(label.max()) + 1, NONE, np.int64)
     point_of_label[label[empty == 0]] = index[empty == 0]
-    filled: Ints = np.where(distance <= _REACH_OF_SPACING * spacing, point_of_label[label], NONE)
-    return filled
+    return np.where(distance <= _REACH_OF_SPACING * spacing, point_of_label[label], NONE)

@@ -35,8 +35,7 @@ class Sphere:
     @property
     def centre_sigma(self) -> Floats:
         """Standard deviation of each coordinate of the centre, (3,)."""
-        sigma: Floats = np.sqrt(np.diag(self.covariance)[:3])
-        return sigma
+        return np.sqrt(np.diag(self.covariance)[:3])
 
     @property
     def radius_sigma(self) -> float:

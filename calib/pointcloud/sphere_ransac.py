@@ -58,8 +58,7 @@ def find_sphere(cloud: OrganisedPoints, radius: float, free: Bools, rng: np.rand
 
 def image_radius_px(camera: Intrinsics, depth: Floats, radius: float) -> Floats:
     """Radius in pixels of a sphere's image at depths (N,)."""
-    pixels: Floats = np.mean(camera.focal_px) * radius / depth
-    return pixels
+    return np.mean(camera.focal_px) * radius / depth
 
 
 def _depth_noise(cloud: OrganisedPoints) -> float:

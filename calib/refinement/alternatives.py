@@ -28,8 +28,7 @@ class Alternative:
     def added(self, probability: float) -> Floats:
         """What this model, of a `probability`, adds to the covariance (size, size) around the smaller's solution."""
         mean_square = self.value**2 + self.sigma**2
-        added: Floats = probability * mean_square * np.outer(self.response, self.response)
-        return added
+        return probability * mean_square * np.outer(self.response, self.response)
 
 
 def alternative(

@@ -82,16 +82,12 @@ def sums_over_cells(
         if matches.sigma_px is not None:
             weights = (typical_sigma_px / matches.sigma_px[at].astype(np.float64)) ** 2
         expected = homographies, scales, coefficients, np.array(limits)
-        sums = np.zeros((first[-1], 7))
-        _add_up(camera_px, projector_px, weights, _as_ints(label[at]), slot, *expected, grids, first, sums)
+        sums, labels = np.zeros((first[-1], 7)), np.ascontiguousarray(label[at], np.int32)
+        _add_up(camera_px, projector_px, weights, labels, slot, *expected, grids, first, sums)
         return sums
 
     sums: Floats = np.sum(in_pieces(len(label), of_piece), axis=0)
     return np.split(sums, first[1:-1])
-
-
-def _as_ints(label: Ints) -> Ints:
-    return np.ascontiguousarray(label, np.int32)
 
 
 # Matches are in image order: long runs share one label and one row.

@@ -36,5 +36,4 @@ def coefficients_of(terms: Floats, values: Floats, weight: Floats) -> Floats:
     """
     weighted = terms * weight
     normal = weighted @ terms.T
-    coefficients: Floats = np.linalg.pinv(normal, rcond=_SINGULAR, hermitian=True) @ (weighted @ values)
-    return coefficients
+    return np.linalg.pinv(normal, rcond=_SINGULAR, hermitian=True) @ (weighted @ values)

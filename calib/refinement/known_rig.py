@@ -28,8 +28,7 @@ class KnownRig:
     @cached_property
     def safe_covariance(self) -> Floats:
         """The covariance, made invertible where a column was held fixed."""
-        safe: Floats = self.covariance + np.diag(_LEAST**2)
-        return safe
+        return self.covariance + np.diag(_LEAST**2)
 
     @cached_property
     def precision(self) -> Floats:

@@ -55,8 +55,7 @@ class Prior(ColumnPrior):
         """Return the ratio (size,) of terms that distort the image equally in `state` and in `other`."""
         ratio = np.ones(len(self.powers))
         ratio[CAMERA], ratio[PROJECTOR] = state.camera[0] / other.camera[0], state.projector[0] / other.projector[0]
-        scale: Floats = ratio**self.powers
-        return scale
+        return ratio**self.powers
 
     def holding(self, column: int) -> "Prior":
         """Return a copy for a minimisation that leaves one column unchanged."""
@@ -172,8 +171,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 
 def huber_weights(deviations: Floats) -> Floats:
     """Weights (N,) by Huber's loss of deviations from 0 up, in sigmas."""
-    weights: Floats = np.minimum(1.0, ROBUST_SIGMAS / np.maximum(deviations, 1e-12))
-    return weights
+    return np.minimum(1.0, ROBUST_SIGMAS / np.maximum(deviations, 1e-12))
 
 
 @compiled

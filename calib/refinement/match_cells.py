@@ -77,7 +77,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     `plane` (N,): labels to use instead of the faces. Raises TooFewMatchesError if a label has fewer than four matches.
     """
     label = matches.labels if plane is None else plane
-    chosen = [label == name for name in labels]
+    chosen = in_parallel(lambda name: label == name, labels)
     counts = [np.count_nonzero(own) for own in chosen]
     for name, count in zip(labels, counts, strict=True):
         if count < 4:

@@ -41,8 +41,7 @@ def noise_of(cells: Cells, residual: Floats, absorbed: float) -> Noise:
 
 
 def _independent(cells: Cells, systematic_px: float) -> Floats:
-    variance: Floats = cells.sigma_px**2 + (systematic_px * cells.coarseness) ** 2
-    return variance
+    return cells.sigma_px**2 + (systematic_px * cells.coarseness) ** 2
 
 
 def _systematic(residual: Floats, sigma_px: Floats) -> float:

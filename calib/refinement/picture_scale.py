@@ -35,8 +35,7 @@ class PictureScale:
     def covariance(self) -> Floats:
         """What the other model adds to the covariance (size, size) around the solution with square pixels."""
         mean_square = self.aspect**2 + self.sigma**2
-        added: Floats = self.probability * mean_square * np.outer(self.response, self.response)
-        return added
+        return self.probability * mean_square * np.outer(self.response, self.response)
 
 
 def picture_scale(captures: Sequence[Cells], fit: Fit, prior: Prior, variances: Sequence[Floats]) -> PictureScale:

@@ -63,8 +63,7 @@ class Valley:
         across = free.copy()
         across[CAMERA.start] = False
         weight, steps = self.along(best)
-        covariance: Floats = (steps * weight[:, None]).T @ steps + covariance_of(best.information, across)
-        return covariance
+        return (steps * weight[:, None]).T @ steps + covariance_of(best.information, across)
 
     @property
     def interval_px(self) -> tuple[float, float]:
@@ -90,8 +89,7 @@ class Valley:
         log_weight = np.interp(fine, at, self.log_volume) - np.interp(fine, at, np.sqrt(self.cost)) ** 2 / 2
         weight = np.exp(log_weight - log_weight.max())
         below = (np.cumsum(weight) - weight / 2) / weight.sum()
-        quantiles: Floats = np.exp(np.interp(shares, below, fine))
-        return quantiles
+        return np.exp(np.interp(shares, below, fine))
 
     def along(self, best: Fit) -> tuple[Floats, Floats]:
         """Return the probabilities (n,) of the states along the valley, and the steps (n, size) to them.

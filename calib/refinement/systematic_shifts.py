@@ -9,17 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, by_pixel
 from calib.refinement.image_polynomial import CUBIC, monomials
-from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PROJECTOR, State, predict
 from calib.refinement.refine import Refinement
 
 # Camera pixels (N, 2), projector pixels (N, 2), and their gradient (N, 2, 2) (rows) by the camera's x and y → the shift
 # (N, 2) of the projector pixels.
 Shift = Callable[[Floats, Floats, Floats], Floats]
-
-_STEP_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,8 @@ class Shifts:
 def response_to_shift(refinement: Refinement, shift: Shift, capture: int) -> Floats:
     """Return the change (size,) of the solution if the matches of a capture are shifted by `shift`."""
     state, cells = refinement.fit.state, refinement.captures[capture]
-    shifts = shift(cells.camera_px, cells.projector_px, _gradient(state, cells, capture))
+    gradient = by_pixel(lambda pixels: predict(state, pixels, cells.plane, capture)[0], cells.camera_px)
+    shifts = shift(cells.camera_px, cells.projector_px, gradient)
     return _responses(refinement, shifts[..., None], capture)[:, 0]
 
 
@@ -58,8 +56,7 @@ def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, captur
             field[members, axis] = smooth_px * np.sqrt(len(members)) * modes
             fields.append(field)
     responses = _responses(refinement, np.concatenate(fields, axis=2), capture)
-    covariance: Floats = times * responses @ responses.T
-    return covariance
+    return times * responses @ responses.T
 
 
 def _responses(refinement: Refinement, fields: Floats, capture: int) -> Floats:
@@ -85,13 +82,4 @@ def percent_of_intrinsics(state: State, step: Floats) -> float:
 def together(responses: Sequence[Floats], size: int) -> Floats:
     """Return the covariance (size, size) of independent shifts of one standard deviation, given their responses."""
     rows = np.reshape(responses, (-1, size))
-    covariance: Floats = rows.T @ rows
-    return covariance
-
-
-def _gradient(state: State, cells: Cells, capture: int) -> Floats:
-    columns = []
-    for step in (np.array([_STEP_PX, 0.0]), np.array([0.0, _STEP_PX])):
-        after, before = (predict(state, cells.camera_px + way * step, cells.plane, capture)[0] for way in (1, -1))
-        columns.append((after - before) / (2 * _STEP_PX))
-    return np.stack(columns, axis=2)
+    return rows.T @ rows

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion, rotation_about
-from calib.numerics import Floats, compiled
+from calib.geometry import Motion, angle_between, rotation_about
+from calib.numerics import Bools, Floats, compiled
 from calib.rooms.agreement import FINE
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
@@ -40,6 +40,9 @@ class NormalEquations:
     count: int
 
 
+STILL = Motion(np.eye(3), np.zeros(3))
+
+
 def composed(second: Motion, first: Motion) -> Motion:
     """First one motion, then the other."""
     return Motion(second.rotation @ first.rotation, second.rotation @ first.translation + second.translation)
@@ -48,6 +51,17 @@ def composed(second: Motion, first: Motion) -> Motion:
 def inverse(motion: Motion) -> Motion:
     """The way back."""
     return Motion(motion.rotation.T, -motion.rotation.T @ motion.translation)
+
+
+def are_near(rotations: Floats, translations: Floats, pose: Motion, turn: float, apart: float) -> Bools:
+    """Which of K poses (K, 3, 3), (K, 3) are within a `turn` in radians of another and less than `apart` from it."""
+    close: Bools = np.linalg.norm(translations - pose.translation, axis=-1) < apart
+    return close & (angle_between(rotations, pose.rotation) < turn)
+
+
+def is_near(one: Motion, other: Motion, turn: float, apart: float) -> bool:
+    """Whether one pose is."""
+    return bool(are_near(one.rotation, one.translation, other, turn, apart))
 
 
 def twisted(motion: Motion, twist: Floats) -> Motion:

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import composed, inverse, settled, settled_together
+from calib.rooms.alignment import STILL, composed, inverse, is_near, settled, settled_together
 from calib.rooms.cuts import firmly_connected
 from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces
@@ -49,8 +49,7 @@ class Assembly:
         here, there = (inverse(each.places[first]) for each in (self, other))
         for k in self.places:
             off = composed(inverse(composed(here, self.places[k])), composed(there, other.places[k]))
-            angle = np.arccos(np.clip((np.trace(off.rotation) - 1) / 2, -1, 1))
-            if angle > _SAME_TURN or np.linalg.norm(off.translation) > size:
+            if not is_near(off, STILL, _SAME_TURN, size):
                 return False
         return True
 
@@ -77,7 +76,7 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
         return []
     size = _SAME_PLACE * float(np.median([surfaces[k].distance for k in stations]))
     begun = [
-        Assembly({i: Motion(np.eye(3), np.zeros(3)), j: each.pose}, each.nats - NATS_OF_POSE)
+        Assembly({i: STILL, j: each.pose}, each.nats - NATS_OF_POSE)
         for (i, j), some in edges.items()
         if i in stations and j in stations
         for each in some
@@ -125,7 +124,8 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
     count: dict[int, int] = {}
     for _, k, place in worth:
         if count.get(k, 0) == _SETTLED or any(
-            k in more.places and _near(more.places[k], place, surfaces[k].distance) for more in grown
+            k in more.places and is_near(more.places[k], place, _SAME_TURN, _SAME_PLACE * surfaces[k].distance)
+            for more in grown
         ):
             continue
         count[k] = count.get(k, 0) + 1
@@ -143,12 +143,6 @@ def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], k: i
     seen = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
     tilt = min(float(nats_of_tilt(pose.rotation[None])[0]) for pose in poses)
     return float(gain(seen)[0]) - tilt - NATS_OF_POSE
-
-
-def _near(one: Motion, other: Motion, distance: float) -> bool:
-    angle = np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))
-    far = np.linalg.norm(one.translation - other.translation)
-    return bool(angle < _SAME_TURN and far < _SAME_PLACE * distance)
 
 
 def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Motion) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from calib.geometry import Motion, nearest_rotation
 from calib.numerics import Bools, Floats, Ints
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import normal_equations, settled
+from calib.rooms.alignment import STILL, are_near, normal_equations, settled
 from calib.rooms.features import feature_poses
 from calib.rooms.marked_poses import marked_poses
 from calib.rooms.surfaces import Surfaces
@@ -50,7 +50,7 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     the rig may hardly have been moved at all.
     """
     rotations, translations = _suggested(first, second)
-    others = [Motion(np.eye(3), np.zeros(3)), *marked_poses(first, second)]
+    others = [STILL, *marked_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
         others += feature_poses(first, second)
     rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
@@ -78,16 +78,14 @@ def _fixed_directions(surfaces: Surfaces) -> int:
 
 def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
     """The pose at which the second station's surfaces fit the first one's."""
-    still = Motion(np.eye(3), np.zeros(3))
-    return settled(second, pose, [(first, still)], (COARSE, FINE), _SETTLING_PATCHES)
+    return settled(second, pose, [(first, STILL)], (COARSE, FINE), _SETTLING_PATCHES)
 
 
 def _slid(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
     """The pose, or a likelier one a little further along the direction that holds the second station least: what holds
     it there, the side of a cupboard, may have been too far off to be found.
     """
-    still = Motion(np.eye(3), np.zeros(3))
-    shifts = normal_equations(second, pose, first, still, FINE, _SETTLING_PATCHES).matrix[3:, 3:]
+    shifts = normal_equations(second, pose, first, STILL, FINE, _SETTLING_PATCHES).matrix[3:, 3:]
     along = np.linalg.eigh(shifts)[1][:, 0]
     steps = _SLIDES * (first.distance + second.distance) / 2
     translations = pose.translation + steps[:, None] * along
@@ -95,7 +93,7 @@ def _slid(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
     best = int(np.argmax(gain([compare(first, second, rotations, translations, FINE)])))
     if steps[best] == 0.0:
         return pose
-    return settled(second, Motion(pose.rotation, translations[best]), [(first, still)], (FINE,), _SETTLING_PATCHES)
+    return settled(second, Motion(pose.rotation, translations[best]), [(first, STILL)], (FINE,), _SETTLING_PATCHES)
 
 
 def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:
@@ -111,17 +109,10 @@ def _distinct(rotations: Floats, translations: Floats, worth: Floats, size: floa
     for k in np.argsort(-worth, kind="stable"):
         if len(kept) == most:
             break
-        near = np.linalg.norm(translations[kept] - translations[k], axis=1) < size
-        turned = _angles(rotations[kept], rotations[k]) < _SAME_ROTATION
-        if not np.any(near & turned):
+        pose = Motion(rotations[k], translations[k])
+        if not are_near(rotations[kept], translations[kept], pose, _SAME_ROTATION, size).any():
             kept.append(int(k))
     return kept
-
-
-def _angles(rotations: Floats, other: Floats) -> Floats:
-    cosine = (np.einsum("kij,ij->k", rotations, other) - 1) / 2
-    angle: Floats = np.arccos(np.clip(cosine, -1, 1))
-    return angle
 
 
 def _suggested(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:

@@ -28,20 +28,16 @@ class Layout(Protocol):
     @property
     def size(self) -> int:
         """Number of columns."""
-        ...
 
     @property
     def planes(self) -> tuple[RoomPlane, ...]:
         """All planes."""
-        ...
 
     def plane_columns(self, plane: int) -> slice:
         """Columns of a plane: two tilts and the offset."""
-        ...
 
     def moved(self, step: Floats) -> Self:
         """After a step."""
-        ...
 
 
 AnyLayout = TypeVar("AnyLayout", bound=Layout)
@@ -60,36 +56,29 @@ class Part(Protocol[LayoutT]):
     @property
     def capture(self) -> int:
         """Number of the station, or of the pair of camera and projector."""
-        ...
 
     @property
     def plane(self) -> int:
         """Number of the plane."""
-        ...
 
     @property
     def cells(self) -> Cells:
         """Means of matches, (M,)."""
-        ...
 
     def predict(self, layout: LayoutT, camera_px: Floats | None = None) -> tuple[Floats, Floats, Floats]:
         """Projector pixels (N, 2) of its cells, or of `camera_px`, their Jacobian (N, 2, P), and depths (N, 2).
 
         Depths are those before both devices, not positive where the prediction means nothing.
         """
-        ...
 
     def points(self, layout: LayoutT) -> Floats:
         """Where the rays of its cells meet the plane, (M, 3) in the layout's frame."""
-        ...
 
     def columns(self, layout: LayoutT) -> Ints:
         """The layout's columns that it depends on, (Q,)."""
-        ...
 
     def carried(self, layout: LayoutT) -> Floats:
         """How its own columns follow those, (P, Q)."""
-        ...
 
 
 AnyPart = TypeVar("AnyPart", bound=Part[Any])
@@ -100,11 +89,9 @@ class Joint(Protocol[LayoutT]):
 
     def columns(self, layout: LayoutT) -> Ints:
         """The layout's columns that it depends on, (Q,)."""
-        ...
 
     def misfit(self, layout: LayoutT) -> tuple[float, Floats, Floats]:
         """Cost, half its gradient (Q,) and half its Gauss–Newton Hessian (Q, Q)."""
-        ...
 
 
 class Prior(Protocol[LayoutT]):
@@ -112,7 +99,6 @@ class Prior(Protocol[LayoutT]):
 
     def cost(self, layout: LayoutT) -> tuple[float, Floats, Floats]:
         """With half its gradient (size,) and Gauss–Newton Hessian (size, size)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

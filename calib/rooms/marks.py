@@ -75,6 +75,16 @@ def marks_of(
     )
 
 
+def described(picture: NDArray[np.uint8], mask: NDArray[np.uint8], most: int) -> tuple[Floats, NDArray[np.float32]]:
+    """Pixels (N, 2) that stand out where a mask (H, W) is set, at most so many, and their descriptors (N, 128)."""
+    finder = cv2.SIFT.create(nfeatures=most, contrastThreshold=_CONTRAST)
+    keypoints, descriptors = finder.detectAndCompute(picture, mask)
+    if not keypoints:
+        return np.zeros((0, 2)), np.zeros((0, _DESCRIPTOR), np.float32)
+    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
+    return np.array([keypoint.pt for keypoint in keypoints]), root.astype(np.float32)
+
+
 @lru_cache(maxsize=512)
 def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
     """Mutually best matching marks of two stations, (M,) of either."""
@@ -111,11 +121,6 @@ def _on_plane(
     u, v = np.meshgrid(low[0] + size * np.arange(width), low[1] + size * np.arange(height))
     front = np.stack([u, v], axis=-1) @ axes.T + plane.offset * plane.normal
     drawing, mask = drawn(light, on_plane, np.where(front[..., 2:] > 0, camera.project(front), np.nan))
-    finder = cv2.SIFT.create(nfeatures=_MOST_ON_A_PLANE, contrastThreshold=_CONTRAST)
-    keypoints, descriptors = finder.detectAndCompute(drawing, mask)
-    if not keypoints:
-        return no_marks()
-    at = low + size * np.array([keypoint.pt for keypoint in keypoints])
-    points = at @ axes.T + plane.offset * plane.normal
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
-    return Marks(camera.project(points), points, np.full(len(points), label), root.astype(np.float32))
+    places, descriptors = described(drawing, mask, _MOST_ON_A_PLANE)
+    points = (low + size * places) @ axes.T + plane.offset * plane.normal
+    return Marks(camera.project(points), points, np.full(len(points), label), descriptors)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
-from calib.rooms.alignment import composed, inverse, normal_equations
+from calib.rooms.alignment import STILL, composed, inverse, normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit
@@ -162,8 +162,7 @@ def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
         overlap = float(seen.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
         if overlap < _LEAST_OVERLAP:
             continue
-        still = Motion(np.eye(3), np.zeros(3))
-        fit = normal_equations(surfaces[j], pose, surfaces[i], still, 0.01)
+        fit = normal_equations(surfaces[j], pose, surfaces[i], STILL, 0.01)
         alone = refined(surfaces[i], surfaces[j], pose)
         found.append(
             Pair(

@@ -9,12 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.numerics import Bools, Floats
+from calib.numerics import Bools, Floats, by_pixel
 from calib.refinement import CUBIC, Shifts, monomials
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
-
-_STEP_PX = 0.5
 
 
 def covariance_of_shifts(
@@ -88,8 +86,4 @@ def _pull(layout: AnyLayout, patch: Part[AnyLayout], variance: Floats, fields: F
 
 def _gradient(layout: AnyLayout, patch: Part[AnyLayout]) -> Floats:
     """Of the projector's pixels (rows) by the camera's, (M, 2, 2)."""
-    columns = []
-    for step in (np.array([_STEP_PX, 0.0]), np.array([0.0, _STEP_PX])):
-        after, before = (patch.predict(layout, patch.cells.camera_px + way * step)[0] for way in (1, -1))
-        columns.append((after - before) / (2 * _STEP_PX))
-    return np.stack(columns, axis=2)
+    return by_pixel(lambda pixels: patch.predict(layout, pixels)[0], patch.cells.camera_px)

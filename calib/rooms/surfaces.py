@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.numerics import Floats, Ints
 from calib.rooms.marks import Marks
@@ -62,7 +63,7 @@ def surfaces_of(view: StationView) -> Surfaces:
     labels = np.where(missing, -1, view.labels[row, column]).astype(np.int32)
     depth = points[..., 2]
     near = cv2.erode(np.where(missing, np.inf, depth), np.ones((_AROUND, _AROUND), np.uint8))
-    chosen = _spread(points, normals)
+    chosen = spread(points, normals, _PATCHES, _STEEPEST, beyond=True)
     flat = points.reshape(-1, 3)
     patch_labels = labels.ravel()[chosen]
     planes = np.array([[*plane.normal, plane.offset] for plane in view.planes]).reshape(-1, 4)
@@ -106,14 +107,21 @@ def _pinhole_grid(view: StationView) -> tuple[float, tuple[float, float], Ints, 
     return focal_px, (float(-low[0] * focal_px), float(-low[1] * focal_px)), row, column
 
 
-def _spread(points: Floats, normals: Floats) -> Ints:
-    """Pixels, as flat indices in random order, drawn evenly over the surfaces."""
+def spread(
+    points: NDArray[np.floating], normals: NDArray[np.floating], count: int, steepest: float, *, beyond: bool
+) -> Ints:
+    """Up to `count` pixels, as flat indices in random order, drawn evenly over the surfaces (H, W, 3).
+
+    Those whose slant has a smaller cosine than `steepest` count as if it were that, or are left out unless `beyond`.
+    """
     flat, towards = points.reshape(-1, 3), normals.reshape(-1, 3)
     there = np.flatnonzero(np.isfinite(flat[:, 2]))
-    distance = np.linalg.norm(flat[there], axis=1)
-    slant = np.abs(np.sum(flat[there] * towards[there], axis=1)) / distance
-    area = np.cumsum(flat[there, 2] ** 2 / np.maximum(slant, _STEEPEST))
+    seen = flat[there].astype(np.float64)
+    slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
+    kept = beyond | (slant > steepest)
+    there, depth = there[kept], seen[kept, 2]
+    area = np.cumsum(depth**2 / np.maximum(slant[kept], steepest))
     rng = np.random.default_rng(0)
-    places = (np.arange(_PATCHES) + rng.random(_PATCHES)) / _PATCHES * area[-1]
+    places = (np.arange(count) + rng.random(count)) / count * area[-1]
     chosen: Ints = there[np.unique(np.minimum(np.searchsorted(area, places), len(there) - 1))]
     return rng.permutation(chosen)

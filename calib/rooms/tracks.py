@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import cross, tangent_basis, unproject
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, by_pixel
 from calib.refinement import CAMERA, SHARED
 from calib.refinement.likelihood import huber_weights
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
 _COLUMNS = SHARED + 2 * PER_PLACE + PER_PLANE
-_STEP_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ class Track:
             by_room[:, :, own + 3 : own + PER_PLACE] = sign * onto
             by_room[:, :, -PER_PLANE:-1] -= along_ray[:, :, None] * ((at + place.translation) @ axes)[:, None]
             by_room[:, :, -1] += along_ray
-            by_pixels.append(from_camera @ _by_pixel(room.rig.camera, pixels))
+            by_pixels.append(from_camera @ by_pixel(lambda seen: unproject(room.rig.camera, seen)[0], pixels))
         return off, by_room, np.concatenate(by_pixels, axis=2)
 
     def misfit(self, room: Room) -> tuple[float, Floats, Floats]:
@@ -79,12 +78,3 @@ class Track:
         """Some of the points."""
         pixels = self.pixels[0][chosen], self.pixels[1][chosen]
         return replace(self, pixels=pixels, variance=self.variance[chosen])
-
-
-def _by_pixel(camera: Floats, pixels: Floats) -> Floats:
-    """Of rays at z = 1 by the camera's pixels, (N, 3, 2)."""
-    found = []
-    for way in _STEP_PX * np.eye(2):
-        after, before = (unproject(camera, pixels + sign * way)[0] for sign in (1, -1))
-        found.append((after - before) / (2 * _STEP_PX))
-    return np.stack(found, axis=2)

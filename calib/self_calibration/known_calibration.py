@@ -48,8 +48,7 @@ class KnownCalibration:
 
         Captures of a corner have no scale: they change the baseline only through its correlation with the parameters.
         """
-        moved: Floats = covariance[:SHARED, :SHARED] @ self.uncertainty.by_log_baseline
-        return moved
+        return covariance[:SHARED, :SHARED] @ self.uncertainty.by_log_baseline
 
     def metric(self, found: Calibration, uncertainty: Uncertainty) -> Calibration:
         """Convert a calibration combined with this one from baselines to this one's unit, with its sigma."""

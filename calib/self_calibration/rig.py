@@ -1,6 +1,6 @@
 """Matches on three faces → a calibration with its uncertainty, or a refusal with a reason."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -122,14 +122,13 @@ def self_calibrate(
     lenses: tuple[LensPrior, LensPrior] = ORDINARY_LENSES,
     plane: Ints | None = None,
     shifts: Shifts | None = None,
-    on_cells: Callable[[], None] = lambda: None,
 ) -> SelfCalibration:
     """Calibrate both devices from matches labelled with the corner's faces 0, 1, 2.
 
     `method` 'paper' is the published one-dimensional search: it takes the principal point as exact and the corner as
     square and estimates no sigma. 'refined' is the maximum-likelihood solution with lens terms; `squareness_deg` is the
     standard deviation of the angles between the faces around 90° (0: exactly square). `plane` (N,): the plane of each
-    match. `shifts`, `decentering`, `lenses` and `on_cells`: see `self_calibrate_jointly`.
+    match. `shifts`, `decentering` and `lenses`: see `self_calibrate_jointly`.
 
     Raises RefusalError if the matches determine no trustworthy calibration.
     """
@@ -148,7 +147,6 @@ def self_calibrate(
         lenses=lenses,
         planes=None if plane is None else [plane],
         shifts=[] if shifts is None else [shifts],
-        on_cells=on_cells,
     )
     return found
 
@@ -167,7 +165,6 @@ def self_calibrate_jointly(
     planes: Sequence[Ints] | None = None,
     shifts: Sequence[Shifts] = (),
     known: KnownCalibration | None = None,
-    on_cells: Callable[[], None] = lambda: None,
 ) -> tuple[SelfCalibration, ...]:
     """Calibrate one unchanged rig from several captures by maximum likelihood; return one result per capture.
 
@@ -185,8 +182,6 @@ def self_calibrate_jointly(
     `known`: a calibration of the rig from other data, such as boards, combined with the captures. `principal_point`
     is then used only if it is exactly known.
 
-    `on_cells`: called when matches have been averaged over cells. Until then all processors are busy, thereafter one.
-
     Raises RefusalError if the captures determine no trustworthy calibration or contradict `known`.
     """
     camera, projector = lenses
@@ -201,9 +196,7 @@ def self_calibrate_jointly(
     if known is not None:
         knowledge = _knowing(knowledge, known)
     try:
-        return _by_refinement(
-            captures, knowledge, same=same, planes=planes, shifts=shifts, known=known, on_cells=on_cells
-        )
+        return _by_refinement(captures, knowledge, same=same, planes=planes, shifts=shifts, known=known)
     except TooFewMatchesError as error:
         raise _too_few(error) from error
 
@@ -230,8 +223,7 @@ def sweep_trials(camera_size: tuple[int, int]) -> Floats:
 
 
 def _trials(camera_size: tuple[int, int], count: int) -> Floats:
-    trials: Floats = np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
-    return trials
+    return np.geomspace(_SHORTEST * max(camera_size), _LONGEST * max(camera_size), count)
 
 
 def _by_paper(
@@ -289,11 +281,9 @@ def _by_refinement(
     planes: Sequence[Ints] | None,
     shifts: Sequence[Shifts],
     known: KnownCalibration | None,
-    on_cells: Callable[[], None],
 ) -> tuple[SelfCalibration, ...]:
     plain = [known.with_square_pixels(matches) if known else matches for matches in captures]
     cells = [into_cells(matches) for matches in plain]
-    on_cells()
     families = [family_of(each, knowledge) for each in cells]
     if len(captures) > 1:
         vertices = [family.objective.camera_image.vertex for family in families]
@@ -367,8 +357,7 @@ def _trials_around(known: KnownCalibration) -> Floats:
     focal = float(known.calibration.camera.focal_px[0])
     sigma = float(np.sqrt(known.uncertainty.covariance[CAMERA.start, CAMERA.start]))
     reach = max(_AROUND_KNOWN, _AROUND_SIGMAS * sigma)
-    trials: Floats = focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
-    return trials
+    return focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
 
 
 def _on_known(raised: float, limit: float) -> str:

@@ -104,7 +104,7 @@ def _seen(
     rays = projector.unproject(pixels) @ projector_at.rotation.T
     points, plane = cast(rays, projector_at.translation, scene)
     points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
-    camera_px = camera.project(_before(points, camera_at))
+    camera_px = camera.project((points - camera_at.translation) @ camera_at.rotation)
     seen = inside(camera_px, camera)
     seen[seen] = cast(points[seen] - camera_at.translation, camera_at.translation, scene)[1] == plane[seen]
     label = np.argsort(_by_label(6 * len(scene.solids)))[plane[seen]].astype(np.int32)
@@ -115,7 +115,3 @@ def _seen(
 def _by_label(count: int) -> Ints:
     """The number in the scene of each label's plane."""
     return np.array([*_CORNER, *(i for i in range(count) if i not in _CORNER)])
-
-
-def _before(points: Floats, at: Motion) -> Floats:
-    return (points - at.translation) @ at.rotation

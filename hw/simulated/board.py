@@ -72,8 +72,7 @@ class Board:
     def points(self, uv: Floats) -> Floats:
         """Board coordinates (u, v), (2, n), in metres → points (3, n) in the world."""
         heights, _ = self._surface(uv)
-        points: Floats = self.rotation @ np.vstack([uv, heights]) + self.middle[:, None]
-        return points
+        return self.rotation @ np.vstack([uv, heights]) + self.middle[:, None]
 
     def intersect(self, origin: Floats, directions: Floats) -> tuple[Floats, Bools]:
         """Intersect rays (3, n) from an origin (3,) with the board.
@@ -107,8 +106,7 @@ class Board:
         if self.printed is not None:
             column, row = np.floor(place * _MODULES_PX).astype(np.int64).clip(0, _MODULES_PX * counts - 1)
             return np.where(inside & (self.printed[row, column] == 0), _BLACK, _WHITE)
-        albedo: Floats = np.where(inside & (cell.sum(axis=0) % 2 == 0), _BLACK, _WHITE)
-        return albedo
+        return np.where(inside & (cell.sum(axis=0) % 2 == 0), _BLACK, _WHITE)
 
     def _surface(self, uv: Floats) -> tuple[Floats, Floats]:
         """Heights (n,) above the plane and slopes (2, n) at (u, v), (2, n)."""

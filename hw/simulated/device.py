@@ -86,8 +86,7 @@ class PlacedDevice:
 
     def rays(self, pixels: Floats) -> Floats:
         """Pixels (2, n) → directions (3, n) in the world, of length 1 along the optical axis."""
-        directions: Floats = self.rotation.T @ self.optics.to_rays(pixels)
-        return directions
+        return self.rotation.T @ self.optics.to_rays(pixels)
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Points (3, n) of the world → pixels (2, n), NaN behind the device, and depths along the axis (n,)."""

@@ -80,8 +80,7 @@ def _lattice(solid: Block | Sphere) -> Floats:
     steps = np.linspace(0.0, 1.0, 9)
     unit = np.stack(np.meshgrid(steps, steps, steps)).reshape(3, -1)
     if isinstance(solid, Block):
-        points: Floats = solid.origin[:, None] + solid.edges.T @ unit
-        return points
+        return solid.origin[:, None] + solid.edges.T @ unit
     cube = 2 * unit - 1
     ball: Floats = cube / np.maximum(np.linalg.norm(cube, axis=0), 1.0)
     return solid.centre[:, None] + solid.radius * ball

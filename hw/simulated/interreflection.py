@@ -57,8 +57,7 @@ def _exchanged(first: Light, exchange: tuple[Light, Ints], to_creases: sparse.cs
     """The irradiance of all nodes, (nodes,), from their irradiance by the first reflection or emission."""
     count = len(exchange[0])
     solving = linalg.lu_solve(exchange, first[:count], check_finite=False)
-    light: Light = np.concatenate([solving, first[count:] + to_creases @ solving])
-    return light
+    return np.concatenate([solving, first[count:] + to_creases @ solving])
 
 
 def _nearest_exposed(scene: Scene, mesh: Mesh, exposed: Bools) -> Indices:

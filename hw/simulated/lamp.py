@@ -23,5 +23,4 @@ class Lamp:
         swing = settings.pulsation * np.sinc(periods) + settings.flicker
         rolled = settings.rolling_shutter_ms / 1e3 * settings.refresh_hz
         phase = self._rng.uniform(0, 2 * np.pi) + 2 * np.pi * rolled * np.arange(rows) / rows
-        brightness: Light = (1 + swing * np.cos(phase)).astype(np.float32)[:, None]
-        return brightness
+        return (1 + swing * np.cos(phase)).astype(np.float32)[:, None]

@@ -35,8 +35,7 @@ def rotation_homography(before: PlacedDevice, after: PlacedDevice) -> Floats:
     """Homography (3, 3) from pixels after a rotation to pixels with the same direction before it, without lens
     distortion.
     """
-    matrix: Floats = _matrix(before) @ before.rotation @ after.rotation.T @ np.linalg.inv(_matrix(after))
-    return matrix
+    return _matrix(before) @ before.rotation @ after.rotation.T @ np.linalg.inv(_matrix(after))
 
 
 def _direction(angle_deg: float) -> Floats:

@@ -46,5 +46,4 @@ def _upright(width_m: float, height_m: float, aside_m: float, camera: PlacedDevi
 
 def _level(direction: Floats) -> Floats:
     flat = direction * [1, 1, 0]
-    level: Floats = flat / np.linalg.norm(flat)
-    return level
+    return flat / np.linalg.norm(flat)

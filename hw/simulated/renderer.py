@@ -71,8 +71,7 @@ class Renderer:
 
     def direct(self, light: Light) -> Light:
         """Direct light of the projector, (H, W), for linear light (H, W) of its pixels."""
-        image: Light = (self.footprints.direct @ self.picture.blurred(light)).reshape(self.shape)
-        return image
+        return (self.footprints.direct @ self.picture.blurred(light)).reshape(self.shape)
 
     def indirect(self, light: Light) -> Light:
         """Light of the projector that was reflected at least once before it reached the visible surface, (H, W)."""
@@ -103,8 +102,7 @@ class Renderer:
         return replace(self, caster=caster, footprints=caster.cast(bare))
 
     def _of_nodes(self, irradiance: Light) -> Light:
-        image: Light = (self.footprints.indirect @ irradiance).reshape(self.shape)
-        return image
+        return (self.footprints.indirect @ irradiance).reshape(self.shape)
 
 
 def has_indirect_light(settings: SimulatedRigSettings) -> bool:

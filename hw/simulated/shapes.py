@@ -42,8 +42,7 @@ class Block:
 
     def coordinates(self, points: Floats) -> Floats:
         """Points (3, n) → (a, b, c), (3, n)."""
-        coordinates: Floats = self.inverse @ (points - self.origin[:, None])
-        return coordinates
+        return self.inverse @ (points - self.origin[:, None])
 
     def contains(self, points: Floats) -> Bools:
         """Whether points (3, n) are inside, (n,)."""
@@ -66,8 +65,7 @@ class Block:
     def obstructs(self, origins: Floats, directions: Floats, start: float, end: float) -> Bools:
         """Whether each ray passes through the block between t = start and t = end, (n,)."""
         near, _, far, _ = self._passage(origins, directions)
-        blocked: Bools = np.maximum(near, start) < np.minimum(far, end)
-        return blocked
+        return np.maximum(near, start) < np.minimum(far, end)
 
     def _passage(self, origins: Floats, directions: Floats) -> tuple[Floats, Ints, Floats, Ints]:
         """Where each ray enters and leaves, if it does: t (n,) and the face (n,), each."""
@@ -139,8 +137,7 @@ class Sphere:
     def obstructs(self, origins: Floats, directions: Floats, start: float, end: float) -> Bools:
         """Whether each ray enters the sphere between t = start and t = end, (n,)."""
         t, discriminant = self._first_root(origins, directions)
-        blocked: Bools = (discriminant > 0) & (t > start) & (t < end)
-        return blocked
+        return (discriminant > 0) & (t > start) & (t < end)
 
     def _first_root(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         offset = origins - self.centre[:, None]

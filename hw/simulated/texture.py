@@ -91,8 +91,7 @@ def _grain(rng: np.random.Generator) -> Raster:
     frequency[0, 0] = np.inf
     noise = np.fft.irfft2(spectrum / frequency)
     noise *= _GRAIN_SIGMA / noise.std()
-    grain: Raster = (1.0 + noise).astype(np.float32)
-    return grain
+    return (1.0 + noise).astype(np.float32)
 
 
 def _plain(rng: np.random.Generator, grain: Raster, shape: tuple[int, int]) -> Raster:

@@ -146,8 +146,7 @@ def _position_in_front_of_furniture(rng: np.random.Generator, room: Block) -> Fl
     share = rng.uniform(0.2, 0.8, 2)
     edge = rng.integers(2)
     share[edge] = rng.choice([rng.uniform(0.2, 0.28), rng.uniform(0.72, 0.8)])
-    place: Floats = share * room.lengths[:2]
-    return place
+    return share * room.lengths[:2]
 
 
 def _surrounded_by_air(scene: Scene, sphere: Sphere) -> bool:

@@ -1,12 +1,15 @@
-"""Arguments of each command. This file imports nothing that does the work, so that help appears at once."""
+"""Every command: its purpose and its arguments. Nothing that does the work is imported: help appears at once."""
 
 from argparse import Action, ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
 from pathlib import Path
 
+from scanner.commands.command import AddArguments, Command
 from scanner.commands.rigs import RIGS
 from scanner.commands.shared_arguments import (
     add_calibration,
     add_config,
+    add_flag,
     add_masks,
     add_new_result,
     add_number,
@@ -15,12 +18,26 @@ from scanner.commands.shared_arguments import (
     add_paths,
     add_quiet,
     add_result,
+    add_text,
 )
 from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS
 from scanner.viewing.opening import add_address
 
+NAMED: dict[str, Command] = {}
+
 _LONGEST_WATCH_S = 3600.0
 _INSTEAD = "known calibration of the rig, used instead of calibrating"
+
+
+def _command(about: str, more: str = "") -> Callable[[AddArguments], AddArguments]:
+    """Enter a command of that purpose; it has the arguments that the function declares."""
+
+    def enter(add_arguments: AddArguments) -> AddArguments:
+        entered = Command(about, more, add_arguments)
+        NAMED[entered.name] = entered
+        return add_arguments
+
+    return enter
 
 
 class _InPlaceOfConfig(Action):
@@ -45,9 +62,7 @@ def of_scan(parser: ArgumentParser) -> None:
     add_number(parser, "--captures", what, default=1)
     what = "scan a whole room from N places, moving the rig as a whole in between, and put them together"
     add_number(parser, "--stations", what)
-    parser.add_argument(
-        "--object", action="store_true", help="with --stations and --calibration: scan a thing that you turn in between"
-    )
+    add_flag(parser, "--object", "with --stations and --calibration: scan a thing that you turn in between")
     add_calibration(parser, "with --object: calibration of the rig")
     _add_fill(parser)
     add_out(parser, default="scans/<name of the configuration>")
@@ -56,6 +71,10 @@ def of_scan(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+MAIN = Command("Scan with the configured rig: capture, calibrate, reconstruct.", "", of_scan)
+
+
+@_command("Reconstruct from a recorded capture, also of another program.")
 def of_replay(parser: ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with a capture.yaml and its frames")
     add_config(parser, required=False)
@@ -64,42 +83,9 @@ def of_replay(parser: ArgumentParser) -> None:
     add_new_result(parser, default="scans/<name of the capture>")
 
 
-def of_batch(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "sources",
-        nargs="+",
-        metavar="FOLDER",
-        help="folder that contains captures; or a pattern with *; or a list (.csv) with a column 'capture'",
-    )
-    add_config(parser, required=False)
-    add_calibration(parser, _INSTEAD, kind=str)  # may be remote, as the captures
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
-    add_number(parser, "--workers", "processes (default: one for each processor)")
-    parser.add_argument("--memory", metavar="SIZE", help="memory of each process, as in 4GB (default: an equal share)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, as in tcp://10.0.0.1:8786")
-    parser.add_argument("--retry", action="store_true", help="retry captures that crashed in an earlier run")
-    add_quiet(parser)
-
-
-def of_import(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "folder", type=Path, metavar="DIR", help="folder with the frames, or a recording (mp4, mov, mkv)"
-    )
-    parser.add_argument("--from", metavar="FORMAT", help="program that took the frames (default: all)")
-    parser.add_argument("--projector", metavar="WxH", help="the projector's size, as in 1024x768")
-    parser.add_argument("--cell", metavar="PX", help="projector pixels in a cell of the Gray code (default: 1)")
-    parser.add_argument(
-        "--periods",
-        metavar="N,…",
-        help="numbers of fringe periods across the picture, in the order of the frames, as in 59,64,70",
-    )
-    parser.add_argument("--order", metavar="N", help="number in the list, if several orders fit")
-    parser.add_argument("--frames", metavar="GLOB", help="take only files that match a pattern, as in 'cam1_*.png'")
-    parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
-    add_out(parser, default="only report what is recognised", metavar="CAPTURE")
-    add_quiet(parser)
-
-
+@_command(
+    "Calibrate from matches of another decoder or of earlier results: one capture, or several of one rig at once."
+)
 def of_calibrate(parser: ArgumentParser) -> None:
     add_paths(
         parser,
@@ -112,6 +98,42 @@ def of_calibrate(parser: ArgumentParser) -> None:
     add_new_result(parser)
 
 
+@_command(
+    "Reconstruct many captures, on one machine or many, into one table.",
+    """
+A refusal or a crash is noted in the capture's row; the others go on. After an interruption, repeat the command: only
+what is left is done. Sources and --out may be remote, as in s3://bucket/folder.
+""",
+)
+def of_batch(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "sources",
+        nargs="+",
+        metavar="FOLDER",
+        help="folder that contains captures; or a pattern with *; or a list (.csv) with a column 'capture'",
+    )
+    add_config(parser, required=False)
+    add_calibration(parser, _INSTEAD, kind=str)  # may be remote, as the captures
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the results and of their table")
+    add_number(parser, "--workers", "processes (default: one for each processor)")
+    add_text(parser, "--memory", "SIZE", "memory of each process, as in 4GB (default: an equal share)")
+    add_text(parser, "--scheduler", "ADDRESS", "a running Dask scheduler, as in tcp://10.0.0.1:8786")
+    add_flag(parser, "--retry", "retry captures that crashed in an earlier run")
+    add_quiet(parser)
+
+
+@_command("Write the patterns as images, with a sequence.yaml that describes them, to be projected by any other means.")
+def of_patterns(parser: ArgumentParser) -> None:
+    add_config(parser, required=True)
+    add_text(parser, "--video", "NAME", "also write a video for any player, as in sequence.mp4")
+    add_text(parser, "--hold", "TIME", "with --video: how long each picture is shown (default: 0.2s)")
+    what = "with --video: how many times the pictures are shown, forwards and backwards (default: 1)"
+    add_number(parser, "--loops", what)
+    add_out(parser)
+    add_quiet(parser)
+
+
+@_command("Write a commented configuration, with the devices that are found filled in.")
 def of_new(parser: ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="configuration to write, as in my-rig.yaml")
     rigs = "; ".join(f"{name}: {rig.about}" for name, rig in RIGS.items())
@@ -122,13 +144,8 @@ def of_new(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
-def of_patterns(parser: ArgumentParser) -> None:
-    add_config(parser, required=True)
-    parser.add_argument("--video", metavar="NAME", help="also write a video for any player, as in sequence.mp4")
-    parser.add_argument("--hold", metavar="TIME", help="with --video: how long each picture is shown (default: 0.2s)")
-    what = "with --video: how many times the pictures are shown, forwards and backwards (default: 1)"
-    add_number(parser, "--loops", what)
-    add_out(parser)
+@_command("List cameras and screens, with the lines to paste into a configuration.")
+def of_devices(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
@@ -139,11 +156,20 @@ def _seconds(text: str) -> float:
     return seconds
 
 
+@_command(
+    "Check the rig before a scan: devices, exposure, light, focus, and how well this view will calibrate.",
+    """
+Each line says what was found and, after an arrow, what to do. --write puts the exposure (a whole number of the
+projector's refresh periods in which nothing saturates) and the projector's response into the configuration file; only
+these lines change, and the original file is kept as FILE.bak.
+
+Exit codes: 0 if a scan would work, even if poorly; 3 if a device fails; 4 if a scan of this view would be refused. The
+results so far are always shown.
+""",
+)
 def of_check(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
-    parser.add_argument(
-        "--write", action="store_true", help="put the exposure and the projector's response into the configuration file"
-    )
+    add_flag(parser, "--write", "put the exposure and the projector's response into the configuration file")
     parser.add_argument(
         "--watch",
         type=_seconds,
@@ -155,6 +181,7 @@ def of_check(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+@_command("Write a result in another program's format and conventions.")
 def of_export(parser: ArgumentParser) -> None:
     add_result(parser)
     formats = "; ".join(f"{name}: {target.about}" for name, target in FORMATS.items())
@@ -162,12 +189,8 @@ def of_export(parser: ArgumentParser) -> None:
     what = "file to write, a folder for colmap and mapping"
     add_out(parser, what, default="beside the result", metavar="PATH")
     add_number(parser, "--points", f"colmap: at most this many points (default: {DEFAULT_POINTS:,})")
-    parser.add_argument(
-        "--eye",
-        metavar="X,Y,Z",
-        help="mapping: the viewer's eye, in metres in the axes of mapping.glb, as in --eye=0.5,0.2,-1 "
-        "(default: straight on to the largest wall)",
-    )
+    what = "mapping: the viewer's eye, in metres in the axes of mapping.glb, as in --eye=0.5,0.2,-1"
+    add_text(parser, "--eye", "X,Y,Z", f"{what} (default: straight on to the largest wall)")
     parser.add_argument(
         "--gamma",
         type=float,
@@ -178,6 +201,13 @@ def of_export(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+@_command(
+    "Measure in a result: the form of a ball, the flatness of the faces, and distances between points.",
+    """
+The faces are always measured. --sphere finds a ball of known diameter anywhere in the cloud; given twice, it finds two,
+and measures the distance of their centres, too.
+""",
+)
 def of_measure(parser: ArgumentParser) -> None:
     add_result(parser)
     parser.add_argument(
@@ -197,11 +227,18 @@ def of_measure(parser: ArgumentParser) -> None:
         help="distance between the points at two camera pixels",
     )
     add_out(parser, "folder for measure.json and measure.png", default="beside the result")
-    parser.add_argument("--shares", action="store_true", help="show where each sigma comes from")
+    add_flag(parser, "--shares", "show where each sigma comes from")
     add_overwrite(parser, "measurement there")
     add_quiet(parser)
 
 
+@_command(
+    "Test the scanner with a calibrated ball bar, after VDI/VDE 2634 part 2.",
+    """
+Probing, sphere-spacing and flatness errors. Scan the ball bar in several places, with the rig unchanged, and give all
+the results: the largest errors count.
+""",
+)
 def of_accept(parser: ArgumentParser) -> None:
     add_paths(parser, "results", "RESULT", "folders of scans' results")
     parser.add_argument(
@@ -215,17 +252,26 @@ def of_accept(parser: ArgumentParser) -> None:
     add_quiet(parser)
 
 
+@_command("Look at a result in 3-D, in the browser.")
 def of_view(parser: ArgumentParser) -> None:
     add_result(parser)
     add_address(parser)
 
 
+@_command("Check, scan and look at results on a page in the browser.")
 def of_console(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     add_calibration(parser, "for live clouds: of the rig (default: the newest result's)")
     add_address(parser)
 
 
+@_command(
+    "Calibrate an ordinary camera from two or more photos of a corner, and reconstruct what they share.",
+    """
+The photos may be cropped if all are cropped alike, because the principal point is estimated, too. The zoom must not
+change between them. The result is that of the first two photos.
+""",
+)
 def of_photos(parser: ArgumentParser) -> None:
     add_paths(parser, "photos", "PHOTO", "photos of one corner by one camera at one zoom")
     parser.add_argument(
@@ -235,27 +281,27 @@ def of_photos(parser: ArgumentParser) -> None:
         help="matches.npz of two photos: camera_px in the first, projector_px in the second",
     )
     add_masks(parser)
-    parser.add_argument(
-        "--exif-prior", action="store_true", help="use the EXIF focal length (± 5 %%), which is otherwise only shown"
-    )
-    parser.add_argument("--dense", action="store_true", help="match every pixel of the first two photos: dense.ply")
+    add_flag(parser, "--exif-prior", "use the EXIF focal length (± 5 %%), which is otherwise only shown")
+    add_flag(parser, "--dense", "match every pixel of the first two photos: dense.ply")
     add_config(parser, required=False)
     add_new_result(parser)
 
 
+@_command(
+    "Calibrate from captures of a printed board in different poses, and say how accurate that is.",
+    """
+Take six to ten captures, at least three. Tilt the board by 20 to 45 degrees to either side and up and down, at
+different distances, so that together the captures fill both pictures. Move nothing but the board.
+
+Exit codes: 2 if the board is not found; 4 if these boards do not determine a calibration, with the reason.
+""",
+)
 def of_board(parser: ArgumentParser) -> None:
     add_paths(parser, "captures", "CAPTURE", "folder with a capture.yaml, or with several of those", nargs="*")
-    parser.add_argument(
-        "--board",
-        metavar="KIND:WxH",
-        help="chessboard:9x7 (inner corners), charuco:6x9 (squares), "
-        "aprilgrid:6x6 (tags), circles:7x5 or acircles:4x11 (dots)",
-    )
-    parser.add_argument(
-        "--square",
-        metavar="LENGTH",
-        help="side of a square or tag, or distance between dots, as in 30mm (default unit: mm)",
-    )
+    what = "chessboard:9x7 (inner corners), charuco:6x9 (squares), aprilgrid:6x6 (tags), "
+    add_text(parser, "--board", "KIND:WxH", f"{what}circles:7x5 or acircles:4x11 (dots)")
+    what = "side of a square or tag, or distance between dots, as in 30mm (default unit: mm)"
+    add_text(parser, "--square", "LENGTH", what)
     parser.add_argument(
         "--print",
         dest="sheet",
@@ -274,6 +320,15 @@ def of_board(parser: ArgumentParser) -> None:
     add_new_result(parser, default="scans/board, or a PDF's name")
 
 
+@_command(
+    "Join stations of one unchanged rig into a room: their poses, the walls, one cloud, a floor plan.",
+    """
+Each station should see about a third of what another one saw, and one at least a corner of the room. Stations of
+another room, or of a rig that was changed, are named and left out. To take stations: scan --config FILE --stations N.
+
+Exit codes: 4 if no two stations belong together, or if they fit together in more than one way, with both answers.
+""",
+)
 def of_room(parser: ArgumentParser) -> None:
     add_paths(parser, "stations", "STATION", "captures, results or matches.npz, in any order")
     add_config(parser, required=True)
@@ -281,16 +336,34 @@ def of_room(parser: ArgumentParser) -> None:
     add_new_result(parser)
 
 
+@_command(
+    "Calibrate several cameras and projectors of one room together: every device, one cloud from all cameras.",
+    """
+Each capture is of one camera in one projector's light, in a folder named <camera>-<projector>. One pair sees a corner
+of the room; the others follow where a camera sees two projectors' light, or a projector's light is seen by two cameras.
+
+Exit codes: 4 if no corner calibrates a pair, a device does not connect, or the cameras contradict each other.
+""",
+)
 def of_network(parser: ArgumentParser) -> None:
     what = "folders named <camera>-<projector>, in any order; none to capture with the devices in rigs of --config"
     add_paths(parser, "captures", "CAPTURE", what, nargs="*")
     add_config(parser, required=False)
-    parser.add_argument(
-        "--distance", metavar="A,B,LENGTH", help="known distance between two devices, as in left,stage,2.35m"
-    )
+    add_text(parser, "--distance", "A,B,LENGTH", "known distance between two devices, as in left,stage,2.35m")
     add_new_result(parser, default="scans/network")
 
 
+@_command(
+    "Join stations of a thing seen by one calibrated rig: their poses, one surface, its volume.",
+    """
+The rig is fixed, and the thing is turned between stations, on a turntable or by hand. Successive stations should
+overlap by half. The static background, such as table and wall, is recognised and left out. To take stations: scan
+--config FILE --object --stations N --calibration FILE.
+
+Exit codes: 4 if no two stations belong together, if nothing was turned, if the calibration is of another rig, or if a
+rotation is ambiguous, as for a ball.
+""",
+)
 def of_object(parser: ArgumentParser) -> None:
     what = "captures, results or matches.npz, in any order; a thing's folder stands for its stations"
     add_paths(parser, "stations", "STATION", what)
@@ -300,32 +373,58 @@ def of_object(parser: ArgumentParser) -> None:
     add_new_result(parser)
 
 
+@_command(
+    "Show live clouds of a calibrated rig; kept ones become stations of a thing or a room.",
+    """
+Six frames make a cloud: two fringes of three steps along one axis. What moves too fast is left out, and counted. Enter
+keeps a cloud; scan object OUT or scan room OUT joins them. Ctrl-C ends; kept clouds stay.
+""",
+)
 def of_live(parser: ArgumentParser) -> None:
     add_config(parser, required=True)
     add_calibration(parser, "known calibration of the rig", required=True)
     add_number(parser, "--clouds", "keep N clouds, then end")
-    parser.add_argument("--room", action="store_true", help="the rig moves in a room (default: a thing is moved)")
-    parser.add_argument("--every", metavar="TIME", help="keep a cloud at this interval, as in 2s")
-    parser.add_argument(
-        "--depths", metavar="NEAR,FAR", help="range of depths, as in 0.3m,0.6m, for finer clouds (default: any)"
-    )
-    parser.add_argument("--page", action="store_true", help="show the clouds on a page in the browser, too")
+    add_flag(parser, "--room", "the rig moves in a room (default: a thing is moved)")
+    add_text(parser, "--every", "TIME", "keep a cloud at this interval, as in 2s")
+    add_text(parser, "--depths", "NEAR,FAR", "range of depths, as in 0.3m,0.6m, for finer clouds (default: any)")
+    add_flag(parser, "--page", "show the clouds on a page in the browser, too")
     add_address(parser)
     add_new_result(parser, default="scans/<name of the configuration>-live")
 
 
-def _add_fill(parser: ArgumentParser) -> None:
-    parser.add_argument("--fill", action="store_true", help="close the thing's surface where no station saw it")
-
-
+@_command(
+    "Compare two calibrations of one rig: where they differ, and whether their sigmas allow it.",
+    """
+Differences are in projector pixels and as lengths, over the camera's picture and by depth, after the best rigid
+alignment. The exit code is 0 even if the calibrations differ: the last sentence says whether they do.
+""",
+)
 def of_compare(parser: ArgumentParser) -> None:
     for name, which in (("first", "CAL_A"), ("second", "CAL_B")):
         parser.add_argument(name, type=Path, metavar=which, help="calibration.yaml, or the folder of a result")
-    parser.add_argument(
-        "--depths",
-        metavar="D1,D2,…",
-        help="depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)",
-    )
+    what = "depths to compare at, as in 1m,2m,3m (default: those of CAL_A's scene, or where both axes meet)"
+    add_text(parser, "--depths", "D1,D2,…", what)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for compare.html and compare.json")
     add_overwrite(parser, "comparison there")
     add_quiet(parser)
+
+
+@_command("Make a capture from another program's frames, recognising their order.")
+def of_import_(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "folder", type=Path, metavar="DIR", help="folder with the frames, or a recording (mp4, mov, mkv)"
+    )
+    add_text(parser, "--from", "FORMAT", "program that took the frames (default: all)")
+    add_text(parser, "--projector", "WxH", "the projector's size, as in 1024x768")
+    add_text(parser, "--cell", "PX", "projector pixels in a cell of the Gray code (default: 1)")
+    what = "numbers of fringe periods across the picture, in the order of the frames, as in 59,64,70"
+    add_text(parser, "--periods", "N,…", what)
+    add_text(parser, "--order", "N", "number in the list, if several orders fit")
+    add_text(parser, "--frames", "GLOB", "take only files that match a pattern, as in 'cam1_*.png'")
+    parser.add_argument("--sequence", type=Path, metavar="FILE", help="for a recording: the sequence.yaml of its video")
+    add_out(parser, default="only report what is recognised", metavar="CAPTURE")
+    add_quiet(parser)
+
+
+def _add_fill(parser: ArgumentParser) -> None:
+    add_flag(parser, "--fill", "close the thing's surface where no station saw it")

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from io import TextIOWrapper
 from typing import NoReturn
 
-from scanner.commands.catalogue import MAIN, NAMED, Command
+from scanner.commands.arguments import MAIN, NAMED
+from scanner.commands.command import Command
 from scanner.errors import InputError
 from scanner.interruption import finishing, handlers_restored, interrupt, on_ending
 

@@ -3,7 +3,7 @@
 from argparse import Namespace
 
 from scanner import jobs
-from scanner.commands.catalogue import NAMED
+from scanner.commands.arguments import NAMED
 from scanner.commands.outcome import show_outcome
 from scanner.configuration import load_config
 from scanner.errors import InputError

@@ -25,6 +25,14 @@ def add_paths(parser: ArgumentParser, name: str, metavar: str, text: str, *, nar
     parser.add_argument(name, type=Path, nargs=nargs, metavar=metavar, help=text)
 
 
+def add_text(parser: ArgumentParser, flag: str, metavar: str, text: str) -> None:
+    parser.add_argument(flag, metavar=metavar, help=text)
+
+
+def add_flag(parser: ArgumentParser, flag: str, text: str) -> None:
+    parser.add_argument(flag, action="store_true", help=text)
+
+
 def add_number(parser: ArgumentParser, flag: str, text: str, *, default: int | None = None) -> None:
     shown = text if default is None else f"{text} (default: {default})"
     parser.add_argument(flag, type=int, default=default, metavar="N", help=shown)
@@ -38,7 +46,7 @@ def add_out(
 
 
 def add_overwrite(parser: ArgumentParser, what: str = "result of that name") -> None:
-    parser.add_argument("--overwrite", action="store_true", help=f"replace an earlier {what}")
+    add_flag(parser, "--overwrite", f"replace an earlier {what}")
 
 
 def add_new_result(parser: ArgumentParser, *, default: str | None = None) -> None:
@@ -52,4 +60,4 @@ def add_masks(parser: ArgumentParser) -> None:
 
 
 def add_quiet(parser: ArgumentParser) -> None:
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_flag(parser, "--quiet", "print nothing but errors")

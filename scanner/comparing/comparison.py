@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.diagnostics import Difference, SystematicErrors, compare
-from calib.geometry import Calibration, Intrinsics, Matches, Size, intersect
+from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, refuse_other_sizes
@@ -121,16 +121,13 @@ def _depths(path: Path, calibration: Calibration) -> Floats:
         if met.in_front.any():
             scene: Floats = np.quantile(met.points[met.in_front, 2], _QUANTILES)
             return scene
-    middles = [np.array([[(device.width - 1) / 2, (device.height - 1) / 2]]) for device in _devices(calibration)]
+    devices = calibration.camera, calibration.projector
+    middles = [np.array([[(device.width - 1) / 2, (device.height - 1) / 2]]) for device in devices]
     depth = float(intersect(Matches(middles[0], middles[1]), calibration).points[0, 2])
     low, high = (times * calibration.baseline for times in _PLAUSIBLE_BASELINES)
     if not low < depth < high:
         depth = _USUAL_BASELINES * calibration.baseline
     return depth * np.array(_AROUND)
-
-
-def _devices(calibration: Calibration) -> tuple[Intrinsics, Intrinsics]:
-    return calibration.camera, calibration.projector
 
 
 def _sheet(found: Difference, depth: float, grid: Floats) -> Sheet:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from calib.geometry import Size
 from calib.self_calibration import PrincipalPoint
 from hw.backends import RigSettings
-from hw.settings import CameraRigSettings
+from hw.settings import CameraRigSettings, Settings
 from scanner.configuration.sections import (
     CameraSettings,
     CornerSettings,
@@ -22,7 +22,7 @@ from scanner.configuration.sections import (
     SequenceSettings,
 )
 from scanner.errors import InputError
-from scanner.io import Section, parse_yaml, read_yaml, refuse_other_sizes, validate
+from scanner.io import parse_yaml, read_yaml, refuse_other_sizes, validate
 from scanner.patterns import PresetName
 
 # Of an unknown camera only the image's centre is known; real principal points deviate by a few per cent.
@@ -35,7 +35,7 @@ _PRESET_OF_SLOW: PresetName = "quick"
 CONFIGURATION_KEY = "configuration"
 
 
-class Config(Section):
+class Config(Settings):
     """Everything that can be configured. What a command needs and does not find is an InputError when it asks."""
 
     rig: RigSettings | None = Field(default=None, description="The devices.")

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 
 from calib.geometry import Size
 from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
-from scanner.io import Flag, Number, Pair, Section, Whole, refuse_more_pixels
+from hw.settings import Settings
+from scanner.io import Flag, Number, Pair, Whole, refuse_more_pixels
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
 
 _LARGEST_SIDE_PX = 32768
@@ -21,7 +22,7 @@ Exposure = Annotated[Number, Field(gt=0, le=1e8)]
 Period = Annotated[Number, Field(ge=4, le=1024)]
 
 
-class _DeviceSettings(Section):
+class _DeviceSettings(Settings):
     width: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Image width in pixels.")
     height: Whole | None = Field(default=None, ge=16, le=_LARGEST_SIDE_PX, description="Image height in pixels.")
 
@@ -38,7 +39,7 @@ class _DeviceSettings(Section):
         return None if self.width is None or self.height is None else Size(self.width, self.height)
 
 
-class PrincipalPointSettings(Section):
+class PrincipalPointSettings(Settings):
     """Prior knowledge of the camera's principal point: `known`, or `prior` with `sigma_px`."""
 
     known: Pair | None = Field(
@@ -90,7 +91,7 @@ class ProjectorSettings(_DeviceSettings):
         return None if self.response is None else ProjectorResponse(self.response)
 
 
-class SequenceSettings(Section):
+class SequenceSettings(Settings):
     """The projected patterns; each key overrides the preset's."""
 
     preset: PresetName = Field(
@@ -143,7 +144,7 @@ class SequenceSettings(Section):
         return self._chosen.patterns(projector_size)
 
 
-class CornerSettings(Section):
+class CornerSettings(Settings):
     """Prior knowledge of the corner."""
 
     squareness_deg: Number = Field(
@@ -159,7 +160,7 @@ class CornerSettings(Section):
     )
 
 
-class LensSettings(Section):
+class LensSettings(Settings):
     """Prior knowledge of both lenses."""
 
     decentering: Number | None = Field(
@@ -185,7 +186,7 @@ class LensSettings(Section):
         return self
 
 
-class CharucoSettings(Section):
+class CharucoSettings(Settings):
     """A printed ChArUco board that lies flat in the scanned room, lit by the projector."""
 
     board: str = Field(default="6x9", pattern=r"^\d{1,2}x\d{1,2}$", description="Squares across and down.")
@@ -211,7 +212,7 @@ class CharucoSettings(Section):
         return int(self.board.partition("x")[2])
 
 
-class ScaleSettings(Section):
+class ScaleSettings(Settings):
     """One known length; without it, the baseline is the unit."""
 
     baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
@@ -238,7 +239,7 @@ class ScaleSettings(Section):
         return self
 
 
-class NetworkSettings(Section):
+class NetworkSettings(Settings):
     """A network's cameras and projectors by name, each with the keys in which it differs."""
 
     cameras: dict[str, dict[str, Any]] = Field(

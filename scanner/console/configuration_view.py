@@ -24,7 +24,7 @@ class ConfigurationView:
         self._save = gui.add_button("Save", color=PLAIN)
         gui.add_button("As it is in the file", color=PLAIN).on_click(lambda _: self.read())
         self._text.on_update(lambda _: self._check())
-        self._save.on_click(lambda _: self._write())
+        self._save.on_click(lambda _: self._telling(self._written))
         self.read()
 
     def read(self) -> None:
@@ -54,9 +54,6 @@ class ConfigurationView:
         check_text(text, self._path)
         # A check of what was typed last may run after it was saved.
         return self._saved if self._saved and text == self._as_read else "✓ This can be saved."
-
-    def _write(self) -> None:
-        self._telling(self._written)
 
     def _written(self) -> str:
         text = self._text.value

@@ -55,8 +55,7 @@ def _mapped(shape: tuple[int, int, int], dtype: np.dtype[Any]) -> Image:
         with TemporaryFile(prefix="roomscan-") as file:
             # Allocate it now: running out of room while writing to the mapping would kill the program.
             os.posix_fallocate(file.fileno(), 0, count)
-            frames: Image = np.memmap(file, dtype, "r+", shape=shape)
-            return frames
+            return np.memmap(file, dtype, "r+", shape=shape)
     except OSError as error:
         raise InputError(
             f"{shape[0]} frames of {shape[2]} × {shape[1]} pixels take {count / 1e9:.1f} GB, which is much of the "

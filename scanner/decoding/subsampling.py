@@ -30,8 +30,7 @@ def at_random(count: int, most: int = ENOUGH_PIXELS) -> Ints:
     """Return at most so many of the numbers below `count`, in ascending order; they cannot beat with a pattern."""
     if count <= most:
         return np.arange(count)
-    numbers: Ints = np.sort(np.random.default_rng(SEED).choice(count, most, replace=False))
-    return numbers
+    return np.sort(np.random.default_rng(SEED).choice(count, most, replace=False))
 
 
 def lines_of(image: NDArray[Any]) -> NDArray[Any]:

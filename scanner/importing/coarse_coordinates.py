@@ -120,8 +120,7 @@ class _Wave:
 
     def cycles(self) -> Floats:
         """The phase (H, W)."""
-        cycles: Floats = np.arctan2(self.sine, self.cosine) / (2 * np.pi)
-        return cycles
+        return np.arctan2(self.sine, self.cosine) / (2 * np.pi)
 
 
 @lru_cache(_KEPT)

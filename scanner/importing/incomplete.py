@@ -7,7 +7,6 @@ black.
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -38,8 +37,4 @@ def without_duplicates(files: FrameFiles, samples: Samples) -> Iterator[tuple[Fr
     for left_out in [doubles, *([[double] for double in doubles] if len(doubles) > 1 else [])]:
         if left_out:
             levels = np.delete(samples.levels, left_out, axis=0)
-            yield files.without(_paths(files, left_out)), replace(samples, levels=levels)
-
-
-def _paths(files: FrameFiles, numbers: list[int]) -> list[Path]:
-    return [files.numbered[number] for number in numbers]
+            yield files.without([files.numbered[number] for number in left_out]), replace(samples, levels=levels)

@@ -101,8 +101,7 @@ def _code_of(patterns: Sequence[Pattern], axis: int) -> Gray:
 
 def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Floats:
     code = _code_of(patterns, axis)
-    numbers: Floats = np.floor((projector_px[:, axis] + 0.5 + code.offset) / code.cell)
-    return numbers
+    return np.floor((projector_px[:, axis] + 0.5 + code.offset) / code.cell)
 
 
 def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> SizeFound | None:

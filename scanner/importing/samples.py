@@ -41,8 +41,7 @@ class Samples:
     @cached_property
     def lit(self) -> Bools:
         """(H, W): pixels that the frames light differently."""
-        lit: Bools = self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
-        return lit
+        return self.swing > max(_LIT * float(np.percentile(self.swing, _WELL_LIT)), 1.0)
 
 
 def take_samples(files: Sequence[Path]) -> Samples:

@@ -30,5 +30,5 @@ from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply,
 from scanner.io.png import png_of, write_png
 from scanner.io.poses_file import read_poses, write_poses
 from scanner.io.room_file import StoredRoom, StoredStation, read_room, write_room
-from scanner.io.validation import Entry, Flag, Number, Pair, Section, Whole, validate
+from scanner.io.validation import Entry, Flag, Number, Pair, Whole, validate
 from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, parse_yaml, read_text, read_yaml

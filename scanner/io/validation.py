@@ -22,12 +22,6 @@ _MOST_LINES = 12  # fit a screen
 _LONGEST_KEY = 80
 
 
-class Section(BaseModel):
-    """A part of a configuration: immutable, and a key that it does not know is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
 class Entry(BaseModel):
     """A part of a data file: immutable; keys that it does not know are left to other readers."""
 

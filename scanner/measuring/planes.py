@@ -99,11 +99,12 @@ def _spreads(
 ) -> tuple[Spread, Spread]:
     """Of the plane's parameters, and of its form's: what moves the points is the same for both, and takes long."""
     direction = np.broadcast_to(plane.normal, (len(matches), 3))
-    influence = np.concatenate([plane.influence, form.influence])
+    of_plane = plane.influence
+    influence = np.concatenate([of_plane, form.influence])
     both = spread_of_fit(
         LinearFit(influence, direction, block_diag(plane.covariance, form.covariance), cluster), matches, errors
     )
-    count = len(plane.influence)
+    count = len(of_plane)
     return both.part(slice(count)), both.part(slice(count, None))
 
 

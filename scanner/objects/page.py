@@ -13,7 +13,15 @@ from scanner.rendering import page, render
 from scanner.rendering.cloud_views import view_along
 from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
-from scanner.rooms.page_parts import HALF_PX, Cell, camera_frusta, files_beside, residual_map, sigma_cells
+from scanner.rooms.page_parts import (
+    HALF_PX,
+    Cell,
+    camera_frusta,
+    files_beside,
+    overlap_cells,
+    residual_map,
+    sigma_cells,
+)
 
 _VIEW = (960, 640)
 _FRUSTUM_OF_SIZE = 0.15
@@ -89,14 +97,9 @@ def _residuals(solved: SolvedObject) -> Iterator[tuple[str, ScaledMap]]:
 
 def _matrix(solved: SolvedObject) -> list[list[Cell]]:
     """What pairs share, and how far their surfaces are apart."""
-    unit, rows = shown_unit(solved.unit), []
-    count = len(solved.stations)
-    for i in range(count):
-        row = []
-        for j in range(count):
-            pair = (min(i, j), max(i, j))
-            share = solved.overlap.get(pair, 0.0)
-            text = "" if i == j else f"{percent(share)}, {unit.error(solved.residual[pair])}" if share else "·"
-            row.append(Cell(text, share))
-        rows.append(row)
-    return rows
+    unit = shown_unit(solved.unit)
+
+    def text(pair: tuple[int, int]) -> str:
+        return f"{percent(solved.overlap[pair])}, {unit.error(solved.residual[pair])}"
+
+    return overlap_cells(range(len(solved.stations)), solved.overlap, text)

@@ -1,6 +1,6 @@
 """Captures → faces → one calibration of the rig; what does not deserve it is refused."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -74,16 +74,12 @@ def _label(capture: Decoded, config: Config, masks: Bools | None) -> Decoded:
     return capture.with_matches(found, faces.plane)
 
 
-def calibrate(
-    labelled: Sequence[Decoded], config: Config, on_cells: Callable[[], None] = lambda: None
-) -> list[SelfCalibrated]:
+def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrated]:
     """Matches with faces → a solution for each capture, all of one rig, with its scale.
-
-    `on_cells`: called when all but one of the processors become idle, if at all.
 
     Raises RefusalError, InputError.
     """
-    solutions = solve(labelled, config, on_cells)
+    solutions = solve(labelled, config)
     newest = solutions[-1]
     refuse_costly(labelled, newest)
     calibration, scaled_solutions = _scaled(labelled, solutions, config)
@@ -115,10 +111,8 @@ def _scaled(
     ]
 
 
-def solve(
-    labelled: Sequence[Decoded], config: Config, on_cells: Callable[[], None] = lambda: None
-) -> tuple[SelfCalibration, ...]:
-    """A solution for each capture, in baselines; `on_cells` as in `calibrate`. Raises RefusalError, InputError."""
+def solve(labelled: Sequence[Decoded], config: Config) -> tuple[SelfCalibration, ...]:
+    """A solution for each capture, in baselines. Raises RefusalError, InputError."""
     metadata = labelled[-1].metadata
     sizes, point = (metadata.camera_size, metadata.projector_size), config.principal_point(metadata.camera_size)
     refuse_impossible(config, len(labelled))
@@ -135,7 +129,6 @@ def solve(
             lenses=lenses,
             plane=alone.plane,
             shifts=shifts_of(alone),
-            on_cells=on_cells,
         )
         return (found,)
     return self_calibrate_jointly(
@@ -148,7 +141,6 @@ def solve(
         planes=[_planes_of(capture) for capture in labelled],
         shifts=[shifts_of(capture) for capture in labelled],
         known=known,
-        on_cells=on_cells,
     )
 
 

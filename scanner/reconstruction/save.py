@@ -40,6 +40,8 @@ from scanner.results import (
 
 log = logging.getLogger(__name__)
 
+_PATIENCE = 5  # by which its priority is lower: it then gets a third of a processor that another thread uses, too
+
 _ONE_OF_SEVERAL = (
     "This capture was calibrated together with others; what concerns all of them is in the report of the whole result, "
     "two folders up."
@@ -62,7 +64,8 @@ class EarlyMatches:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="matches")
+        # The calibration comes first; what it leaves of the processors is enough, because much of it runs on one.
+        self._thread = ThreadPoolExecutor(1, "matches", initializer=os.nice, initargs=(_PATIENCE,))
         self._begun: tuple[Decoded, Future[None]] | None = None
 
     def __enter__(self) -> "EarlyMatches":

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.geometry import Size
 from calib.numerics import Floats
@@ -54,9 +53,7 @@ def flatness(report: ReportInput) -> Flatness | None:
 def _map(faces: tuple[FaceMeasurement, ...], size: Size, step: int, factor: float, unit: str) -> ScaledMap:
     off: Floats = factor * np.concatenate([face.errors.residual for face in faces])
     pixel = np.concatenate([face.errors.pixel for face in faces])
-    shape = (size.height - 1) // step + 1, (size.width - 1) // step + 1
-    grid: NDArray[np.float32] = np.full(shape, np.nan, np.float32)
-    grid[tuple((pixel // step).T[::-1])] = off
+    grid = maps.on_grid(pixel, off, size, step)
     painted, scale = maps.signed_map(grid, float(np.percentile(np.abs(off), _SHOWN_SHARE)) or 1e-6, unit, _MAP_SIDE)
     return ScaledMap(picture(painted, "distances of the faces' points from their planes"), scale)
 

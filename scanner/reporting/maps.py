@@ -150,6 +150,15 @@ def _legend(shades: Pixels, low: str, high: str) -> ColourScale:
     return ColourScale(tuple(css_colour((int(r), int(g), int(b))) for r, g, b in chosen), low, high)
 
 
+def on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> Map:
+    """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
+    grid: Map = np.full(((size.height - 1) // step + 1, (size.width - 1) // step + 1), np.nan, np.float32)
+    cell = np.floor((pixel + 0.5) / step).astype(np.int64)
+    column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
+    grid[row, column] = values
+    return grid
+
+
 def depth_map(points: NDArray[np.float32], unit: str) -> tuple[IndexedPicture, ColourScale]:
     """Depth z of a cloud (H, W, 3) in colour, near to far."""
     depth = _reduced(_cropped(points[..., 2]))

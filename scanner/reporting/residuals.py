@@ -54,17 +54,12 @@ def face_residuals(report: ReportInput) -> Residuals | None:
     size = report.metadata.camera_size
     limit = float(np.percentile(np.abs(residual_px), _SHOWN_SHARE)) or 1e-3
     drawn = tuple(
-        (_map(_on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
+        (_map(maps.on_grid(pixel, residual_px[:, axis], size, report.cell_px), limit, f"residuals in {name}"), caption)
         for axis, (name, caption) in enumerate((name, f"Along the {report.metadata.second}'s {name}.") for name in "xy")
     )
-    found = spatial_correlation(pixel, residual_px, _cell_px(size))
-    return Residuals(
-        drawn,
-        plots.residual_histogram([*residual_px.T], None, limit, f"residual on the faces ({report.metadata.pixels})"),
-        float(np.sqrt(np.mean(np.sum(residual_px**2, axis=1)))),
-        statement(found),
-        found is not None and found.structured,
-    )
+    label = f"residual on the faces ({report.metadata.pixels})"
+    histogram = plots.residual_histogram([*residual_px.T], None, limit, label)
+    return _judged(drawn, histogram, pixel, residual_px, size)
 
 
 def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corner: Corner) -> Floats:
@@ -74,8 +69,7 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
     with np.errstate(divide="ignore", invalid="ignore"):
         points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
     predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
-    off: Floats = matches.projector_px - predicted
-    return off
+    return matches.projector_px - predicted
 
 
 def misses(report: ReportInput) -> Misses | None:
@@ -95,16 +89,20 @@ def misses(report: ReportInput) -> Misses | None:
     close = np.abs(sampled) <= statistics.limit_px
     residual_px, at = sampled[close], report.pixels[close]
     pixel = np.stack(np.divmod(at, cloud.residual_px.shape[1])[::-1], axis=1).astype(np.float64)
-    found = spatial_correlation(pixel, residual_px, _cell_px(report.metadata.camera_size))
     painted = _map(cloud.residual_px, limit, "misses of the rays", LONGEST_SIDE)
-    residuals = Residuals(
-        ((painted, ""),),
-        plots.residual_histogram([residual_px], statistics.decoder_px, limit, f"miss ({report.metadata.pixels})"),
-        float(np.sqrt(np.mean(residual_px**2))) if len(residual_px) else 0.0,
-        statement(found),
-        found is not None and found.structured,
-    )
+    label = f"miss ({report.metadata.pixels})"
+    histogram = plots.residual_histogram([residual_px], statistics.decoder_px, limit, label)
+    residuals = _judged(((painted, ""),), histogram, pixel, residual_px, report.metadata.camera_size)
     return Misses(residuals, statistics, _outcome_legend(statistics))
+
+
+def _judged(
+    drawn: tuple[tuple[ScaledMap, str], ...], histogram: Markup, pixel: Floats, residual_px: Floats, size: Size
+) -> Residuals:
+    """Residuals (N,) or (N, 2) at camera pixels (N, 2)."""
+    found = spatial_correlation(pixel, residual_px, max(4.0, size.width * _CELL_OF_WIDTH))
+    total_px = float(np.sqrt(np.sum(residual_px**2) / max(1, len(residual_px))))
+    return Residuals(drawn, histogram, total_px, statement(found), found is not None and found.structured)
 
 
 def statement(found: SpatialCorrelation | None) -> str:
@@ -124,22 +122,9 @@ def statement(found: SpatialCorrelation | None) -> str:
     return f"Structured: {numbers}; {shared}."
 
 
-def _cell_px(camera_size: Size) -> float:
-    return max(4.0, camera_size.width * _CELL_OF_WIDTH)
-
-
 def _map(values: NDArray[np.float32], limit: float, alt: str, longest_side: int = _HALF_PAGE) -> ScaledMap:
     painted, scale = maps.signed_map(values, limit, "px", longest_side)
     return ScaledMap(picture(painted, f"{alt} over the camera's image"), scale)
-
-
-def _on_grid(pixel: Floats, values: Floats, size: Size, step: int) -> NDArray[np.float32]:
-    """Values (N,) at pixels (N, 2) of an image of (width, height), on a grid `step` times as coarse, NaN for none."""
-    grid = np.full(((size.height - 1) // step + 1, (size.width - 1) // step + 1), np.nan, np.float32)
-    cell = np.floor((pixel + 0.5) / step).astype(np.int64)
-    column, row = (np.clip(cell[:, axis], 0, grid.shape[1 - axis] - 1) for axis in (0, 1))
-    grid[row, column] = values
-    return grid
 
 
 def _shown_range(report: ReportInput, cloud: Cloud) -> float:

@@ -70,11 +70,7 @@ class Decoded:
     @property
     def texture(self) -> Image | None:
         """The camera's image of the lit scene."""
-        match self.origin:
-            case Decoding(texture=texture):
-                return texture
-            case GivenMatches(photograph=photograph):
-                return photograph
+        return self.origin.texture if isinstance(self.origin, Decoding) else self.origin.photograph
 
     @property
     def only_axis(self) -> Axis | None:
@@ -144,11 +140,8 @@ class Reconstructed:
     @property
     def uncertainty(self) -> Uncertainty | None:
         """The uncertainty of the calibration in use; None where unknown."""
-        match self.calibrated:
-            case SelfCalibrated(solution=solution):
-                return solution.uncertainty
-            case GivenCalibration(stated=stated):
-                return stated
+        known = self.calibrated
+        return known.solution.uncertainty if isinstance(known, SelfCalibrated) else known.stated
 
 
 Stage = Decoded | SelfCalibrated | GivenCalibration | Reconstructed
@@ -193,11 +186,8 @@ def decoded_of(stage: Stage) -> Decoded:
 
 def solution_of(stage: Stage) -> SelfCalibration | None:
     """Return the self-calibration of the capture; None without one, or if the calibration was given."""
-    match stage:
-        case SelfCalibrated(solution=solution) | Reconstructed(SelfCalibrated(solution=solution)):
-            return solution
-        case _:
-            return None
+    calibrated = stage.calibrated if isinstance(stage, Reconstructed) else stage
+    return calibrated.solution if isinstance(calibrated, SelfCalibrated) else None
 
 
 def remarks_on(stage: Stage) -> tuple[str, ...]:

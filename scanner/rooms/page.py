@@ -14,7 +14,15 @@ from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
 from scanner.rooms.floorplan_svg import plan_svg
-from scanner.rooms.page_parts import HALF_PX, Cell, camera_frusta, files_beside, residual_map, sigma_cells
+from scanner.rooms.page_parts import (
+    HALF_PX,
+    Cell,
+    camera_frusta,
+    files_beside,
+    overlap_cells,
+    residual_map,
+    sigma_cells,
+)
 from scanner.rooms.verdict import verdict_on
 
 _VIEW = (960, 640)
@@ -101,14 +109,8 @@ def _station_row(room: SolvedRoom, number: int, station: Station) -> tuple[str, 
 
 def _overlaps(room: SolvedRoom) -> list[list[Cell]]:
     """Shares of surfaces that stations share, by station."""
-    shares = {frozenset((pair.first, pair.second)): pair.overlap for pair in room.pairs}
-    rows = []
-    for i in room.group.stations:
-        found = [shares.get(frozenset((i, j)), 0.0) if i != j else None for j in room.group.stations]
-        rows.append(
-            [Cell("", 0.0) if share is None else Cell(percent(share) if share else "·", share) for share in found]
-        )
-    return rows
+    shares = {(min(pair.first, pair.second), max(pair.first, pair.second)): pair.overlap for pair in room.pairs}
+    return overlap_cells(room.group.stations, shares, lambda pair: percent(shares[pair]))
 
 
 def _pairs(room: SolvedRoom) -> Iterator[tuple[str, ...]]:

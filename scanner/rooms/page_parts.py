@@ -1,6 +1,6 @@
 """What the pages of rooms and of things show alike of their stations."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +26,19 @@ class Cell:
 
     text: str
     shade: float
+
+
+def overlap_cells(
+    stations: Sequence[int], shares: Mapping[tuple[int, int], float], text: Callable[[tuple[int, int]], str]
+) -> list[list[Cell]]:
+    """What each two stations share, and its `text`; a pair has the lower number first."""
+
+    def cell(one: int, other: int) -> Cell:
+        pair = (min(one, other), max(one, other))
+        share = 0.0 if one == other else shares.get(pair, 0.0)
+        return Cell("" if one == other else text(pair) if share else "·", share)
+
+    return [[cell(one, other) for other in stations] for one in stations]
 
 
 def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:

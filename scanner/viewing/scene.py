@@ -197,7 +197,7 @@ class Scene:
         centre = rig.projector_centre
         of_projector = rig.to_cloud(in_projector @ to_camera.T + calibration.projector_centre)
         self._lines(f"{name}/camera", frustum_lines(of_camera) @ rig.rotation.T + rig.position, BLUE)
-        self._lines(f"{name}/projector", _pyramid(centre, of_projector), VERMILION)
+        self._lines(f"{name}/projector", frustum_lines(of_projector - centre) + centre, VERMILION)
         self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
         if rig.picture is not None:
             self._draw_picture(f"{name}/picture", rig, rig.picture, of_camera)
@@ -270,10 +270,6 @@ class Scene:
 
     def _label(self, name: str, text: str, position: Floats, anchor: Any) -> None:
         self._scene.add_label(name, text, position=self._drawn(position), anchor=anchor)
-
-
-def _pyramid(apex: Floats, corners: Floats) -> Floats:
-    return frustum_lines(corners - apex) + apex
 
 
 def _end_of_common_edge(first: Floats, second: Floats) -> Floats:

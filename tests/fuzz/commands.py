@@ -18,7 +18,7 @@ _SQUARES = ("50mm", "50mm", "1e-300mm", "1e300mm", "1e-6", "1000km", "0", "nan",
 def board(folder: Path) -> Run:
     """`scan board`: boards at unusual poses, damaged frames and listings, and other boards than stated."""
     from calib.synthetic import BoardOptions, random_boards
-    from scanner.commands.catalogue import NAMED
+    from scanner.commands.arguments import NAMED
     from scanner.commands.main import parser_of
     from scanner.io import read_calibration
     from scanner.targets.target import parse_target

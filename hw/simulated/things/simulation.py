@@ -47,8 +47,7 @@ class ThingRenderer:
 
     def projected(self, light: Light) -> Light:
         """Brightness (H, W) by linear light (H, W) of the projector. Surfaces do not light each other."""
-        image: Light = (self.direct_light @ self.picture.blurred(light)).reshape(self.room_light.shape)
-        return image
+        return (self.direct_light @ self.picture.blurred(light)).reshape(self.room_light.shape)
 
 
 @dataclass(frozen=True)

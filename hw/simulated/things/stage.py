@@ -139,5 +139,4 @@ def _speckled(points: Floats) -> Floats:
     """Albedo (n,) of a printed cloth at points (n, 3), in units of the size of the thing."""
     cell = np.floor(_SPECKLE * points + 0.5).astype(np.int64)
     mixed = (cell[:, 0] * 73_856_093) ^ (cell[:, 1] * 19_349_663) ^ (cell[:, 2] * 83_492_791)
-    albedo: Floats = 0.35 + 0.3 * ((mixed % 997) / 997.0)
-    return albedo
+    return 0.35 + 0.3 * ((mixed % 997) / 997.0)

@@ -81,8 +81,7 @@ def moments_of_tiles(projector_px: Floats32, chosen: Bools) -> Floats:
 def centres_of_tiles(shape: tuple[int, ...]) -> Floats:
     """Return the middles (rows, columns, 2), x and y, of the tiles of an image of `shape` (H, W)."""
     rows, columns = (np.arange(size // TILE_PX, dtype=np.float64) for size in shape)
-    centres: Floats = np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2
-    return centres
+    return np.stack(np.meshgrid(columns, rows), axis=-1) * TILE_PX + (TILE_PX - 1) / 2
 
 
 @compiled

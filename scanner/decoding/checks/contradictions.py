@@ -67,8 +67,7 @@ def uneven_pairs(plan: SequencePlan, levels: Floats32) -> Floats32:
 def beside_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     """Return what the least-squares fit of a fringe leaves of its steps, (N, P), from `levels` (frames, P)."""
     steps = levels[list(fringe.frames)]
-    left: Floats32 = steps - (fringe.design @ fringe.weights).astype(np.float32) @ steps
-    return left
+    return steps - (fringe.design @ fringe.weights).astype(np.float32) @ steps
 
 
 def total_contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:

@@ -33,8 +33,7 @@ class Interval:
     def variance(self, cell: float) -> Floats32:
         """Return that of a uniform distribution over the interval; where two codes' cells only touch, over a cell."""
         length = self.high - self.low
-        variance: Floats32 = np.float32(1 / 12) * np.where(length > 0, length, np.float32(cell)) ** 2
-        return variance
+        return np.float32(1 / 12) * np.where(length > 0, length, np.float32(cell)) ** 2
 
     @property
     def possible(self) -> Bools:

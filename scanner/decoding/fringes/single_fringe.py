@@ -65,16 +65,14 @@ class Response:
 
     def straightening(self, fringe: Fringe) -> Floats32:
         """Return the phase correction as a table over one cycle, both in radians."""
-        table: Floats32 = (self.probability @ _bent(fringe).ripples).astype(np.float32)
-        return table
+        return (self.probability @ _bent(fringe).ripples).astype(np.float32)
 
     def left(self, fringe: Fringe) -> Floats:
         """Return the phase error left after correction if the exponent is one standard deviation larger, as such a
         table.
         """
         relative = (_EXPONENTS - self.exponent) / self.sigma
-        left: Floats = -(self.probability * relative) @ _bent(fringe).ripples
-        return left
+        return -(self.probability * relative) @ _bent(fringe).ripples
 
 
 def response_of(seen: Sequence[FringeSample]) -> Response:
@@ -131,8 +129,7 @@ class Unchecked:
 
     def _by_true_phase(self, of_measured: Floats) -> Floats32:
         true = CYCLE + self.response.straightening(self.fringe)
-        table: Floats32 = np.interp(CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
-        return table
+        return np.interp(CYCLE, true, of_measured, period=2 * pi).astype(np.float32)
 
 
 def is_unchecked(axis: AxisPlan) -> bool:

@@ -46,5 +46,4 @@ def without_previous(
 def sums_off(levels: Floats32, groups: Sequence[Sequence[int]]) -> Floats32:
     """Return how far the sums of groups of frames are from the usual one, (groups, P)."""
     sums = np.stack([np.sum(levels[list(frames)], axis=0) for frames in groups])
-    off: Floats32 = sums - medians(sums, axis=0)
-    return off
+    return sums - medians(sums, axis=0)

@@ -69,8 +69,7 @@ class Projection:
     @property
     def of_frames(self) -> Floats:
         """(A N,): unknowns of all frames."""
-        of_frames: Floats = self.directions @ self.found
-        return of_frames
+        return self.directions @ self.found
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ class RobustFit:
     @cached_property
     def left(self) -> Floats:
         """(M,): the residuals."""
-        left: Floats = self.seen - self.found @ self.design
-        return left
+        return self.seen - self.found @ self.design
 
     @cached_property
     def scale(self) -> float:
@@ -43,8 +42,7 @@ class RobustFit:
         """Return the covariance (U, U), with errors that are correlated within a `group` (M,)."""
         scores = self.design * (self.weight * self.left)
         sums = np.stack([np.bincount(group, of_unknown) for of_unknown in scores])
-        covariance: Floats = self.inverse @ (sums @ sums.T) @ self.inverse + self.inverse * self.scale**2
-        return covariance
+        return self.inverse @ (sums @ sums.T) @ self.inverse + self.inverse * self.scale**2
 
     def cost(self, scale: float) -> float:
         """Return −2 log likelihood for this standard deviation, with the Huber loss for outliers."""
@@ -56,8 +54,7 @@ def robust_fit(design: Floats, seen: Floats) -> RobustFit:
     """Fit the unknowns to `seen` (M,) = found @ `design` (U, M)."""
 
     def weigh(left: Floats) -> Floats:
-        weight: Floats = np.minimum(1.0, HUBER_SIGMAS * _scale(left, len(design)) / np.maximum(np.abs(left), 1e-9))
-        return weight
+        return np.minimum(1.0, HUBER_SIGMAS * _scale(left, len(design)) / np.maximum(np.abs(left), 1e-9))
 
     found = reweighted(design, seen, weigh, np.ones(len(seen)), HUBER_ROUNDS)
     return RobustFit(design, seen, found, weigh(seen - found @ design))

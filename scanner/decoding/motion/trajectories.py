@@ -22,8 +22,7 @@ class Trajectory:
     def at(self, times: Ints) -> Floats:
         """Return the completed share (N,) of the motion in frames (N,)."""
         if self.slow:
-            share: Floats = (times - self.first) / (self.last - self.first)
-            return share
+            return (times - self.first) / (self.last - self.first)
         return (times >= self.last).astype(np.float64)
 
 

@@ -127,8 +127,7 @@ class Beat:
         """(2, N): the beats of x and of y, without what passes for smooth change."""
         x, y = self.half * (mapped(homography_of(values), self.points) - self.points).T
         both = np.stack([self.wave(x, self.periods[0]), -self.wave(y, self.periods[1])])
-        waves: Floats = both - (both @ self.smooth) @ self.smooth.T
-        return waves
+        return both - (both @ self.smooth) @ self.smooth.T
 
     def refined(self, start: Floats, free: tuple[int, ...]) -> Fit:
         """Refine a nearly correct start, by least squares."""

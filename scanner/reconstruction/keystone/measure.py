@@ -88,8 +88,7 @@ def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:
         other = _between_pixels(fit.values + step, size) @ back
 
         def shift(_camera_px: Floats, projector_px: Floats, _gradient: Floats) -> Floats:
-            moved: Floats = mapped(other, projector_px) - projector_px
-            return moved
+            return mapped(other, projector_px) - projector_px
 
         return shift
 
@@ -101,5 +100,4 @@ def _between_pixels(values: Floats, size: tuple[int, int]) -> Floats:
     """The homography (3, 3) of these numbers, from pixels to pixels."""
     half, middle_y = (size[0] - 1) / 2, (size[1] - 1) / 2
     to_units = np.array([[1, 0, -half], [0, 1, -middle_y], [0, 0, half]]) / half
-    homography: Floats = np.linalg.inv(to_units) @ homography_of(values) @ to_units
-    return homography
+    return np.linalg.inv(to_units) @ homography_of(values) @ to_units

@@ -42,8 +42,7 @@ def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Fl
     """The homography by whole pixels of the panel nearer to another one."""
     middle = (np.array([size], np.float64) - 1) / 2
     (apart,) = np.rint(mapped(other, middle) - mapped(homography, middle))
-    there: Floats = np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
-    return there
+    return np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
 
 
 def _note(keystone: Keystone) -> str:

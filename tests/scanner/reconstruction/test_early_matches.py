@@ -1,15 +1,15 @@
 """The matches file is written during the calibration, and becomes part of the result."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_matches
-from scanner.reconstruction import EarlyMatches, calibrate
+from scanner.reconstruction import EarlyMatches
 from scanner.results import Decoded
 from tests.support.cloud_scene import room
 from tests.support.reports import calibrated_report
@@ -30,10 +30,12 @@ def test_unchanged_matches_are_written_once(tmp_path: Path, capture: Decoded) ->
     assert len(read_matches(tmp_path)) == len(capture.matches)
 
 
-def test_matches_are_written_while_they_are_calibrated(tmp_path: Path, capture: Decoded) -> None:
+def test_they_are_written_in_the_background_at_a_priority_of_their_own(tmp_path: Path, capture: Decoded) -> None:
+    before = os.getpriority(os.PRIO_PROCESS, 0)
     with EarlyMatches(tmp_path) as ahead:
-        calibrate([capture], Config(), lambda: ahead.begin([capture]))
+        ahead.begin([capture])
     assert len(read_matches(tmp_path)) == len(capture.matches)
+    assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
 def test_relabelled_matches_are_written_again(tmp_path: Path, capture: Decoded) -> None:
