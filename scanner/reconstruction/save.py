@@ -40,7 +40,8 @@ from scanner.results import (
 
 log = logging.getLogger(__name__)
 
-_PATIENCE = 5  # by which its priority is lower: it then gets a third of a processor that another thread uses, too
+# By which its priority, on Linux a thread's own, is lower: it then gets a third of a processor that is in use.
+_PATIENCE = 5
 
 _ONE_OF_SEVERAL = (
     "This capture was calibrated together with others; what concerns all of them is in the report of the whole result, "
