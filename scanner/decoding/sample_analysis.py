@@ -75,7 +75,7 @@ class Observations:
 def observe(folded: FoldedFrames, samples: Samples, projector_size: tuple[int, int]) -> Observations:
     """Equalise the frames' brightness, drop unresolved fringes and bits, and measure noise, flicker and motion.
 
-    The corrections are made in the folded and the samples, in place.
+    The corrections are made in the folded frames and the samples, in place.
     """
     sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
     notes = list(_with_brighter_white(folded, sample))
