@@ -206,7 +206,7 @@ class Decoder:
                     motion = motion_between(halves, folded.alike, *seen, motion)
                 if motion is not None and motion.significant and not motion.is_too_large:
                     motion.shift.take_back(maps.projector_px)
-                # The running images are as large as the matches and no longer needed.
+                # The folded images are as large as the matches and no longer needed.
                 plan, brightest = folded.plan, folded.brightest
                 del folded
             with blaming_shifts(plan, observed.code_shifts):
