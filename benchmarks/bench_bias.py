@@ -44,10 +44,9 @@ def _nothing(*_: object) -> None:
 Off = tuple[tuple[str, str, Callable[..., object]], ...]
 SWITCHED_OFF: dict[str, Off] = {
     "all corrections": (),
-    "without straightening of gamma": (("tune", "straightening", _nothing),),
+    "without straightening of gamma": (("decoder_calibration", "straightening", _nothing),),
     "without shading": (("coordinate_maps", "footprint_of", lambda *_: Footprint.round(0.0)),),
     "without comparing periods": (("axis_decoder", "correct_systematic", _nothing),),
-    "without bringing periods together": (("fringes.systematic_error", "_bring_together", _nothing),),
     "without equalising": (
         ("sample_analysis", "swings_of", lambda *_: {}),
         ("folded_frames", "gains_of_pairs", lambda *_: {}),
