@@ -13,6 +13,7 @@ The plain decoder has three steps and two frequencies in NumPy, after SLStudio (
 gives the order of the shorter, and lit pixels are kept.
 """
 
+import sys
 import time
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Generator
@@ -34,6 +35,8 @@ from scanner.live.sequence import FRAMES, LiveSequence
 from scanner.live.watching import Account, proven, watch
 from scanner.pipeline import take
 from scanner.ui import Terminal
+
+sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.live_bench import LiveBench, calibration
 
 LEAST_RATE, MOST_DELAY_S = {1.3: 0.95, 5.2: 0.5}, 0.15
