@@ -25,7 +25,15 @@ from calib.geometry.homography import (
 )
 from calib.geometry.matches import FACES, NO_FACE, Matches
 from calib.geometry.radial_distortion import project, unproject
-from calib.geometry.relative_pose import Motion, angle_between, cross, nearest_rotation, rotation_about, tangent_basis
+from calib.geometry.relative_pose import (
+    STILL,
+    Motion,
+    angle_between,
+    cross,
+    nearest_rotation,
+    rotation_about,
+    tangent_basis,
+)
 from calib.geometry.reprojection_error import before_the_matches
 from calib.geometry.triangulation import (
     Intersections,

@@ -39,6 +39,9 @@ class Motion:
         return np.concatenate([turn, tangent_basis(ahead).T @ (there - ahead), [np.log(other.length / self.length)]])
 
 
+STILL = Motion(np.eye(3), np.zeros(3))
+
+
 def nearest_rotation(matrix: Floats) -> Floats:
     """The rotations (..., 3, 3) nearest to matrices (..., 3, 3).
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import NO_FACE, Matches, Motion
+from calib.geometry import NO_FACE, STILL, Matches, Motion
 from calib.networks.labels import label_map, read
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
@@ -59,7 +59,7 @@ class Grown:
         rig = start.calibration
         back = rig.rotation.T
         devices = (
-            Device(device_of(rig.camera), Motion(np.eye(3), np.zeros(3)), rig.camera.size),
+            Device(device_of(rig.camera), STILL, rig.camera.size),
             Device(device_of(rig.projector), Motion(back, -back @ rig.translation), rig.projector.size),
         )
         overlaps = Overlaps.of(captures, knowledge.sizes)

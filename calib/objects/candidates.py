@@ -8,13 +8,12 @@ spatial compatibility for efficient and robust point cloud registration", 2022).
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import STILL, Motion
 from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
 from calib.objects.patch_overlap import mark_pairs
 from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
 from calib.objects.view import View
-from calib.rooms.alignment import STILL
 from calib.rooms.marked_poses import rigid
 
 _SEARCHED = 8

@@ -13,12 +13,12 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import STILL, Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement.likelihood import huber_weights
-from calib.rooms.alignment import STILL, composed, coupled, inverse, twisted
+from calib.rooms.alignment import composed, coupled, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)

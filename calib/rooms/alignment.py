@@ -40,9 +40,6 @@ class NormalEquations:
     count: int
 
 
-STILL = Motion(np.eye(3), np.zeros(3))
-
-
 def composed(second: Motion, first: Motion) -> Motion:
     """First one motion, then the other."""
     return Motion(second.rotation @ first.rotation, second.rotation @ first.translation + second.translation)

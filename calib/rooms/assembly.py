@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import STILL, Motion
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import STILL, composed, inverse, is_near, settled, settled_together
+from calib.rooms.alignment import composed, inverse, is_near, settled, settled_together
 from calib.rooms.cuts import firmly_connected
 from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces

@@ -11,10 +11,10 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion, nearest_rotation
+from calib.geometry import STILL, Motion, nearest_rotation
 from calib.numerics import Bools, Floats, Ints
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import STILL, are_near, normal_equations, settled
+from calib.rooms.alignment import are_near, normal_equations, settled
 from calib.rooms.features import feature_poses
 from calib.rooms.marked_poses import marked_poses
 from calib.rooms.surfaces import Surfaces

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import STILL, Motion
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
-from calib.rooms.alignment import STILL, composed, inverse, normal_equations
+from calib.rooms.alignment import composed, inverse, normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit

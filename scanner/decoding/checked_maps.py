@@ -58,7 +58,7 @@ def _repaired(folded: FoldedFrames, inconsistent: InconsistentPixels) -> Bools:
             bit: inconsistent.spoilt[pair] for bit, pair in fold.code.pairs.items() if pair in inconsistent.spoilt
         }
         if by_bit and fold.code.base is None:
-            shown = {index: image for index, image in folded.alike() if index in fold.code.frames}
+            shown = dict(folded.alike(frames=fold.code.frames))
             repaired = repair_bits(fold, by_bit, shown, inconsistent.resting)
             spoilt |= np.logical_or.reduce(list(by_bit.values())) & ~repaired
             decided |= repaired

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Intrinsics, Motion
+from calib.geometry import STILL, Intrinsics, Motion
 from calib.numerics import Floats, Ints
 from scanner.exporting.formats import Request
 from scanner.io import new_files, refuse_existing
@@ -47,7 +47,7 @@ def export(request: Request) -> list[str]:
     """Write the model. Raises InputError and OSError."""
     room = read_finished_room(request.result)
     if room is None:
-        scans = [(read_finished_scan(request.result), Motion(np.eye(3), np.zeros(3)))]
+        scans = [(read_finished_scan(request.result), STILL)]
     else:
         scans = [(station.scan, station.place) for station in room.stations]
     model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
