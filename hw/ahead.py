@@ -38,10 +38,10 @@ class Ahead(Generic[T]):
         with _punctual():
             try:
                 self._thread.start()
-                while (found := self._ready.get()) is not None:
-                    if isinstance(found, BaseException):
-                        raise found
-                    yield found[0]
+                while (item := self._ready.get()) is not None:
+                    if isinstance(item, BaseException):
+                        raise item
+                    yield item[0]
                     self._room.put(None)
             finally:
                 self.stop()
@@ -61,8 +61,8 @@ class Ahead(Generic[T]):
 
     def _run(self) -> None:
         try:
-            while self._wait_for_room() and (found := next(self._items, self)) is not self:
-                self._ready.put((found,))  # type: ignore[arg-type]  # self stands for the end
+            while self._wait_for_room() and (item := next(self._items, self)) is not self:
+                self._ready.put((item,))  # type: ignore[arg-type]  # self stands for the end
         except BaseException as error:
             self._ready.put(error)
         else:

@@ -55,34 +55,34 @@ _STEPS = 0.01  # cameras round
 _ADVICE = "Change the configuration to what the camera can do."
 
 
-def differs(wanted: float, found: float, tolerance: float = _STEPS) -> bool:
+def differs(wanted: float, actual: float, tolerance: float = _STEPS) -> bool:
     """Whether two values differ by more than the camera's rounding."""
-    return abs(found - wanted) > tolerance * abs(wanted)
+    return abs(actual - wanted) > tolerance * abs(wanted)
 
 
 def refuse_other_setting(
     name: str,
     what: str,
     wanted: float | str,
-    found: float | str | None,
+    actual: float | str | None,
     tolerance: float = _STEPS,
     advice: str = _ADVICE,
 ) -> None:
     """Raise DeviceError if the camera did not accept a setting as it was given."""
-    if isinstance(wanted, str) or isinstance(found, str) or found is None:
-        same, given, reported = wanted == found, repr(wanted), repr(found)
+    if isinstance(wanted, str) or isinstance(actual, str) or actual is None:
+        same, given, reported = wanted == actual, repr(wanted), repr(actual)
     else:
-        same, given, reported = not differs(wanted, found, tolerance), f"{wanted:g}", f"{found:g}"
+        same, given, reported = not differs(wanted, actual, tolerance), f"{wanted:g}", f"{actual:g}"
     if not same:
         raise DeviceError(f"camera {name}: {what} was set to {given}, but reads back as {reported}. {advice}")
 
 
-def refuse_other_size(name: str, expected: tuple[int, int], found: tuple[int, int]) -> None:
+def refuse_other_size(name: str, expected: tuple[int, int], size: tuple[int, int]) -> None:
     """Raise DeviceError if the (width, height) of frames is not the configured one."""
-    if found != expected:
+    if size != expected:
         raise DeviceError(
-            f"camera {name}: expected frames of {expected[0]} × {expected[1]}, but it delivers {found[0]} × "
-            f"{found[1]}. Set the configuration's camera: {{width: {found[0]}, height: {found[1]}}}, or the camera's "
+            f"camera {name}: expected frames of {expected[0]} × {expected[1]}, but it delivers {size[0]} × "
+            f"{size[1]}. Set the configuration's camera: {{width: {size[0]}, height: {size[1]}}}, or the camera's "
             "own size, then rerun."
         )
 

@@ -56,8 +56,8 @@ class OpenedNetwork:
         """The cameras in a projector's light, in groups whose cameras can take frames of the same picture."""
         simulated = [
             camera
-            for (camera, other), pair in self._pairs.items()
-            if other == projector and isinstance(pair.rig, SimulatedRigSettings)
+            for (camera, further), pair in self._pairs.items()
+            if further == projector and isinstance(pair.rig, SimulatedRigSettings)
         ]
         return [simulated] if simulated else self._real.together(projector)
 
@@ -70,12 +70,12 @@ class OpenedNetwork:
             if isinstance(pair.rig, SimulatedRigSettings)
         ]
         if simulated:
-            first, *others = simulated
-            rig = replace(first.rig, others=tuple(other.rig for other in others))
-            yield replace(first, rig=rig, others=tuple(others))
+            first, *further = simulated
+            rig = replace(first.rig, others=tuple(simulation.rig for simulation in further))
+            yield replace(first, rig=rig, others=tuple(further))
             return
         with self._real.rig(projector, cameras) as rig:
-            yield OpenedRig(rig, None, others=tuple(OpenedRig(other, None) for other in rig.others))
+            yield OpenedRig(rig, None, others=tuple(OpenedRig(further, None) for further in rig.others))
 
 
 @contextmanager

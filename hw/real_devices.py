@@ -81,8 +81,8 @@ class RealDevices:
         """The cameras in a projector's light: all that are triggered together, each streaming one alone."""
         streaming = {
             camera: self._cameras[camera].camera.capabilities.streaming
-            for camera, other in self._pairs
-            if other == projector
+            for camera, further in self._pairs
+            if further == projector
         }
         triggered = [camera for camera, streams in streaming.items() if not streams]
         return ([triggered] if triggered else []) + [[camera] for camera, streams in streaming.items() if streams]
@@ -90,9 +90,9 @@ class RealDevices:
     @contextmanager
     def rig(self, projector: str, cameras: Sequence[str]) -> Iterator[TimedRig]:
         """Synchronise one group of `together` with a projector, while all others show black. Raises DeviceError."""
-        for name, other in self._screens.items():
+        for name, further in self._screens.items():
             if name != projector:
-                other.show(np.zeros(other.size[::-1], np.uint8))
+                further.show(np.zeros(further.size[::-1], np.uint8))
         screen, known_hz = self._screens[projector], self._known_hz(cameras[0], projector)
         refresh_hz = known_hz or _USUAL_REFRESH_HZ
         of_screen = {
@@ -120,8 +120,8 @@ class RealDevices:
 
     def _open_screen(self, projector: str, pair: RealPair) -> None:
         opened = self._open.enter_context(ScreenProjector(pair.rig.screen, pair.projector_size))
-        for name, other in self._screens.items():
-            if other.screen == opened.screen:
+        for name, further in self._screens.items():
+            if further.screen == opened.screen:
                 raise DeviceError(
                     f"projectors {name} and {projector} are both on {opened.screen}: set rig: {{screen: …}} of each to "
                     "its own; scan devices lists them"

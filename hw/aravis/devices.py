@@ -32,7 +32,7 @@ class _Found:
 
 def list_cameras() -> list[CameraInfo]:
     """All cameras that answer; sensor size and formats if no other program uses them. Takes seconds."""
-    return [_with_abilities(found) for found in _discover()]
+    return [_with_abilities(device) for device in _discover()]
 
 
 def _discover() -> list[_Found]:
@@ -49,18 +49,18 @@ def _discover() -> list[_Found]:
     ]
 
 
-def _with_abilities(found: _Found) -> CameraInfo:
+def _with_abilities(device: _Found) -> CameraInfo:
     try:
-        camera = Aravis.Camera.new(found.device_id)
+        camera = Aravis.Camera.new(device.device_id)
         size = camera.get_sensor_size()
         formats = tuple(camera.dup_available_pixel_formats_as_strings())
     except GLib.Error:  # found, but in use or not reachable
-        return CameraInfo(str(found), "in use by another program, or unreachable: its capabilities are unknown")
+        return CameraInfo(str(device), "in use by another program, or unreachable: its capabilities are unknown")
     pixel_format = next((name for name in (*_PREFERRED_FORMATS, *formats) if name in formats), "Mono8")
     return CameraInfo(
-        str(found),
+        str(device),
         f"sensor {size.width} × {size.height}, formats {', '.join(formats)}",
-        ("backend: aravis", f'camera: "{found.device_id}"', f"pixel_format: {pixel_format}"),
+        ("backend: aravis", f'camera: "{device.device_id}"', f"pixel_format: {pixel_format}"),
         (size.width, size.height),
     )
 
@@ -68,10 +68,10 @@ def _with_abilities(found: _Found) -> CameraInfo:
 def open_camera(wanted: str | None) -> Any:
     """Open the camera with this id, serial number or address; with None, the only one. Raises DeviceError."""
     if wanted is None:
-        found = _discover()
-        if len(found) != 1:
-            raise DeviceError(not_found("expected one camera, as the rig names none", [*map(str, found)]))
-        wanted = found[0].device_id
+        devices = _discover()
+        if len(devices) != 1:
+            raise DeviceError(not_found("expected one camera, as the rig names none", [*map(str, devices)]))
+        wanted = devices[0].device_id
     try:
         return Aravis.Camera.new(wanted)
     except GLib.Error as error:

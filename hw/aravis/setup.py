@@ -96,21 +96,21 @@ def _network_stream(camera: Any) -> Any:
 def read_back(camera: Any, name: str) -> dict[str, str]:
     """The camera's settings as read back, for the recording's metadata."""
     region = camera.get_region()
-    found = {
+    settings_read = {
         "camera": name,
         "pixel format": camera.get_pixel_format_as_string(),
         "region": f"{region.width} × {region.height} at ({region.x}, {region.y})",
         "exposure": f"{1e-3 * camera.get_exposure_time():.4g} ms",
     }
     if camera.is_gain_available():
-        found["gain"] = f"{camera.get_gain():g}"
+        settings_read["gain"] = f"{camera.get_gain():g}"
     if camera.is_binning_available():
         binning = camera.get_binning()
-        found["binning"] = f"{binning.dx} × {binning.dy}"
+        settings_read["binning"] = f"{binning.dx} × {binning.dy}"
     if camera.is_gv_device():
-        found["address"] = camera.get_device().get_device_address().get_address().to_string()
-        found["packet size"] = f"{camera.gv_get_packet_size()} bytes"
-    return found
+        settings_read["address"] = camera.get_device().get_device_address().get_address().to_string()
+        settings_read["packet size"] = f"{camera.gv_get_packet_size()} bytes"
+    return settings_read
 
 
 def _centred(room: int, step: int) -> int:

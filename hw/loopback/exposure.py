@@ -67,7 +67,7 @@ class RoomSensor:
             electrons = electrons * _mosaic(_MOSAICS[request.pixel_format], electrons.shape)
         if request.pixel_format == RGB_8:
             filtered = [electrons * np.float32(_THROUGH_FILTER[name]) for name in "RGB"]
-            channels = [sensor.read_with(*each) for each in zip(filtered, noise, strict=True)]
+            channels = [sensor.read_with(*channel_and_noise) for channel_and_noise in zip(filtered, noise, strict=True)]
             return np.asarray(cv2.merge(channels)).tobytes()
         return sensor.read_with(electrons, noise[0]).tobytes()
 

@@ -40,10 +40,10 @@ def virtual_screen(size: tuple[int, int]) -> Iterator[VirtualScreen]:
         process = subprocess.Popen(command, pass_fds=[write_end], stderr=subprocess.DEVNULL)
         os.close(write_end)
         try:
-            shown = number.readline().decode().strip()  # empty if it ended before it was ready
-            if not shown:
+            display = number.readline().decode().strip()  # empty if it ended before it was ready
+            if not display:
                 raise DeviceError(f"the loopback rig's projector: {' '.join(command)} ended with {process.wait()}")
-            yield VirtualScreen(f":{shown}", Path(folder) / "Xvfb_screen0", process)
+            yield VirtualScreen(f":{display}", Path(folder) / "Xvfb_screen0", process)
         finally:
             process.terminate()
             process.wait()
@@ -72,7 +72,7 @@ class CameraProcess:
 
 @contextmanager
 def camera_process(
-    screen: VirtualScreen, settings: LoopbackSettings, *others: VirtualScreen
+    screen: VirtualScreen, settings: LoopbackSettings, *further: VirtualScreen
 ) -> Iterator[CameraProcess]:
     """Run the camera that sees the light of one screen or several in a process of its own; it can be found once this
     yields.
@@ -80,8 +80,8 @@ def camera_process(
     Raises DeviceError if it does not start.
     """
     command = [sys.executable, "-m", "hw.loopback"]
-    for each in (screen, *others):
-        command += ["--screen", str(each.file)]
+    for virtual_screen in (screen, *further):
+        command += ["--screen", str(virtual_screen.file)]
     command += ["--settings", settings.model_dump_json()]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:

@@ -65,8 +65,8 @@ class MjpegServer:
         request.end_headers()
         number = self._count - 1
         try:
-            while (found := self._next(number)) is not None:
-                number, jpeg = found
+            while (numbered := self._next(number)) is not None:
+                number, jpeg = numbered
                 head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                 request.wfile.write(head.encode() + jpeg + b"\r\n")
         except ConnectionError:
@@ -76,8 +76,8 @@ class MjpegServer:
         """Wait for the first queued frame after this number; None when the server ends."""
         with self._arrived:
             while not self._ended:
-                found = next((each for each in self._frames if each[0] > number), None)
-                if found is not None:
-                    return found
+                numbered = next((frame for frame in self._frames if frame[0] > number), None)
+                if numbered is not None:
+                    return numbered
                 self._arrived.wait()
         return None

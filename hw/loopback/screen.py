@@ -142,8 +142,8 @@ class ScreenHistory:
     def shares(self, begin_s: float, end_s: float) -> list[tuple[float, Light]]:
         """The light of each picture on the wall between two times, with its share; shares sum to one."""
         with self._lock:
-            seen = self.wall.shares(begin_s, end_s)
-        return [(share, light.result()) for share, light in seen]
+            shares = self.wall.shares(begin_s, end_s)
+        return [(share, light.result()) for share, light in shares]
 
     def _light(self) -> Future[Light]:
         """The light of the current picture; repeated pictures, as in a rehearsal, are rendered once."""

@@ -46,8 +46,8 @@ class Wall:
         for number, (picture, last_s) in enumerate(zip(pictures, until, strict=True)):
             first_s, stop_s = max(picture.since_s, begin_s), min(last_s, end_s)
             if stop_s > first_s:
-                left, later = self._left(picture.since_s, first_s), self._left(picture.since_s, stop_s)
-                faded_s = self.conditions.settling_ms / 1e3 * (left - later)
+                remaining, later = self._left(picture.since_s, first_s), self._left(picture.since_s, stop_s)
+                faded_s = self.conditions.settling_ms / 1e3 * (remaining - later)
                 seconds += faded_s * before
                 seconds[number] += stop_s - first_s - faded_s * before.sum()
             before *= self._left(picture.since_s, last_s)

@@ -31,13 +31,13 @@ pyglet.options["shadow_window"] = False
 
 def screens() -> list[Screen]:
     """All screens of the display, in the order of the desktop."""
-    found = []
+    screens = []
     for number, screen in enumerate(pyglet.display.get_display().get_screens()):
         mode = screen.get_mode()
         name = str(screen.get_monitor_name())
         rate = float(mode.rate) if mode is not None and mode.rate else None  # virtual screens report 0
-        found.append(Screen(number, name, screen.x, screen.y, screen.width, screen.height, rate))
-    return found
+        screens.append(Screen(number, name, screen.x, screen.y, screen.width, screen.height, rate))
+    return screens
 
 
 class FullScreenWindow:
@@ -110,9 +110,9 @@ class FullScreenWindow:
     def _check_place(self) -> None:
         expected = self._screen.geometry
         (width, height), (x, y) = self._window.get_size(), self._window.get_location()
-        found = f"{width}x{height}+{x}+{y}"
-        if found != expected:
-            raise ValueError(f"the window should cover {expected}, but the window manager put it at {found}")
+        actual = f"{width}x{height}+{x}+{y}"
+        if actual != expected:
+            raise ValueError(f"the window should cover {expected}, but the window manager put it at {actual}")
         if self._window.get_framebuffer_size() != (width, height):
             raise ValueError("the desktop scales this screen: set its scale to 100 %")
 
@@ -121,8 +121,8 @@ class FullScreenWindow:
         size = (self._screen.height, self._screen.width)
         probe = np.random.default_rng(_PROBE_SEED).integers(0, 256, size).astype(np.uint8)
         self.show(probe)
-        shown = pyglet.image.get_buffer_manager().get_color_buffer().get_image_data().get_data("RGB", 3 * size[1])
-        read_back = np.frombuffer(shown, np.uint8).reshape(*size, 3)[::-1]
+        displayed = pyglet.image.get_buffer_manager().get_color_buffer().get_image_data().get_data("RGB", 3 * size[1])
+        read_back = np.frombuffer(displayed, np.uint8).reshape(*size, 3)[::-1]
         if not np.array_equal(read_back, np.repeat(probe[:, :, None], 3, axis=2)):
             share = 100 * np.mean(np.any(read_back != probe[:, :, None], axis=2))
             raise ValueError(

@@ -43,16 +43,16 @@ def choose_screen(screens: Sequence[Screen], wanted: int | str | None, size: tup
 
     Raises DeviceError if there is none, if there are several, or if it has another size.
     """
-    found = [screen for screen in screens if _is_wanted(screen, wanted, size)]
+    fitting = [screen for screen in screens if _is_wanted(screen, wanted, size)]
     shown_size = f"{size[0]} × {size[1]}"
     described = f"called {wanted!r}" if wanted is not None else f"a screen of the projector's size, {shown_size}"
-    if len(found) != 1:
-        problem = f"no screen is {described}" if not found else f"{len(found)} screens are {described}"
+    if len(fitting) != 1:
+        problem = f"no screen is {described}" if not fitting else f"{len(fitting)} screens are {described}"
         raise DeviceError(
             f"projector: {problem}. There are: {'; '.join(map(str, screens)) or 'none'}. Set the rig's screen to "
             "the number, name or geometry of the projector's, and the projector's width and height to its size."
         )
-    (screen,) = found
+    (screen,) = fitting
     if (screen.width, screen.height) != size:
         raise DeviceError(
             f"projector: {screen} is not {shown_size}, the size of the patterns. Pictures are never scaled: set the "

@@ -101,8 +101,10 @@ class FootprintCaster:
         within = np.stack(np.meshgrid(offsets, offsets)).reshape(2, 1, -1)
         if bare is None:
             detailed = np.flatnonzero(self._detailed(rows))
-            seen = self._see((centres[:, detailed, None] + within).reshape(2, -1))
-            room = Footprints(self._direct(detailed, seen, centres.shape[1]), self._indirect(detailed, seen, centres))
+            points = self._see((centres[:, detailed, None] + within).reshape(2, -1))
+            room = Footprints(
+                self._direct(detailed, points, centres.shape[1]), self._indirect(detailed, points, centres)
+            )
         else:
             room = bare.of(slice(rows.start * width, rows.stop * width))
         return room if self.board is None else self._with_board(room, self.board, centres, within)
@@ -148,17 +150,17 @@ class FootprintCaster:
     def _paint(self, surface: Ints) -> Ints:
         return surface if self.painted is None else self.painted[surface]
 
-    def _direct(self, pixel: Indices, seen: _Seen, count: int) -> sparse.csr_array:
-        projected, irradiance = self.light.direct(seen.surface, seen.points)
+    def _direct(self, pixel: Indices, points: _Seen, count: int) -> sparse.csr_array:
+        projected, irradiance = self.light.direct(points.surface, points.points)
         lit = np.flatnonzero(irradiance)
         texels, weights = self.picture.interpolate(projected[:, lit])
-        weights *= (seen.gain[lit] * irradiance[lit] / self.samples**2)[:, None]
+        weights *= (points.gain[lit] * irradiance[lit] / self.samples**2)[:, None]
         return sparse_matrix(pixel[lit // self.samples**2], texels, weights, (count, self.picture.fine_count))
 
-    def _indirect(self, detailed: Indices, seen: _Seen, centres: Floats) -> sparse.csr_array:
+    def _indirect(self, detailed: Indices, points: _Seen, centres: Floats) -> sparse.csr_array:
         """Pixels that see one surface take the light at their centre. Others average over their samples."""
         per_pixel = self.samples**2
-        surface = seen.surface.reshape(-1, per_pixel)
+        surface = points.surface.reshape(-1, per_pixel)
         mixed = (surface != surface[:, :1]).any(axis=1)
 
         count = centres.shape[1]
@@ -167,13 +169,13 @@ class FootprintCaster:
         whole = self._see(centres[:, single])
         gain = np.zeros(count)
         gain[single] = whole.gain
-        gain[detailed] = seen.gain.reshape(-1, per_pixel).mean(axis=1)
+        gain[detailed] = points.gain.reshape(-1, per_pixel).mean(axis=1)
         nodes, weights = self.mesh.interpolate(self._paint(whole.surface), whole.uv)
         weights *= gain[single, None]
 
         parts = np.flatnonzero(np.repeat(mixed, per_pixel))
-        part_nodes, part_weights = self.mesh.interpolate(self._paint(seen.surface[parts]), seen.uv[:, parts])
-        part_weights *= seen.gain[parts, None] / per_pixel
+        part_nodes, part_weights = self.mesh.interpolate(self._paint(points.surface[parts]), points.uv[:, parts])
+        part_weights *= points.gain[parts, None] / per_pixel
         pixels = np.concatenate([np.flatnonzero(single), np.repeat(detailed[mixed], per_pixel)])
         return sparse_matrix(
             pixels,

@@ -16,11 +16,11 @@ def draw_furniture(rng: np.random.Generator, sphere_radius_m: float, askew: floa
     """
     large = _standing(rng, rng.uniform((0.25, 0.25, 0.15), (0.45, 0.4, 0.4)), _place(rng, 0.45, 1.1))
     stacked = _on_top(rng, large, rng.uniform((0.12, 0.12, 0.08), (0.2, 0.2, 0.2)))
-    other = _standing(rng, rng.uniform((0.15, 0.15, 0.1), (0.35, 0.35, 0.5)), _place(rng, 0.35, 1.2))
+    second = _standing(rng, rng.uniform((0.15, 0.15, 0.1), (0.35, 0.35, 0.5)), _place(rng, 0.35, 1.2))
     cupboard = _against_wall(rng, rng.uniform((0.6, 0.3, 0.7), (1.2, 0.45, 1.9)), rng.uniform(0.7, 1.4), askew)
     x, y = _place(rng, 0.3, 0.9)
     sphere = Sphere(np.array([x, y, sphere_radius_m]), sphere_radius_m)
-    return (large, stacked, other, cupboard), sphere
+    return (large, stacked, second, cupboard), sphere
 
 
 def draw_second_sphere(rng: np.random.Generator, sphere: Sphere, length_m: float) -> Sphere:

@@ -68,9 +68,11 @@ class PictureOptics:
         """Each pixel loses a share of its excess over each of its four neighbours."""
         padded = np.pad(light, 1, mode="edge")
         neighbours = (padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1])
-        lost = sum(np.maximum(light - other, 0) for other in neighbours)
-        left: Light = light - np.float32(self.stripe_loss / 2) * lost  # a stripe of one pixel has two dark neighbours
-        return left
+        lost = sum(np.maximum(light - neighbour, 0) for neighbour in neighbours)
+        remaining: Light = (
+            light - np.float32(self.stripe_loss / 2) * lost
+        )  # a stripe of one pixel has two dark neighbours
+        return remaining
 
     def blurred(self, light: Light) -> Light:
         """Light (H, W) → oversampled image behind the lens, as a vector (fine_count,)."""

@@ -150,7 +150,7 @@ def _draw_poses(scene: Scene, rig: RigGeometry, first: Place, settings: Simulate
         if len(places) > last:
             return places
         camera, projector = rig.placed(*draw_camera_pose(rng))
-        aside = min(float(np.linalg.norm(camera.centre - other.centre)) for other, _ in places)
+        aside = min(float(np.linalg.norm(camera.centre - earlier.centre)) for earlier, _ in places)
         if aside > _POSE_SPACING_M and _is_good(scene, camera, projector, settings, first=False):
             places.append((camera, projector))
     raise DeviceError(

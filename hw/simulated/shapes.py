@@ -71,10 +71,10 @@ class Block:
         """Where each ray enters and leaves, if it does: t (n,) and the face (n,), each."""
         count = directions.shape[1]
         near, far = np.empty(count), np.empty(count)
-        entered, left = np.empty(count, np.int32), np.empty(count, np.int32)
+        entered, exited = np.empty(count, np.int32), np.empty(count, np.int32)
         rays = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
-        _cross_slabs(self.inverse, self.origin, *rays, near, entered, far, left)
-        return near, entered, far, left
+        _cross_slabs(self.inverse, self.origin, *rays, near, entered, far, exited)
+        return near, entered, far, exited
 
 
 @compiled
@@ -86,7 +86,7 @@ def _cross_slabs(
     near: Floats,
     entered: Ints,
     far: Floats,
-    left: Ints,
+    exited: Ints,
 ) -> None:
     """`_passage` by the slab method of Kay and Kajiya (1986)."""
     from_one = origins.shape[1] == 1
@@ -113,7 +113,7 @@ def _cross_slabs(
             if np.isnan(low):  # along a face
                 first = np.inf
         near[ray], entered[ray] = first, into
-        far[ray], left[ray] = last, out
+        far[ray], exited[ray] = last, out
 
 
 @dataclass(frozen=True)

@@ -44,19 +44,19 @@ class SimulatedRoom:
 
         Raises ValueError for settings that need another room.
         """
-        other = copy.copy(self)
-        other.settings = SimulatedRigSettings.model_validate(self.settings.model_dump() | settings)
-        fixed = [key for key in _ROOM_SETTINGS if getattr(other.settings, key) != getattr(self.settings, key)]
-        if has_indirect_light(other.settings) and not self.renderer.ceiling.any():
+        copied = copy.copy(self)
+        copied.settings = SimulatedRigSettings.model_validate(self.settings.model_dump() | settings)
+        fixed = [key for key in _ROOM_SETTINGS if getattr(copied.settings, key) != getattr(self.settings, key)]
+        if has_indirect_light(copied.settings) and not self.renderer.ceiling.any():
             fixed.append("ambient")
         if fixed:
             raise ValueError(f"{', '.join(fixed)}: another value needs another room")
-        picture = self.renderer.picture.under(other.settings)
-        other.renderer = replace(self.renderer, picture=picture, ambient_level=other.settings.ambient)
-        if other.settings.board != self.settings.board:
-            other.renderer = other.renderer.with_board(other.settings)
-        other._begin()
-        return other
+        picture = self.renderer.picture.under(copied.settings)
+        copied.renderer = replace(self.renderer, picture=picture, ambient_level=copied.settings.ambient)
+        if copied.settings.board != self.settings.board:
+            copied.renderer = copied.renderer.with_board(copied.settings)
+        copied._begin()
+        return copied
 
     def _begin(self) -> None:
         optics = self.room.projector.optics

@@ -36,10 +36,10 @@ def true_calibration(room: Room, homography: Floats | None = None) -> Calibratio
     """
     projector = _intrinsics(room.projector.optics)
     if homography is not None:
-        found = _reshaped(projector, homography)
-        if found is None:
+        reshaped = _reshaped(projector, homography)
+        if reshaped is None:
             return None
-        projector = found
+        projector = reshaped
     return replace(calibration_between(room.camera, room.projector), projector=projector)
 
 

@@ -112,7 +112,7 @@ def _furnish(rng: np.random.Generator, bare: Scene, settings: SimulatedRigSettin
     second = None if settings.ball_bar_m is None else draw_second_sphere(rng, sphere, settings.ball_bar_m)
     spheres = [sphere] if second is None else [sphere, second]
     solids: list[Block | Sphere] = [*pieces, *spheres]
-    blocked = any(overlap(first, other) for first, other in combinations(solids, 2))
+    blocked = any(overlap(first, second) for first, second in combinations(solids, 2))
     outside = not all(_surrounded_by_air(bare, ball) for ball in spheres[1:])
     if blocked or outside:
         return None
@@ -194,7 +194,7 @@ def _is_good(scene: Scene, station: Station, neighbours: list[Station]) -> bool:
     if lit.mean() < _LIT:
         return False
     points, surface = points[:, lit], surface[lit]
-    return all(lit_and_visible(scene, *other, surface, points).mean() >= _OVERLAP for other in neighbours)
+    return all(lit_and_visible(scene, *neighbour, surface, points).mean() >= _OVERLAP for neighbour in neighbours)
 
 
 def _spheres_are_seen(scene: Scene, stations: tuple[Station, ...]) -> bool:

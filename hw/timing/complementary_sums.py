@@ -105,7 +105,9 @@ class ComplementarySums:
         the largest. All together are fitted by least squares, for shares of several. The covariance of the noise
         that values and differences have in common is subtracted.
         """
-        changes = sorted({(min(one, other), max(one, other)) for one in group for other in neighbours[one]})
+        changes = sorted(
+            {(min(number, neighbour), max(number, neighbour)) for number in group for neighbour in neighbours[number]}
+        )
         changes = [(of, to) for of, to in changes if of in brightness and to in brightness]
         if not changes:
             return 0.0
@@ -138,9 +140,9 @@ def _crossed_share(steps: Sequence[Floats]) -> float:
         return 0.0
     differences = np.stack(steps[:half]) - np.stack(steps[half:])
     differences -= differences.mean(axis=1, keepdims=True)
-    found = differences @ differences.T
+    products = differences @ differences.T
     expected = np.cos(np.pi / half * np.subtract.outer(np.arange(half), np.arange(half)))
-    off = np.abs(found / found.max() - expected)[np.triu_indices(half, 1)].max()
+    off = np.abs(products / products.max() - expected)[np.triu_indices(half, 1)].max()
     return float(off) if off > _CROSSED else 0.0
 
 
@@ -151,8 +153,8 @@ def _explained(terms: Floats, values: Floats) -> Floats:
     squares, directions = np.linalg.eigh(terms @ terms.T)
     kept = squares > _ALIKE**2 * squares[-1]
     along = (terms @ values) @ directions[:, kept] / squares[kept]
-    found: Floats = (directions[:, kept] @ along) @ terms
-    return found
+    levels: Floats = (directions[:, kept] @ along) @ terms
+    return levels
 
 
 def complementary_sums(
@@ -182,8 +184,8 @@ def _pairs(lit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inside[inside] = lit[tuple(second[:, inside])]
     if not inside.any():  # hardly any lit pixels: use each twice
         return np.tile(first[0], 2), np.tile(first[1], 2)
-    found = np.concatenate([first[:, inside], second[:, inside]], axis=1)
-    return found[0], found[1]
+    pairs = np.concatenate([first[:, inside], second[:, inside]], axis=1)
+    return pairs[0], pairs[1]
 
 
 def _grey(pixels: Image) -> Floats:

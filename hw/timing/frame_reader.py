@@ -83,18 +83,20 @@ class FrameReader:
 
         Raises DeviceError if none arrives, or if the stream has ended.
         """
-        found = self.following_until(number, inf)
-        assert found is not None
-        return found
+        frame = self.following_until(number, inf)
+        assert frame is not None
+        return frame
 
     def following_until(self, number: int, until_s: float) -> Arrival | None:
         """As `following`; None if it has not arrived by `until_s` (monotonic clock)."""
         deadline_s = time.monotonic() + _NOTHING_S
         with self._arrived:
             while True:
-                found = next((each for each in self._frames if each.number > number and self._counts(each)), None)
-                if found is not None:
-                    return found
+                following = next(
+                    (frame for frame in self._frames if frame.number > number and self._counts(frame)), None
+                )
+                if following is not None:
+                    return following
                 if self._error is not None:
                     raise self._error
                 if time.monotonic() > deadline_s:

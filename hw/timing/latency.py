@@ -91,7 +91,7 @@ class LatencyCalibration:
         find it approximately; later exposures are placed so that light arrives in their middle, of each camera in turn.
         Raises DeviceError if the light does not arrive, or if frames do not.
         """
-        seen: list[list[_Arrival]] = [[] for _ in self._rests]
+        arrivals_by_rest: list[list[_Arrival]] = [[] for _ in self._rests]
         flashes: list[list[_Arrival]] = []
         first_s = 0.0
         for number in range(_FLASHES_AT_MOST):
@@ -101,18 +101,18 @@ class LatencyCalibration:
             if arrivals is None:
                 continue
             flashes.append(arrivals)
-            for each, arrival in zip(seen, arrivals, strict=True):
-                each += [arrival] if arrival.observed else []
-            if min(map(len, seen)) >= _FLASHES:
-                observed = [arrival for each in seen for arrival in each]
+            for of_rest, arrival in zip(arrivals_by_rest, arrivals, strict=True):
+                of_rest += [arrival] if arrival.observed else []
+            if min(map(len, arrivals_by_rest)) >= _FLASHES:
+                observed = [arrival for of_rest in arrivals_by_rest for arrival in of_rest]
                 return Latency(
-                    min(each.soonest_s for each in observed),
-                    max(each.after_s for each in observed),
-                    max(each.swapping_s for each in observed),
+                    min(arrival.soonest_s for arrival in observed),
+                    max(arrival.after_s for arrival in observed),
+                    max(arrival.swapping_s for arrival in observed),
                     median(self._cycles_s),
                 )
-            aimed = number % len(seen)
-            soonest_s = min(each[aimed].after_s for each in flashes)  # late exposures only give an upper limit
+            aimed = number % len(arrivals_by_rest)
+            soonest_s = min(flash[aimed].after_s for flash in flashes)  # late exposures only give an upper limit
             # Vary the phase of a free-running camera.
             early_s = self._cameras.cameras[aimed].exposure_s / 2 + waits_s * (number % _FLASHES) / _FLASHES
             first_s = max(0.0, soonest_s - early_s)
@@ -160,8 +160,8 @@ class LatencyCalibration:
                 if number not in arrivals and missing[number] < 1 - _EDGE:
                     arrivals[number] = self._arrival(number, float(missing[number]), swap, at_once_s)
             if np.all(missing < _EDGE):
-                found = [arrivals[number] for number in range(len(missing))]
-                return found if not hidden or all(each.observed for each in found) else None
+                in_order = [arrivals[number] for number in range(len(missing))]
+                return in_order if not hidden or all(arrival.observed for arrival in in_order) else None
         blind = self._cameras.cameras[int(missing.argmax())]
         raise DeviceError(
             f"projector: {_LONGEST_FLASH_S:.0f} s after a change of the picture, camera {blind.name} still does not "

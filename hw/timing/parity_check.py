@@ -64,7 +64,7 @@ def _with_parity(images: Iterator[Image], groups: Mapping[int, Sequence[int]]) -
         if not read:
             return
         if number in groups:
-            yield _parity([read[each - number] for each in groups[number] if each - number < len(read)])
+            yield _parity([read[picture - number] for picture in groups[number] if picture - number < len(read)])
         yield read.popleft()
         number += 1
 
@@ -87,7 +87,7 @@ def odd_share(group: Sequence[int], levels: Mapping[int, Floats]) -> float:
     return float(np.mean(lit % 2))
 
 
-def mixed_share(frame: Floats, others: Sequence[Floats], tolerance: float) -> float | None:
+def mixed_share(frame: Floats, neighbours: Sequence[Floats], tolerance: float) -> float | None:
     """The largest share of another picture in the frame of a binary picture; None if it is not known to the tolerance,
     as where the other picture has no edges.
 
@@ -97,15 +97,15 @@ def mixed_share(frame: Floats, others: Sequence[Floats], tolerance: float) -> fl
     """
     first, second = np.split(frame > 0.5, 2)
     flat = first == second
-    own, shares = _across(frame), [0.0] if others else []
-    for other in others:
-        step = _across(other)
+    own, shares = _across(frame), [0.0] if neighbours else []
+    for neighbour in neighbours:
+        step = _across(neighbour)
         edges = flat & (np.abs(step) > _EDGE)
-        found = own[edges] / step[edges]
-        if not len(found):
+        measured = own[edges] / step[edges]
+        if not len(measured):
             return None
-        share = median(found)
-        if robust_sigma(found - share) * np.sqrt(np.pi / 2 / len(found)) > tolerance / 2:  # of the median
+        share = median(measured)
+        if robust_sigma(measured - share) * np.sqrt(np.pi / 2 / len(measured)) > tolerance / 2:  # of the median
             return None
         shares.append(share)
     return max(shares, default=None)

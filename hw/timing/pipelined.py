@@ -84,8 +84,8 @@ class PipelinedAcquisition:
         self.missed = self.doubted = 0
         taken: dict[int, Frames] = {}
         following = 0
-        shown = with_parity(images, redundancy)
-        for number, frames in self._series(shown):
+        numbered = with_parity(images, redundancy)
+        for number, frames in self._series(numbered):
             taken[number] = frames
             self._verification.note(number, frames)
             if not self._schedule.outstanding:
@@ -100,7 +100,7 @@ class PipelinedAcquisition:
                     self._verification.judge()  # groups may wait for each other
             while following in taken and not self._verification.lacks(following):
                 proven = taken.pop(following)
-                if following not in shown.added:
+                if following not in numbered.added:
                     self.tally.take()
                     yield proven
                 following += 1
@@ -110,12 +110,12 @@ class PipelinedAcquisition:
         """Frames in order, checked by their timing only: the caller verifies them."""
         return (frame for _, frame in self._series(with_parity(images, NO_REDUNDANCY), proven=False))
 
-    def _series(self, shown: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frames]]:
+    def _series(self, numbered: WithParity, *, proven: bool = True) -> Iterator[tuple[int, Frames]]:
         """Numbers and frames; the caller may repeat others in between, after `_stop_pipelining`. Grouped pictures are
         pipelined. Without verification (`proven` False) all are, and frames come in order.
         """
-        self._pictures = NumberedPictures(shown.images)
-        self._verification = FrameVerification(self._sums, self._pictures, shown.level, shown.even)
+        self._pictures = NumberedPictures(numbered.images)
+        self._verification = FrameVerification(self._sums, self._pictures, numbered.level, numbered.even)
         self._in_order = not proven
         self._resting, self._penalty, self._caught_in_row = 0, 1, 0
         self._rested, self._unfounded, self._doubts = set[int](), 0, set[Group]()
@@ -140,18 +140,18 @@ class PipelinedAcquisition:
 
     def _next_at_rest(self) -> list[int]:
         """The next pictures to take at rest, up to the first that may be pipelined."""
-        found = [*self._again] if self._unverifiable else self._again[: self._resting]
-        if len(found) < len(self._again):
-            return found
+        again = [*self._again] if self._unverifiable else self._again[: self._resting]
+        if len(again) < len(self._again):
+            return again
         number = self._next
         while (
-            len(found) < _MOST_AT_REST
+            len(again) < _MOST_AT_REST
             and self._pictures.has(number)
-            and (len(found) < self._resting or self._unverifiable or not self._may_be_pipelined(number))
+            and (len(again) < self._resting or self._unverifiable or not self._may_be_pipelined(number))
         ):
-            found.append(number)
+            again.append(number)
             number += 1
-        return found
+        return again
 
     def _at_rest(self, numbers: Sequence[int]) -> Iterator[tuple[int, Frames]]:
         self._stopped = True
@@ -279,7 +279,7 @@ class PipelinedAcquisition:
         if foreign <= 1 or group in self._doubts or self._is_unverifiable(group):
             return False
         log.info("frames %s: foreign by %.1f times the tolerance", group, foreign)
-        several = self._unfounded > 0 or any(self._verification.lacks(other[0]) for other in self._doubts)
+        several = self._unfounded > 0 or any(self._verification.lacks(doubt[0]) for doubt in self._doubts)
         self._doubts.add(group)
         self.doubted += len(self._verification.suspects(group))
         self.missed, self._caught_in_row = self.missed + 1, 0

@@ -56,9 +56,9 @@ class _Run:
     levels: list[Floats]
 
 
-def _is_unresolved(seen: Floats) -> bool:
+def _is_unresolved(levels: Floats) -> bool:
     """Whether a frame may show stripes that the camera does not resolve; two such pictures look alike."""
-    return bool(seen.std() < _FLAT and _GREY[0] < seen.mean() < _GREY[1])
+    return bool(levels.std() < _FLAT and _GREY[0] < levels.mean() < _GREY[1])
 
 
 class StableFrames:
@@ -93,7 +93,7 @@ class StableFrames:
             return self._frame(self._resting(_ShownPicture(now_s, now_s, now_s - _UNSEEN_S)))
         self._projector.prepare(image)
         run = self._resting(self._flipped(image))
-        self._refuse_frozen([each.image for each in run.frames])
+        self._refuse_frozen([frame.image for frame in run.frames])
         return self._frame(run)
 
     def pipelined(self, images: Iterator[Image]) -> Generator[Frame | None]:
@@ -153,7 +153,7 @@ class StableFrames:
 
     def _caught(self, showing: _ShownPicture) -> _Run:
         """Frames of a pipelined picture before the next one may appear; fewer than wanted if it was missed."""
-        found = _Run([], [])
+        started = _Run([], [])
         for run, came_s in self._runs(showing):
             end_s = self._waiting[1].soonest_s if len(self._waiting) > 1 else showing.latest_s + self.hold_s
             if came_s >= end_s:
@@ -161,8 +161,8 @@ class StableFrames:
             unseen = came_s > showing.latest_s - _SPARE * self._timing.period_s and _is_unresolved(run.levels[-1])
             if self._is_whole(run) and (unseen or self._has_come(run)):
                 return self._noted(run, showing)
-            found = _Run(run.frames[-1:], run.levels[-1:])
-        return found
+            started = _Run(run.frames[-1:], run.levels[-1:])
+        return started
 
     def _is_clean(self, run: _Run, following: _Run) -> bool:
         """Whether these frames contain no share of the next picture, compared with the next picture's own frames. If
@@ -182,12 +182,14 @@ class StableFrames:
             arrival = self._following()
             if arrival.came_s < begin_s:
                 continue
-            seen = self._sums.brightness(arrival.image)
+            brightness = self._sums.brightness(arrival.image)
             alike = (
-                run if run.levels and self._stability.is_stable(self._before, run.levels[-1], seen) else _Run([], [])
+                run
+                if run.levels and self._stability.is_stable(self._before, run.levels[-1], brightness)
+                else _Run([], [])
             )
             count = 1 - self._camera.average
-            run = _Run([*alike.frames[count:], arrival], [*alike.levels[count:], seen])
+            run = _Run([*alike.frames[count:], arrival], [*alike.levels[count:], brightness])
             yield run, arrival.came_s
 
     def _noted(self, run: _Run, showing: _ShownPicture) -> _Run:
@@ -240,7 +242,7 @@ class StableFrames:
         return _ShownPicture(swap.begun_s, swap.begun_s + self._timing.soonest_s, latest_s)
 
     def _frame(self, run: _Run) -> Frame:
-        total = np.sum([each.image for each in run.frames], axis=0, dtype=np.uint16)
+        total = np.sum([frame.image for frame in run.frames], axis=0, dtype=np.uint16)
         mean = np.rint(total / np.float32(len(run.frames))).astype(np.uint8)
         self._before = self._sums.brightness(mean)
         return Frame(mean, self._camera.exposure_us, run.frames[0].timestamp_ns)

@@ -66,12 +66,12 @@ def calibrate_stream(projector: FlippingProjector, camera: StreamingCamera) -> t
             "camera, its driver or its app, then rerun."
         )
     rest = RestingLight(camera, dark, series.last)
-    shown, first, last = 1, [np.inf], [0.0]
+    picture, first, last = 1, [np.inf], [0.0]
     for _ in range(_FLASHES):
-        shown = 1 - shown
-        projector.prepare(pictures[shown])
+        picture = 1 - picture
+        projector.prepare(pictures[picture])
         swap = projector.flip()
-        seen_s, whole_s = _arrival(camera, rest, shown)
+        seen_s, whole_s = _arrival(camera, rest, picture)
         first.append(seen_s - swap.begun_s)
         last.append(whole_s - swap.done_s)
     timing = StreamTiming(float(min(first)), float(max(last)), camera.reader.period_s, series.adapted)

@@ -68,16 +68,16 @@ class StreamAcquisition:
                 self.tally.take()
                 yield self.stable_frames.at_rest(image)
             return
-        shown = with_parity(images, redundancy)
-        self._pictures = NumberedPictures(shown.images)
-        self._verification = FrameVerification([self._rest.sums], self._pictures, shown.level, shown.even)
-        self._even = {each for group in shown.even for each in group}
+        numbered = with_parity(images, redundancy)
+        self._pictures = NumberedPictures(numbered.images)
+        self._verification = FrameVerification([self._rest.sums], self._pictures, numbered.level, numbered.even)
+        self._even = {number for group in numbered.even for number in group}
         self._taken: dict[int, Frame] = {}
         following = 0
         for _ in self._all(first):
             while following in self._taken and not self._verification.lacks(following):
                 frame = self._taken.pop(following)
-                if following not in shown.added:
+                if following not in numbered.added:
                     self.tally.take()
                     yield frame
                 following += 1

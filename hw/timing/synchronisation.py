@@ -119,17 +119,17 @@ class SynchronisedRig(TimedRig):
         return self.sequential.frames(images, exposures_us)
 
     def _measured(self) -> Mapping[str, object]:
-        found: dict[str, object] = {
+        measured: dict[str, object] = {
             "delay_ms": round(1e3 * self.timing.delay_s, 2),
             "overlapping": self.timing.overlaps,
         }
         if self.pipelined is not None and self._was_pipelined:
-            found |= {
+            measured |= {
                 "pictures_in_flight": self.pipelined.rhythm.outstanding,
                 "missed_in_flight": self.pipelined.missed,
                 "doubted_frames": self.pipelined.doubted,
             }
-        return found
+        return measured
 
 
 def synchronised(
@@ -137,7 +137,7 @@ def synchronised(
     camera: TriggeredCamera,
     identity: dict[str, str],
     refresh_hz: float | None = None,
-    others: Sequence[tuple[TriggeredCamera, dict[str, str]]] = (),
+    further: Sequence[tuple[TriggeredCamera, dict[str, str]]] = (),
 ) -> SynchronisedRig:
     """Calibrate the latency, rehearse the acquisition (about four seconds), and return the rig; `others`: further
     cameras with their identities.
@@ -145,7 +145,7 @@ def synchronised(
     If a camera has no clock, the delay is the longest latency of any projector. Raises DeviceError if a camera does not
     see the projector, or if its light does not settle.
     """
-    cameras = CameraGroup([camera, *(other for other, _ in others)])
+    cameras = CameraGroup([camera, *(further_camera for further_camera, _ in further)])
     calibration = LatencyCalibration(projector, cameras)
     if not cameras.has_clock:  # flashes measure nothing if the begin of exposures is unknown
         timing = _rehearsed_sequential(calibration, projector, cameras, LONGEST_LATENCY_S)
@@ -160,13 +160,13 @@ def synchronised(
         verified = _rehearsed_pipelined(calibration, measured, projector, cameras, sequential)
     if verified is None:
         verified = PipelinedAcquisition(projector, cameras, sequential, AT_REST, calibration.sums)
-    found = {"light after a flip": light}
+    flip = {"light after a flip": light}
     return SynchronisedRig(
         projector,
         camera,
-        identity | found,
+        identity | flip,
         refresh_hz,
-        others=tuple(Rig(projector, other, known | found, refresh_hz) for other, known in others),
+        others=tuple(Rig(projector, further_camera, known | flip, refresh_hz) for further_camera, known in further),
         latency_s=timing.latency_s,
         tally=sequential.tally,
         timing=timing,

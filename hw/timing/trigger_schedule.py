@@ -145,7 +145,7 @@ class TriggerSchedule:
         """The last picture was captured, so none before it is on the wall any more."""
         self._before = self._before[-1:]
 
-    def settle(self, *shown: int) -> list[int]:
+    def settle(self, *numbers: int) -> list[int]:
         """Wait for all scheduled swaps; returns the pictures that were not exposed, and clears their slots.
 
         `shown`: pictures shown since, outside this schedule. They may follow each other within less than a period, so
@@ -153,13 +153,13 @@ class TriggerSchedule:
         """
         while self._planned:
             self._hear(wait=True)
-        left = self.outstanding
-        self._before = [*self._before, *left, *shown][-_STILL_THERE:]
+        outstanding = self.outstanding
+        self._before = [*self._before, *outstanding, *numbers][-_STILL_THERE:]
         self._swaps.clear()
         self._order.clear()
         self.slot = self._end
         self._reference = None
-        return left
+        return outstanding
 
     def _hear(self, *, wait: bool) -> bool:
         swap = self._projector.shown(wait=wait)

@@ -41,7 +41,7 @@ class FrameVerification:
         level: Iterable[Sequence[int]],
         even: Iterable[Sequence[int]] = (),
     ) -> None:
-        self._cameras: tuple[tuple[ComplementarySums, Levels], ...] = tuple((each, {}) for each in sums)
+        self._cameras: tuple[tuple[ComplementarySums, Levels], ...] = tuple((camera_sums, {}) for camera_sums in sums)
         self._pictures = pictures
         self._even = frozenset(map(tuple, even))
         self._unverified = {number: tuple(group) for group in [*level, *self._even] for number in group}
@@ -52,23 +52,23 @@ class FrameVerification:
         """Whether a picture's group still has to be verified."""
         return number in self._unverified
 
-    def are_together(self, number: int, others: Iterable[int]) -> bool:
+    def are_together(self, number: int, numbers: Iterable[int]) -> bool:
         """Whether one of the others is in the same group as a picture."""
         group = self._unverified.get(number, ())
-        return any(other in group for other in others)
+        return any(member in group for member in numbers)
 
-    def set_neighbours(self, number: int, others: Iterable[int]) -> None:
+    def set_neighbours(self, number: int, neighbours: Iterable[int]) -> None:
         """Record the pictures before and after a pipelined picture, when it was last taken."""
-        self._neighbours[number] = {*others} - {number}
+        self._neighbours[number] = {*neighbours} - {number}
 
     def set_sequence(self, numbers: Sequence[int], before: Collection[int]) -> None:
         """Record that these pictures followed each other, each taken at rest."""
         self.set_neighbours(numbers[0], before)
         for number in numbers[1:]:
             self.set_neighbours(number, ())
-        for one, other in pairwise(numbers):
-            self._neighbours[one] |= {other} - {one}
-            self._neighbours[other] |= {one} - {other}
+        for earlier, later in pairwise(numbers):
+            self._neighbours[earlier] |= {later} - {earlier}
+            self._neighbours[later] |= {earlier} - {later}
 
     def clear_neighbours(self, number: int) -> None:
         """Record that no other picture can have been on the wall."""
@@ -150,7 +150,7 @@ class FrameVerification:
             return 0.0
         if not levels.keys() >= {*neighbours}:
             return 1.0
-        share = mixed_share(levels[number], [levels[other] for other in neighbours], sums.tolerance)
+        share = mixed_share(levels[number], [levels[neighbour] for neighbour in neighbours], sums.tolerance)
         return 1.0 if share is None else share
 
     def _can_be_judged(self, group: Group) -> bool:
@@ -164,10 +164,12 @@ class FrameVerification:
         """Whether the neighbouring frames of an even group, whose edges are used, are verified themselves."""
         if not self.is_even(group):
             return True
-        others = {self._unverified.get(other, group) for number in group for other in self._neighbours[number]} - {
-            group
-        }
-        return all(self._is_complete(other) and self.foreign(other) <= 1 for other in others)
+        groups = {
+            self._unverified.get(neighbour, group) for number in group for neighbour in self._neighbours[number]
+        } - {group}
+        return all(
+            self._is_complete(neighbour_group) and self.foreign(neighbour_group) <= 1 for neighbour_group in groups
+        )
 
 
 def _odd_share(group: Group, _: ComplementarySums, levels: Levels) -> float:

@@ -67,10 +67,12 @@ def list_jobs(sources: Sequence[str], asked: Request) -> tuple[Job, ...]:
     """
     jobs: dict[str, Job] = {}
     for source in sources:
-        found = list(_from_list(Location(source), asked) if source.endswith(".csv") else _from_folders(source, asked))
-        if not found:
+        requests = list(
+            _from_list(Location(source), asked) if source.endswith(".csv") else _from_folders(source, asked)
+        )
+        if not requests:
             raise InputError(f"{source}: expected captures, folders with a {CAPTURE_FILE}; found none")
-        for job in found:
+        for job in requests:
             name, number = job.name, 1
             while name in jobs and jobs[name].capture != job.capture:
                 number += 1

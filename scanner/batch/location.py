@@ -55,9 +55,9 @@ class Location:
     def glob(self) -> list["Location"]:
         """Return the sorted locations that match a URL with *."""
         if self.local:
-            return [Location(found) for found in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
+            return [Location(path) for path in sorted(glob.glob(str(self.local), recursive=True))]  # noqa: PTH207
         system, path = self._resolved()
-        return [Location(str(system.unstrip_protocol(found))) for found in sorted(system.glob(path))]
+        return [Location(str(system.unstrip_protocol(file))) for file in sorted(system.glob(path))]
 
     @property
     def exists(self) -> bool:
@@ -88,8 +88,8 @@ class Location:
         system, path = self._resolved()
         if not system.exists(path):
             return {}
-        found = [file for file in system.find(path) if file.endswith(ending)]
-        content = system.cat(found) if len(found) > 1 else {file: system.cat_file(file) for file in found}
+        files = [file for file in system.find(path) if file.endswith(ending)]
+        content = system.cat(files) if len(files) > 1 else {file: system.cat_file(file) for file in files}
         start = len(path.rstrip("/")) + 1
         return {file[start : -len(ending)]: bytes(data) for file, data in content.items()}
 

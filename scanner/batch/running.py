@@ -50,11 +50,11 @@ def pending(jobs: Sequence[Job], out: Location, *, retry: bool) -> tuple[dict[st
 
     `retry`: crashed jobs run again. Raises InputError for an invalid row.
     """
-    found = {name: Row.from_json(data, f"{name}{ENDING}") for name, data in (out / ROWS).read_all(ENDING).items()}
+    rows = {name: Row.from_json(data, f"{name}{ENDING}") for name, data in (out / ROWS).read_all(ENDING).items()}
     asked = {job.name: job.asked for job in jobs}
     kept = {
         name: row
-        for name, row in found.items()
+        for name, row in rows.items()
         if asked.get(name) == row.asked and not (retry and row.exit_code == EXIT_BUG)
     }
     return kept, [job for job in jobs if job.name not in kept]
@@ -79,14 +79,14 @@ def run_batch(
     if to_do and workers is not None:
         for row in progress.track(_worked(to_do, delivery, workers()), len(to_do), "Captures"):
             rows[row.name] = row
-    found = tuple(rows[name] for name in sorted(rows))
+    ordered = tuple(rows[name] for name in sorted(rows))
     tables = {PAGE: write_page, CSV: write_csv}
     if find_spec("pyarrow") is not None:  # part of the extra 'batch'
         tables[TABLE] = write_parquet
     with progress.step("Writing the table"):
         for name, write in tables.items():
-            write(Location(out) / name, found)
-    return Batch(found, kept, time.monotonic() - began_s, tuple(tables))
+            write(Location(out) / name, ordered)
+    return Batch(ordered, kept, time.monotonic() - began_s, tuple(tables))
 
 
 def _worked(jobs: Sequence[Job], delivery: Delivery, workers: Workers) -> Iterator[Row]:

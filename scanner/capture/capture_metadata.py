@@ -46,8 +46,8 @@ def identity(metadata: Mapping[str, object]) -> dict[str, str]:
     devices = metadata.get("devices")
     named = {str(key): value for key, value in devices.items()} if isinstance(devices, Mapping) else {}
     named |= _synchronisation(metadata.get("synchronisation"))
-    others = {str(key): value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
-    named |= {key: value for key, value in others.items() if not isinstance(value, Mapping | list)}
+    of_devices = {str(key): value for key, value in metadata.items() if key not in _NOT_ABOUT_DEVICES}
+    named |= {key: value for key, value in of_devices.items() if not isinstance(value, Mapping | list)}
     return {shortened(key): _line(value) for key, value in islice(named.items(), _MOST_LINES)}
 
 

@@ -61,11 +61,11 @@ def unlisted(folder: Path, count: int) -> Path | None:
     return path if path.exists() else None
 
 
-def planned_patterns(metadata: Mapping[str, Any], shown: Sequence[Pattern]) -> tuple[Pattern, ...]:
+def planned_patterns(metadata: Mapping[str, Any], patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
     """The patterns that were to be shown, if a recording says so: those `shown` are the first of them."""
     try:
         entry = validate(_PlanEntry, {"sequence": metadata.get("sequence")}, "")
     except InputError:
         return ()  # another program's key of that name
-    planned = tuple(each.pattern() for each in entry.sequence)
-    return planned if planned[: len(shown)] == tuple(shown) else ()
+    planned = tuple(entry_pattern.pattern() for entry_pattern in entry.sequence)
+    return planned if planned[: len(patterns)] == tuple(patterns) else ()

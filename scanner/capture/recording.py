@@ -52,8 +52,8 @@ class _FrameEntry(Entry):
     @property
     def read_back(self) -> tuple[float | None, int | None]:
         """Read exposure and time stamp. Other programs may use these keys otherwise, which is no error."""
-        found, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
-        exposure_us = found if isinstance(found, float | int) and shortest <= found <= longest else None
+        exposures, shortest, longest = self.exposure_us, _SHORTEST_EXPOSURE_US, _LONGEST_EXPOSURE_US
+        exposure_us = exposures if isinstance(exposures, float | int) and shortest <= exposures <= longest else None
         return exposure_us, self.timestamp_ns if isinstance(self.timestamp_ns, int) else None
 
 
@@ -98,8 +98,8 @@ class Recording:
         """The frame of the scene fully lit or, without one, the mean of the first frames that light every place alike;
         None if there are none of either. Raises InputError if they cannot be read.
         """
-        shown = zip(self.patterns, self.files, strict=True)
-        file = next((file for pattern, file in shown if isinstance(pattern, White)), None)
+        listed = zip(self.patterns, self.files, strict=True)
+        file = next((file for pattern, file in listed if isinstance(pattern, White)), None)
         if file is not None:
             return read_image(self.folder / file)
         group = next(iter(level_groups(self.patterns)), ())
@@ -119,12 +119,12 @@ class Recording:
             yield pattern, Frame(image, *read_back)
 
     def _check_size(self, file: str, image: Image) -> None:
-        found = Size.of(image)
-        if found != self.camera_size:
-            swapped = "; are width and height swapped?" if found[::-1] == self.camera_size else ""
+        actual = Size.of(image)
+        if actual != self.camera_size:
+            swapped = "; are width and height swapped?" if actual[::-1] == self.camera_size else ""
             raise InputError(
                 f"{self.folder / file}: expected {self.camera_size} pixels, the size of the camera in "
-                f"{CAPTURE_FILE}, found {found}{swapped}"
+                f"{CAPTURE_FILE}, found {actual}{swapped}"
             )
 
     def copy_to(self, folder: Path) -> None:
@@ -206,14 +206,14 @@ def _frame_path(listing: Path, file: str) -> Path:
     root = listing.parent.resolve()
     try:
         path = (root / file).resolve()
-        found = "is no file" if path.exists() else "is missing"
+        state = "is no file" if path.exists() else "is missing"
         is_file = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that is too long, links in a circle
         raise InputError(f"{listing}: frame {shown(file)} cannot be found: {error}") from error
     if not path.is_relative_to(root):
         raise InputError(f"{listing}: frame {shown(file)} is a link that leads out of the capture folder")
     if not is_file:
-        raise InputError(f"{listing}: frame {shown(file)} {found}")
+        raise InputError(f"{listing}: frame {shown(file)} {state}")
     return path
 
 

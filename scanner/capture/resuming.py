@@ -72,13 +72,13 @@ def _witnesses(taken: Sequence[Pattern]) -> tuple[Pattern, ...]:
 
 
 def _refuse_other_devices(begun: Recording, now: Mapping[str, object]) -> None:
-    before, found = begun.metadata.get("devices"), now.get("devices")
-    if not isinstance(before, Mapping) or not isinstance(found, Mapping):
+    before, devices = begun.metadata.get("devices"), now.get("devices")
+    if not isinstance(before, Mapping) or not isinstance(devices, Mapping):
         return
     differing = [
-        f"{name}: {before.get(name, 'nothing')} then, {found.get(name, 'nothing')} now"
-        for name in dict.fromkeys([*before, *found])
-        if name not in _MEASURED and str(before.get(name)) != str(found.get(name))
+        f"{name}: {before.get(name, 'nothing')} then, {devices.get(name, 'nothing')} now"
+        for name in dict.fromkeys([*before, *devices])
+        if name not in _MEASURED and str(before.get(name)) != str(devices.get(name))
     ]
     if differing:
         raise InputError(f"{begun.folder}: was begun with another rig, or with other settings: {'; '.join(differing)}")
@@ -94,5 +94,5 @@ def _compare(begun: Recording, witnesses: Sequence[tuple[Pattern, Frame]], repea
 
 
 def _recorded(begun: Recording, count: int) -> Iterator[tuple[Pattern, Frame]]:
-    for _, shown in zip(range(count), begun.stream().frames, strict=False):
-        yield shown
+    for _, frame in zip(range(count), begun.stream().frames, strict=False):
+        yield frame

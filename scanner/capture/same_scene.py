@@ -47,47 +47,47 @@ class Comparison:
     changed: float
 
 
-def refuse_another_scene(shown: str, before: Image, now: Image, scale: float = 1.0) -> None:
+def refuse_another_scene(what: str, before: Image, now: Image, scale: float = 1.0) -> None:
     """Raise InputError, naming what is not as it was, if two frames (H, W[, 3]) of what was `shown` differ.
 
     `scale`: about how many camera pixels wide a projector pixel is.
     """
-    found = compare(before, now)
-    if found.moved_px is not None and found.moved_px > max(_MOST_MOVED_PX * scale, _NOISE_PX):
-        said = f"it is shifted by {found.moved_px:.2g} camera px: camera, projector or scene have moved"
-    elif found.changed > _MOST_CHANGED:
-        said = f"{found.changed:.0%} of the picture show something else: something was moved, added or removed"
-    elif not 1 / _MOST_BRIGHTER < found.gain < _MOST_BRIGHTER:
-        said = f"it is {found.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode were changed"
-    elif abs(found.offset) > _MOST_LIGHT_ADDED:
+    change = compare(before, now)
+    if change.moved_px is not None and change.moved_px > max(_MOST_MOVED_PX * scale, _NOISE_PX):
+        said = f"it is shifted by {change.moved_px:.2g} camera px: camera, projector or scene have moved"
+    elif change.changed > _MOST_CHANGED:
+        said = f"{change.changed:.0%} of the picture show something else: something was moved, added or removed"
+    elif not 1 / _MOST_BRIGHTER < change.gain < _MOST_BRIGHTER:
+        said = f"it is {change.gain:.2f} times as bright: exposure, aperture, lamp or the projector's mode were changed"
+    elif abs(change.offset) > _MOST_LIGHT_ADDED:
         said = "the light in the room, beside the projector's, is not as it was"
     else:
         return
     raise InputError(
-        f"the capture cannot be resumed: {shown} was shown again, and {said}. Put it back as it was and try again, or "
+        f"the capture cannot be resumed: {what} was shown again, and {said}. Put it back as it was and try again, or "
         "capture anew"
     )
 
 
 def compare(before: Image, now: Image) -> Comparison:
     """Least squares in small tiles: what of the difference is motion, what is left."""
-    one, other = _grey(before), _grey(now)
-    low, high = np.percentile(one, [2, 98])
+    first, second = _grey(before), _grey(now)
+    low, high = np.percentile(first, [2, 98])
     contrast = max(float(high - low), 1e-6)
-    gain, offset = _brightness(one, other)
-    smooth = cv2.GaussianBlur(one, (0, 0), _SMOOTHING_PX)
-    difference = cv2.GaussianBlur((other - offset) / gain, (0, 0), _SMOOTHING_PX) - smooth
+    gain, offset = _brightness(first, second)
+    smooth = cv2.GaussianBlur(first, (0, 0), _SMOOTHING_PX)
+    difference = cv2.GaussianBlur((second - offset) / gain, (0, 0), _SMOOTHING_PX) - smooth
     by_x, by_y = (_tiles(cv2.Sobel(smooth, cv2.CV_64F, *order, ksize=1, scale=0.5)) for order in ((1, 0), (0, 1)))
     off = _tiles(difference)
     across, along = _motion(by_x, by_y, off)
-    left = np.sqrt(np.mean((off - along) ** 2, axis=1))
+    residuals = np.sqrt(np.mean((off - along) ** 2, axis=1))
     sees = np.ptp(_tiles(smooth), axis=1) > 0.1 * contrast
     # Not of all tiles: unlit ones may be free of noise, and then a compression's specks would tell of motion.
     noise = _SMOOTHED * SIGMA_PER_MEDIAN * float(np.median(np.abs(off - along)[sees])) if np.any(sees) else np.inf
     strength = np.sum(across[1] ** 2, axis=1)
     tells = np.sqrt(strength) * _SURE_PX > max(noise, 1e-9)
-    sees |= left > _CHANGED_OF_CONTRAST * contrast
-    changed = float(np.mean(left[sees] > _CHANGED_OF_CONTRAST * contrast)) if np.count_nonzero(sees) else 0.0
+    sees |= residuals > _CHANGED_OF_CONTRAST * contrast
+    changed = float(np.mean(residuals[sees] > _CHANGED_OF_CONTRAST * contrast)) if np.count_nonzero(sees) else 0.0
     moved = float(np.median(np.abs(across[0][tells]))) if np.count_nonzero(tells) >= _FEWEST_TILES else None
     return Comparison(gain, offset / contrast, moved, changed)
 
@@ -105,13 +105,13 @@ def _grey(image: Image) -> Floats:
     return cast(Floats, grey.astype(np.float64))
 
 
-def _brightness(one: Floats, other: Floats) -> tuple[float, float]:
+def _brightness(first: Floats, second: Floats) -> tuple[float, float]:
     """Fit robustly the gain and offset that turn one image into the other at most pixels.
 
     A weak prior keeps black at black, so that an image without contrast determines a gain and no offset.
     """
-    step = max(1, one.size // _MOST_PIXELS)
-    x, y = np.append(one.reshape(-1)[::step], 0.0), np.append(other.reshape(-1)[::step], 0.0)
+    step = max(1, first.size // _MOST_PIXELS)
+    x, y = np.append(first.reshape(-1)[::step], 0.0), np.append(second.reshape(-1)[::step], 0.0)
     certain = np.append(np.ones(len(x) - 1), _BLACK_OF_ALL * len(x))
     weight: Floats = certain
     gain, offset = 1.0, 0.0

@@ -45,8 +45,8 @@ def measure_lines(rig: Rig) -> list[Mapping[str, object]]:
     ]
     levels: list[list[Floats]] = [[] for _ in rig.all]
     for frames in rig.photograph_together(pictures):
-        for each, frame, of_camera in zip(rig.all, frames, levels, strict=True):
-            refuse_another_size(frame, each.camera.size)
+        for camera_rig, frame, of_camera in zip(rig.all, frames, levels, strict=True):
+            refuse_another_size(frame, camera_rig.camera.size)
             # Of all pixels: a camera may resolve the lines, and some would beat.
             of_camera.append(grey(frame.image).astype(np.float32))
     return [_kept(of_camera) for of_camera in levels]
@@ -60,7 +60,7 @@ def _kept(levels: Sequence[Floats]) -> Mapping[str, object]:
     if not lit.any():
         return {}
     of_black, of_grey, of_wide, *of_thin = (
-        float(each[lit].mean(dtype=np.float64)) for each in (black, middle, wide, *thin)
+        float(picture[lit].mean(dtype=np.float64)) for picture in (black, middle, wide, *thin)
     )
     bend = of_wide - of_grey
     if bend < _LEAST_BEND * (of_wide - of_black):

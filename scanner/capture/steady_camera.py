@@ -9,10 +9,10 @@ _ADVICE = "Turn that off in the camera, its driver or its app, and capture again
 
 def remarks_on_camera(metadata: Mapping[str, object]) -> Iterator[str]:
     """Return remarks for the operator on what a recording, or the rig, states about the camera's steadiness."""
-    found = metadata.get("camera_changed")
-    if not isinstance(found, Mapping):
+    change = metadata.get("camera_changed")
+    if not isinstance(change, Mapping):
         return
-    changed = {str(key): abs(value) for key, value in found.items() if isinstance(value, int | float)}
+    changed = {str(key): abs(value) for key, value in change.items() if isinstance(value, int | float)}
     if (adapted := changed.get("after_white_percent", 0.0)) > _EXPOSURE:
         yield (
             f"The camera adapts automatically: its picture kept changing by {adapted:.0f} % after white had come, so "

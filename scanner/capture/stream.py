@@ -62,8 +62,8 @@ def capture_together(
 
     The streams are to be walked through side by side: frames that only one of them has passed on are kept in memory.
     """
-    for each in rig.all if exposures_us else ():
-        _try_exposures(each.camera, exposures_us)
+    for camera_rig in rig.all if exposures_us else ():
+        _try_exposures(camera_rig.camera, exposures_us)
     repeated = tuple(pattern for pattern in patterns for _ in exposures_us or (None,))
     undone = {} if response is None else {"response": f"gamma {response.gamma:.2f}, undone"}
     taken = tee(_taken(rig, repeated, exposures_us, response), len(rig.all))
@@ -71,12 +71,12 @@ def capture_together(
         Stream(
             repeated,
             Size(*rig.projector.size),
-            Size(*each.camera.size),
-            _frames(each.camera, repeated, map(itemgetter(number), frames)),
-            {"devices": each.identity | undone},
+            Size(*camera_rig.camera.size),
+            _frames(camera_rig.camera, repeated, map(itemgetter(number), frames)),
+            {"devices": camera_rig.identity | undone},
             rig.account,
         )
-        for number, (each, frames) in enumerate(zip(rig.all, taken, strict=True))
+        for number, (camera_rig, frames) in enumerate(zip(rig.all, taken, strict=True))
     )
 
 
@@ -117,10 +117,10 @@ def _try_exposures(camera: Camera, exposures_us: tuple[float, ...]) -> None:
     """Check that the camera can set the exposures, before the first frame. Raises DeviceError."""
     control = exposure_control(camera)
     became = [control.expose_for(exposure_us) for exposure_us in exposures_us]
-    for number, (wanted, found) in enumerate(zip(exposures_us, became, strict=True)):
-        if found in became[:number]:
-            other = exposures_us[became.index(found)]
+    for number, (wanted, actual) in enumerate(zip(exposures_us, became, strict=True)):
+        if actual in became[:number]:
+            earlier_us = exposures_us[became.index(actual)]
             raise DeviceError(
-                f"the camera sets {other:g} and {wanted:g} µs in exposures_us both to {found:.0f} µs: "
+                f"the camera sets {earlier_us:g} and {wanted:g} µs in exposures_us both to {actual:.0f} µs: "
                 "exposures are whole numbers of the projector's refresh periods; choose some that are further apart"
             )

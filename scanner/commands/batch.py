@@ -47,15 +47,15 @@ def run(args: Namespace) -> None:
             terminal.show(str(workers))
             return workers
 
-        found: Batch = run_batch(jobs, args.out, start, terminal, retry=args.retry)
-    counts = ", ".join(f"{count:,} with exit code {code}" for code, count in sorted(found.counts.items()))
-    fresh = len(found.rows) - found.kept
-    rate = f", {fresh / found.seconds:.2g} a second" if fresh else ""
+        batch: Batch = run_batch(jobs, args.out, start, terminal, retry=args.retry)
+    counts = ", ".join(f"{count:,} with exit code {code}" for code, count in sorted(batch.counts.items()))
+    fresh = len(batch.rows) - batch.kept
+    rate = f", {fresh / batch.seconds:.2g} a second" if fresh else ""
     terminal.show(
-        f"{len(found.rows):,} captures ({found.kept:,} of them done before): {counts}",
-        f"{found.seconds:.1f} s{rate}",
-        f"Result: {args.out} ({', '.join(found.files)})",
-        f"→ Open {args.out.rstrip('/')}/{found.files[0]} in a browser: a line for each capture, with its report.",
+        f"{len(batch.rows):,} captures ({batch.kept:,} of them done before): {counts}",
+        f"{batch.seconds:.1f} s{rate}",
+        f"Result: {args.out} ({', '.join(batch.files)})",
+        f"→ Open {args.out.rstrip('/')}/{batch.files[0]} in a browser: a line for each capture, with its report.",
     )
 
 
@@ -63,8 +63,8 @@ def _bytes(size: str) -> float:
     match = _SIZE.fullmatch(size.strip())
     if match:
         number, unit, binary = match.groups()
-        found: float = float(number) * (1024 if binary else 1000) ** (" KMGT".index(unit.upper()))
-        if found >= _LEAST_BYTES:
-            return found
+        size_bytes: float = float(number) * (1024 if binary else 1000) ** (" KMGT".index(unit.upper()))
+        if size_bytes >= _LEAST_BYTES:
+            return size_bytes
     least = f"{_LEAST_BYTES / 1e6:.0f}MB"
     raise InputError(f"--memory: expected a size of {least} or more, as in 4GB, found {shown(size)}")

@@ -12,5 +12,5 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, RefusalError."""
     terminal = Terminal(quiet=args.quiet)
     config = load_config(args.config, args.set)
-    found = jobs.calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
-    show_outcome(found, args.out, terminal)
+    result = jobs.calibrate(args.matches, config, args.out, overwrite=args.overwrite, terminal=terminal)
+    show_outcome(result, args.out, terminal)

@@ -26,12 +26,12 @@ def run(args: Namespace) -> None:
     depths = [depth for depth in (args.depths or "").split(",") if depth.strip()]
     if args.depths is not None and not depths:
         raise InputError(f"--depths: expected lengths, as in 1m,2m,3m, found {shown(args.depths)}")
-    found = compare_files(args.first, args.second, depths)
-    terminal.show(table(found), *summary(found))
+    comparison = compare_files(args.first, args.second, depths)
+    terminal.show(table(comparison), *summary(comparison))
     if args.out:
         with new_files(args.out, (COMPARE_FILE, COMPARE_PAGE), overwrite=args.overwrite) as (document, page):
-            write_compare(document, found)
-            write_compare_page(page, found)
+            write_compare(document, comparison)
+            write_compare_page(page, comparison)
         terminal.show(
             f"Written: {args.out} ({COMPARE_PAGE}, {COMPARE_FILE})",
             f"→ Open {args.out / COMPARE_PAGE} in a browser: where in the picture they differ.",

@@ -34,12 +34,12 @@ class Found:
 def run(args: Namespace) -> None:
     """List the devices. Raises DeviceError if no camera was found, and screens cannot be listed."""
     terminal = Terminal(quiet=args.quiet)
-    found = find_devices(terminal)
-    terminal.show(*found.paragraphs())
-    if found.nothing:
-        raise DeviceError("neither cameras nor screens were found: " + "; ".join(dict.fromkeys(found.problems)))
-    if found.lines:
-        terminal.show("\nTo paste into a configuration:\n", "\n".join(found.lines))
+    devices = find_devices(terminal)
+    terminal.show(*devices.paragraphs())
+    if devices.nothing:
+        raise DeviceError("neither cameras nor screens were found: " + "; ".join(dict.fromkeys(devices.problems)))
+    if devices.lines:
+        terminal.show("\nTo paste into a configuration:\n", "\n".join(devices.lines))
         terminal.note("→ scan new my-rig.yaml --rig NAME writes a whole configuration with such lines in it.")
     else:
         terminal.note("→ Connect and switch on a camera and a projector, then run scan devices again.")

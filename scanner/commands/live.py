@@ -37,7 +37,7 @@ def run(args: Namespace) -> None:
         terminal.note("Enter keeps a cloud; Ctrl-C ends.")
         Thread(target=_keep_on_enter, args=(wishes,), daemon=True).start()
     with _page(args, terminal) as page:
-        found = scan_live(
+        result = scan_live(
             config,
             out,
             calibration=args.calibration,
@@ -47,9 +47,9 @@ def run(args: Namespace) -> None:
             terminal=terminal,
             watcher=_TerminalOutput(terminal, unit, page),
         )
-    _show(found, out, args, terminal)
-    if found.ended_by is not None:
-        raise found.ended_by
+    _show(result, out, args, terminal)
+    if result.ended_by is not None:
+        raise result.ended_by
 
 
 @contextmanager
@@ -99,9 +99,9 @@ def _keep_on_enter(wishes: Wishes) -> None:
         wishes.now.set()
 
 
-def _show(found: LiveResult, out: Path, args: Namespace, terminal: Terminal) -> None:
-    terminal.show(account_text(found.account))
-    terminal.show(*result_texts(len(found.kept), out, args.config, args.calibration, of_room=args.room))
+def _show(result: LiveResult, out: Path, args: Namespace, terminal: Terminal) -> None:
+    terminal.show(account_text(result.account))
+    terminal.show(*result_texts(len(result.kept), out, args.config, args.calibration, of_room=args.room))
 
 
 def _seconds(text: str | None) -> float | None:

@@ -23,10 +23,10 @@ def run(args: Namespace) -> None:
         raise InputError(f"{path}: expected a name that ends with .yaml")
     text = _renamed(example(rig.example), rig.example, path)
     if rig.backend:
-        found = find_devices(terminal, [each for each in BACKENDS if each.name == rig.backend])
-        terminal.show(*found.paragraphs())
-        if found.lines:
-            text = filled_in(text, parse_yaml("\n".join(found.lines), "what was found"), str(path))
+        devices = find_devices(terminal, [backend for backend in BACKENDS if backend.name == rig.backend])
+        terminal.show(*devices.paragraphs())
+        if devices.lines:
+            text = filled_in(text, parse_yaml("\n".join(devices.lines), "what was found"), str(path))
     check_text(text, path)
     with new_file(path, overwrite=args.overwrite) as partial:
         partial.write_text(text, encoding="utf-8")
@@ -47,12 +47,12 @@ def _renamed(text: str, example_name: str, path: Path) -> str:
     )
 
 
-def filled_in(text: str, found: dict[str, dict[str, Any]], where: str) -> str:
+def filled_in(text: str, values: dict[str, dict[str, Any]], where: str) -> str:
     """Set keys such as rig.camera in a configuration's text; a commented key is replaced in its place.
 
     Raises InputError if that cannot be done.
     """
-    for section, name, value in _keys(found):
+    for section, name, value in _keys(values):
         commented = re.compile(rf"^  # {name}: .*$", re.MULTILINE)
         place = commented.search(text) if section == "rig" else None
         if place:
@@ -62,8 +62,8 @@ def filled_in(text: str, found: dict[str, dict[str, Any]], where: str) -> str:
     return text
 
 
-def _keys(found: dict[str, dict[str, Any]]) -> Iterator[tuple[str, str, Any]]:
-    for section, keys in found.items():
+def _keys(values: dict[str, dict[str, Any]]) -> Iterator[tuple[str, str, Any]]:
+    for section, keys in values.items():
         for name, value in keys.items():
             if name != "backend":
                 yield section, name, value

@@ -26,7 +26,7 @@ def run(args: Namespace) -> None:
     )
     unit = shown_unit(solved.unit)
     if surface is not None and surface.volume is not None:
-        volume, sigma = (each * unit.factor**3 for each in surface.volume)
+        volume, sigma = (number * unit.factor**3 for number in surface.volume)
         terminal.show(f"Volume: {volume:.6g} ± {sigma:.2g} {unit.name}³")
     terminal.show(f"Result: {out} (report.html, object.ply, object.glb, object.yaml)")
     terminal.show(*conclusion(verdict_on(solved), f"scan view {out} shows it."))

@@ -44,5 +44,5 @@ def run(args: Namespace) -> None:
 def _given(path: Path, photos: Sequence[Photo]) -> Matches:
     if len(photos) != 2:
         raise InputError(f"--matches are those of two photos, found {len(photos)}")
-    (found,) = read_captures([path], photos[0].size, photos[1].size)
-    return found.matches
+    (matches,) = read_captures([path], photos[0].size, photos[1].size)
+    return matches.matches

@@ -15,7 +15,7 @@ def run(args: Namespace) -> None:
     """Do the work. Raises InputError, RefusalError."""
     terminal = Terminal(quiet=args.quiet)
     out = args.out or default_out(_name(args.capture), overwrite=args.overwrite)
-    found = jobs.replay(
+    result = jobs.replay(
         args.capture,
         out,
         config=load_config(args.config, args.set),
@@ -24,7 +24,7 @@ def run(args: Namespace) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(found, out, terminal)
+    show_outcome(result, out, terminal)
 
 
 def _name(capture: Path) -> str:

@@ -34,17 +34,17 @@ def run(args: Namespace) -> None:
 def _scan(args: Namespace) -> None:
     terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set)
     out = args.out or default_out(args.config.stem, overwrite=args.overwrite)
-    found = jobs.scan(
+    result = jobs.scan(
         config, out, captures=args.captures, masks=args.masks, overwrite=args.overwrite, terminal=terminal
     )
-    show_outcome(found, out, terminal)
+    show_outcome(result, out, terminal)
 
 
 def _resume(args: Namespace) -> None:
     if args.captures != 1:
         raise InputError("--resume completes one capture, and --captures takes several: give one of them")
     terminal, config = Terminal(quiet=args.quiet), load_config(args.config, args.set) if args.config else None
-    found, out = jobs.resume(
+    result, out = jobs.resume(
         args.resume,
         args.out,
         config=config,
@@ -53,4 +53,4 @@ def _resume(args: Namespace) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(found, out, terminal, [f"The frames that {args.resume} holds are in this result, too."])
+    show_outcome(result, out, terminal, [f"The frames that {args.resume} holds are in this result, too."])

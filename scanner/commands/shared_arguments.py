@@ -34,8 +34,8 @@ def add_flag(parser: ArgumentParser, flag: str, text: str) -> None:
 
 
 def add_number(parser: ArgumentParser, flag: str, text: str, *, default: int | None = None) -> None:
-    shown = text if default is None else f"{text} (default: {default})"
-    parser.add_argument(flag, type=int, default=default, metavar="N", help=shown)
+    described = text if default is None else f"{text} (default: {default})"
+    parser.add_argument(flag, type=int, default=default, metavar="N", help=described)
 
 
 def add_out(

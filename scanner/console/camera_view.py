@@ -63,11 +63,11 @@ class CameraView:
             return
         self._shown_s = now_s
         self._image.content = _html(shown(frame.image, self._highest_level, mark_clipped=self._mark.value))
-        found = exposed(frame.image, self._highest_level)
+        light = exposed(frame.image, self._highest_level)
         exposure = "" if frame.exposure_us is None else f"Exposed for {frame.exposure_us / 1000:.4g} ms. "
         self._message.content = (
-            f"{exposure}Clipped: {percent(found.clipped)}, dark: {percent(found.dark)} of the pixels; median "
-            f"{100 * found.median:.0f} % of the range."
+            f"{exposure}Clipped: {percent(light.clipped)}, dark: {percent(light.dark)} of the pixels; median "
+            f"{100 * light.median:.0f} % of the range."
         )
         levels, counts = histogram(frame.image, self._highest_level)
         self._histogram.data = (levels, np.maximum(counts, 1.0))

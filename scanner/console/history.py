@@ -43,14 +43,14 @@ class History:
     def refresh(self) -> None:
         """List what is there now, the newest first."""
         try:
-            found = tuple((path, (path / LOG_FILE).stat().st_mtime) for path in earlier_results())
-            if found == self._listed:
+            logs = tuple((path, (path / LOG_FILE).stat().st_mtime) for path in earlier_results())
+            if logs == self._listed:
                 return
-            cards = "".join(card_html(card_of(path, made_s)) for path, made_s in found[:_NEWEST])
+            cards = "".join(card_html(card_of(path, made_s)) for path, made_s in logs[:_NEWEST])
         except OSError:
             return  # what is listed changes at this moment; the next look finds it as it is then
-        self._listed = found
-        names = tuple(str(path) for path, _ in found) or (_NONE_YET,)
+        self._listed = logs
+        names = tuple(str(path) for path, _ in logs) or (_NONE_YET,)
         if names != self._result.options:
             self._result.options = self._other.options = names
         self._cards.content = cards
@@ -71,15 +71,15 @@ class History:
             self._message.content = "Choose two different results."
             return
         with failures_shown(self._message):
-            found = compare_files(first, second)
+            comparison = compare_files(first, second)
             page = Path(self._scratch.name, f"{first.name} and {second.name}", COMPARE_PAGE)
             page.parent.mkdir(exist_ok=True)
-            write_compare_page(page, found)
-            verdict, *sentences = summary(found)
+            write_compare_page(page, comparison)
+            verdict, *sentences = summary(comparison)
             self._message.content = "\n\n".join([f"**{escaped(verdict)}**", *map(escaped, sentences)])
             made_s = dict(self._listed or ())
             self._beside.content = "".join(card_html(card_of(path, made_s.get(path, 0.0))) for path in (first, second))
-            self._differences.content = _table(headings(found), rows(found))
+            self._differences.content = _table(headings(comparison), rows(comparison))
             self._page.content = link_html(self._link(page), "Open the comparison, with maps")
 
 

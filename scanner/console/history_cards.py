@@ -32,5 +32,5 @@ def card_of(folder: Path, made_s: float) -> Card:
         verdict = None
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
     places = (folder, *sorted((folder / CAPTURES_FOLDER).glob("*/")))
-    picture = next((found for place in places if (found := white_picture(place, _SIDE)) is not None), None)
+    picture = next((white for place in places if (white := white_picture(place, _SIDE)) is not None), None)
     return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))

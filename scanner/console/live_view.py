@@ -66,7 +66,7 @@ class LiveView(Watcher):
     def tell(self, sentence: str) -> None:
         """Show it above the last few."""
         self._sentences = [sentence, *self._sentences][:_REMEMBERED]
-        self._log.content = "\n".join(f"- {escaped(each)}" for each in self._sentences)
+        self._log.content = "\n".join(f"- {escaped(sentence)}" for sentence in self._sentences)
 
     def _draw(self) -> None:
         while (newest := self._newest.take()) is not None:
@@ -91,7 +91,7 @@ class LiveView(Watcher):
         chosen = np.flatnonzero(self._picked[cloud.pixel] < _SHOWN / len(cloud.pixel))
         levels = cloud.picture.ravel()[cloud.pixel[chosen]]
         grey = np.rint(255.0 / max(1, int(levels.max(initial=1))) * levels).astype(np.uint8)
-        shown = CloudWithSigma(
+        cloud_view = CloudWithSigma(
             cloud.points[chosen].astype(np.float64),
             np.zeros((len(chosen), 3)),
             np.repeat(grey[:, None], 3, axis=1),
@@ -103,6 +103,6 @@ class LiveView(Watcher):
             cloud.sigma[chosen].astype(np.float64),
         )
         if first:
-            self._scene.show(shown)
-        drawn = self._scene.follow(shown, _COLOURINGS[self._colours.value])
+            self._scene.show(cloud_view)
+        drawn = self._scene.follow(cloud_view, _COLOURINGS[self._colours.value])
         self._bar.content = bar_html(drawn.coloured.bar)

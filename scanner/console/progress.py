@@ -113,10 +113,10 @@ def durations_in(path: Path) -> Mapping[str, float]:
     """How long the steps of a scan took, in seconds, from its log; empty where that cannot be read."""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
-            found = [match.groups() for line in file.read(_LOG_BYTES).splitlines() if (match := _STEP.match(line))]
+            matched = [match.groups() for line in file.read(_LOG_BYTES).splitlines() if (match := _STEP.match(line))]
         # A damaged log may tell the zone of one line: the clock counts.
-        times = [datetime.fromisoformat(when).replace(tzinfo=None) for when, _ in found]
+        times = [datetime.fromisoformat(when).replace(tzinfo=None) for when, _ in matched]
     except (OSError, ValueError):
         return {}
-    steps = zip(found, times, times[1:], strict=False)
+    steps = zip(matched, times, times[1:], strict=False)
     return {what: (end - begin).total_seconds() for (_, what), begin, end in steps}

@@ -13,10 +13,10 @@ def earlier_results(folder: Path = SCANS) -> tuple[Path, ...]:
     """Result folders in `folder`, the newest first; refused captures too, for they say why."""
     try:
         logged = (path for path in folder.iterdir() if (path / LOG_FILE).is_file())
-        found = [path for path in logged if any((path / name).is_file() for name in _TO_SHOW)]
+        results = [path for path in logged if any((path / name).is_file() for name in _TO_SHOW)]
     except OSError:
         return ()  # nothing was scanned yet
-    return tuple(sorted(found, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))
+    return tuple(sorted(results, key=lambda path: ((path / LOG_FILE).stat().st_mtime, path.name), reverse=True))
 
 
 def newest_result() -> Path | None:
@@ -26,5 +26,5 @@ def newest_result() -> Path | None:
 
 def newest_calibration() -> Path | None:
     """That of the newest result that has one; None where none has."""
-    found = (result / CALIBRATION_FILE for result in earlier_results())
-    return next((path for path in found if path.is_file()), None)
+    calibrations = (result / CALIBRATION_FILE for result in earlier_results())
+    return next((path for path in calibrations if path.is_file()), None)

@@ -62,7 +62,9 @@ class Settings:
         sections = [self.rig_key]
         if whole.rigs is not None and self.pair is None:
             sections = [f"rigs.cameras.{camera}.rig" for camera in whole.rigs.cameras]
-        return load_config(self.config, [*self.overrides, *(f"{each}.{key}" for each in sections for key in changed)])
+        return load_config(
+            self.config, [*self.overrides, *(f"{section}.{key}" for section in sections for key in changed)]
+        )
 
     def load(self) -> Config:
         """The same, or of a network that of the pair. Raises InputError, also if no pair is chosen."""

@@ -231,11 +231,11 @@ class Worker:
         """
         config, chosen = settings.load(), self.settings.pair
         camera = settings.pair[0] if settings.pair else ""
-        seen = f"What {camera or 'the camera'} sees"
+        title = f"What {camera or 'the camera'} sees"
         self._on_stage(Stage("Preparing the rig"))
         with _naming(settings.pair), opened(config) as rig:
             self._page.on_camera(rig)
-            self._on_stage(Stage(seen))
+            self._on_stage(Stage(title))
             patterns = config.sequence.patterns(rig.projector.size)
             picture, lost, end_s = None, 0, time.monotonic() + for_s
             while not self._leave_live.is_set():
@@ -251,7 +251,7 @@ class Worker:
                         frame = rig.camera.grab()
                 except FrameLostError as error:
                     lost += 1
-                    self._on_stage(Stage(f"{seen} ({lost} frames were lost; the last: {error})"))
+                    self._on_stage(Stage(f"{title} ({lost} frames were lost; the last: {error})"))
                 else:
                     settings, picture = wanted, wanted.picture
                     self._page.on_frame(frame, camera)
@@ -269,19 +269,19 @@ class Worker:
         out, self._wishes = settings.destination("-live"), Wishes()
         self._on_stage(Stage("Looking"))
         try:
-            found = scan_live(
+            result = scan_live(
                 settings.load(), out, calibration=calibration, wishes=self._wishes, progress=progress, watcher=watcher
             )
         except KeyboardInterrupt:  # nothing was kept
             return
-        for sentence in result_texts(len(found.kept), out, settings.config, calibration):
+        for sentence in result_texts(len(result.kept), out, settings.config, calibration):
             watcher.tell(sentence)
-        if found.ended_by is not None:
-            raise found.ended_by
+        if result.ended_by is not None:
+            raise result.ended_by
 
-    def _on_cloud(self, found: Scan) -> None:
+    def _on_cloud(self, scan: Scan) -> None:
         try:
-            self._page.on_cloud(found)
+            self._page.on_cloud(scan)
         except Exception:  # nothing that a page cannot show is worth losing a scan
             log.exception("the cloud could not be shown before its result")
 

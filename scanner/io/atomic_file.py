@@ -134,16 +134,16 @@ class _Partial:
     def settle(self) -> str:
         """Complete what was finished, and remove the rest; a sentence about it, if there was anything."""
         whole = os.pread(self._file, _MOST_BYTES, 0).decode(errors="replace").splitlines()
-        left = sorted(path.name.partition(_PARTIAL)[2] for path in self._partial_files())
-        for name in left:
+        unfinished = sorted(path.name.partition(_PARTIAL)[2] for path in self._partial_files())
+        for name in unfinished:
             with suppress(OSError):
                 if name in whole:
                     self.path(name).replace(self._lock.with_name(name))
         self.end()
-        names, folder = ", ".join(left), self._lock.parent
-        if left and whole:
+        names, folder = ", ".join(unfinished), self._lock.parent
+        if unfinished and whole:
             return f"A program was killed after its files were complete: {names} in {folder} are in place now."
-        return f"Incomplete files of a killed program were removed: {names} in {folder}." if left else ""
+        return f"Incomplete files of a killed program were removed: {names} in {folder}." if unfinished else ""
 
     def end(self) -> None:
         """Remove the lock and every file that has not been moved to its final name."""
@@ -165,9 +165,9 @@ class _Partial:
 def _settle(folder: Path) -> None:
     """Settle what programs that were killed have left in a folder. Raises StorageError, InputError."""
     for lock in folder.glob(f".{'[0-9a-f]' * (2 * _TOKEN_BYTES)}{_LOCK}"):
-        left = _Partial(lock)
+        partial = _Partial(lock)
         try:
-            if lock.is_file() and left.take_over() and (sentence := left.settle()):
+            if lock.is_file() and partial.take_over() and (sentence := partial.settle()):
                 log.warning("%s", sentence)
         except FileNotFoundError:
             continue  # its process has just ended

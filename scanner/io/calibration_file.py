@@ -28,7 +28,7 @@ _Row = tuple[_Cosine, _Cosine, _Cosine]
 
 def _repeated(count: int) -> BeforeValidator:
     """Expand a single number to `count` copies."""
-    return BeforeValidator(lambda found: found if isinstance(found, list) else [found] * count)
+    return BeforeValidator(lambda value: value if isinstance(value, list) else [value] * count)
 
 
 _Two = Annotated[tuple[_Sigma, _Sigma], _repeated(2)]
@@ -159,8 +159,8 @@ def _sigma_to_dict(sigma: Sigmas) -> dict[str, object]:
         *(sigma.rotation_deg, sigma.translation_direction_deg, sigma.corner_angles_deg),
         *(sigma.known_baseline, sigma.known_camera_to_corner),
     ]
-    shown = [list(value) if isinstance(value, tuple) else value for value in values]
-    return {key: value for key, value in zip(_SigmaEntry.model_fields, shown, strict=True) if value is not None}
+    rows = [list(value) if isinstance(value, tuple) else value for value in values]
+    return {key: value for key, value in zip(_SigmaEntry.model_fields, rows, strict=True) if value is not None}
 
 
 def _one_if_alike(pair: tuple[float, float] | None) -> float | tuple[float, float] | None:

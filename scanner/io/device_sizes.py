@@ -7,9 +7,9 @@ from scanner.errors import InputError
 
 
 def refuse_other_sizes(
-    what: object, found: Iterable[Size], expected: Iterable[Size], whose: str, why: str = ""
+    what: object, actual: Iterable[Size], expected: Iterable[Size], whose: str, why: str = ""
 ) -> None:
     """Raise InputError if the sizes of camera and projector differ; `expected` are `whose`, `why` ends the message."""
-    for name, size, wanted in zip(("camera", "projector"), found, expected, strict=True):
+    for name, size, wanted in zip(("camera", "projector"), actual, expected, strict=True):
         if size != wanted:
             raise InputError(f"{what}: its {name} is {size}, but {whose} is {wanted}{why}")

@@ -45,14 +45,14 @@ def opened(path: Path, most_bytes: int | None = None) -> Iterator[BinaryIO]:
     try:
         # Opened without blocking and checked afterwards, so that the checked file is the opened one.
         with open(path, "rb", opener=_open_without_waiting) as file:
-            found = os.fstat(file.fileno())
-            if not stat.S_ISREG(found.st_mode):
-                kind = "a pipe" if stat.S_ISFIFO(found.st_mode) else "a device"
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                kind = "a pipe" if stat.S_ISFIFO(status.st_mode) else "a device"
                 raise InputError(f"{path}: is {kind}, expected a file")
-            if most_bytes is not None and found.st_size > most_bytes:
-                sizes = f"expected no more than {megabytes(most_bytes)}, found {megabytes(found.st_size)}"
+            if most_bytes is not None and status.st_size > most_bytes:
+                sizes = f"expected no more than {megabytes(most_bytes)}, found {megabytes(status.st_size)}"
                 raise InputError(f"{path}: is too large: {sizes}")
-            refuse_bomb(path, file, found.st_size)
+            refuse_bomb(path, file, status.st_size)
             yield file
     except FileNotFoundError as error:
         raise InputError(f"{path}: cannot be read: no such file") from error
@@ -89,10 +89,10 @@ def _pieces(path: Path, most_bytes: int | None) -> Iterator[bytes]:
 
 def refuse_bomb(path: Path, file: BinaryIO, needed: int) -> None:
     """Raise InputError if the content takes `needed` bytes of memory, but hardly any on the disk."""
-    found = os.fstat(file.fileno())
+    status = os.fstat(file.fileno())
     # A small file may be stored in its directory entry without blocks; a sparse file has fewer blocks than its size.
-    blocks = getattr(found, "st_blocks", None)
-    on_disk = found.st_size if blocks is None else min(found.st_size, blocks * _ON_DISK_BLOCK)
+    blocks = getattr(status, "st_blocks", None)
+    on_disk = status.st_size if blocks is None else min(status.st_size, blocks * _ON_DISK_BLOCK)
     if needed > max(_MOST_UNPACKED_BYTES, _MOST_UNPACKED_OF_DISK * on_disk):
         raise InputError(
             f"{path}: would take {megabytes(needed)} of memory, but only {megabytes(on_disk)} of the disk: such a file "

@@ -68,14 +68,14 @@ def _damage_of_tiff(image: Image.Image, data: bytes) -> str | None:
 
 def _damage_of_deflated(tags: Mapping[int, Any], data: bytes) -> str | None:
     """Strips or tiles end in a check sum, which neither library asks for once it has all pixels."""
-    left = MOST_IMAGE_BYTES  # for all strips together, which may share one place
+    remaining = MOST_IMAGE_BYTES  # for all strips together, which may share one place
     for offsets, lengths in _PARTS:
         for offset, length in zip(tags.get(offsets, ()), tags.get(lengths, ()), strict=False):
             unpacking = zlib.decompressobj()
             try:
                 for unpacked in _unpacked(unpacking, memoryview(data)[offset : offset + length]):
-                    left -= unpacked
-                    if left < 0:
+                    remaining -= unpacked
+                    if remaining < 0:
                         return "its parts unpack to more than an image has"
             except zlib.error as error:
                 return f"its pixels do not decode ({error})"

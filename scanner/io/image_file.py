@@ -35,8 +35,8 @@ def read_image(path: Path, expected: Size | None = None) -> Image:
         raise InputError(f"{path}: the file is empty")
     most = MOST_IMAGE_BYTES if expected is None else max(_FEW_BYTES, _DEEPEST * expected.width * expected.height)
     _refuse_large(path, data, min(most, MOST_IMAGE_BYTES))
-    if found := damage(data):
-        raise InputError(f"{path}: the image is damaged: {found}; copy the file again")
+    if cause := damage(data):
+        raise InputError(f"{path}: the image is damaged: {cause}; copy the file again")
     # imdecode, because imread fills missing parts of a JPEG with grey.
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -65,11 +65,11 @@ def _without_alpha(image: NDArray[Any]) -> NDArray[Any]:
 
 def _refuse_large(path: Path, data: bytes, most: int) -> None:
     """Raise InputError for more pixels than the limit, or if their number cannot be determined."""
-    found = size_in_header(data)
-    if found is None:
+    size = size_in_header(data)
+    if size is None:
         raise InputError(f"{path}: {_NO_IMAGE}")
-    if found[1] > most:
+    if size[1] > most:
         raise InputError(
-            f"{path}: has {found[0]} pixels, which would take {megabytes(found[1])} of memory; "
+            f"{path}: has {size[0]} pixels, which would take {megabytes(size[1])} of memory; "
             f"expected no more than {megabytes(most)}"
         )

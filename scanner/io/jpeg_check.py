@@ -107,7 +107,7 @@ def _runs(lookup: NDArray[np.int32]) -> NDArray[np.int32]:
     """For each 16 bits the codes of AC that are whole in them, with their coefficients: 128 times as many bits as they
     have, the places that they go on by, and 64 more if the block ends with the last; 0 for none.
     """
-    found = np.zeros(len(lookup), np.int32)
+    codes = np.zeros(len(lookup), np.int32)
     for bits in range(len(lookup)):
         used, places = 0, 0
         while True:
@@ -123,8 +123,8 @@ def _runs(lookup: NDArray[np.int32]) -> NDArray[np.int32]:
                 places |= 64
                 break
             places += on
-        found[bits] = used << 7 | places
-    return found
+        codes[bits] = used << 7 | places
+    return codes
 
 
 def _follow(read: _Read, data: NDArray[np.uint8], segment: bytes, at: int) -> tuple[int, int] | None:
@@ -197,11 +197,11 @@ def _follow_blocks(
                         held &= (1 << count) - 1
                         number = 64 if run & 64 else number + places
                         continue
-                found = lookup[blocks[block, 1 if number else 0], bits & 0xFFFF]
-                if found == 0:
+                code = lookup[blocks[block, 1 if number else 0], bits & 0xFFFF]
+                if code == 0:
                     return at, 1 if count >= 16 else 2
-                symbol = found & 255
-                used = (found >> 8) + (symbol & 15)
+                symbol = code & 255
+                used = (code >> 8) + (symbol & 15)
                 if used > count:
                     return at, 2
                 count -= used

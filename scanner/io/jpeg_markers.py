@@ -14,8 +14,8 @@ _MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
 def segments(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Marker and content of each segment up to the end of the picture; data between them are skipped."""
     at = 2
-    while found := _MARKER.search(data, at):
-        marker, at = data[found.start() + 1], found.end()
+    while match := _MARKER.search(data, at):
+        marker, at = data[match.start() + 1], match.end()
         if marker == END:
             return
         if marker in _ALONE:

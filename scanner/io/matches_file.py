@@ -111,13 +111,13 @@ def _numbers(array: NDArray[Any]) -> Floats:
         return array.astype(np.float64)
 
 
-def _labels(file: Path, name: str, found: NDArray[Any] | None) -> Ints | None:
-    if found is None:
+def _labels(file: Path, name: str, labels: NDArray[Any] | None) -> Ints | None:
+    if labels is None:
         return None
-    if found.size and not (found.min() >= NO_FACE and found.max() <= np.iinfo(np.int32).max):
-        span = f"{found.min()} to {found.max()}"
+    if labels.size and not (labels.min() >= NO_FACE and labels.max() <= np.iinfo(np.int32).max):
+        span = f"{labels.min()} to {labels.max()}"
         raise InputError(f"{file}: '{name}' must hold {NO_FACE} for none and labels from 0, found {span}")
-    return found.astype(np.int32)
+    return labels.astype(np.int32)
 
 
 def _refuse_far(file: Path, matches: Matches) -> None:

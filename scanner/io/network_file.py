@@ -46,12 +46,12 @@ class StoredNetwork:
 def read_network(path: Path) -> StoredNetwork:
     """Raises InputError if the file is missing or malformed, holds no rotation, or two devices of one name."""
     entry = validate(_NetworkEntry, read_yaml(path), str(path))
-    names = [each.name for each in entry.devices]
+    names = [device.name for device in entry.devices]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path}: has two devices that are called {twice}; each has a name of its own")
     devices = (
-        StoredDevice(each.name, each.kind, each.intrinsics(), each.place(f"{path}: device {each.name}"))
-        for each in entry.devices
+        StoredDevice(device.name, device.kind, device.intrinsics(), device.place(f"{path}: device {device.name}"))
+        for device in entry.devices
     )
     return StoredNetwork(entry.unit, tuple(devices))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 def missing_folders(folder: Path) -> list[Path]:
     """Return the folder and its parents that do not exist yet, deepest first. Raises OSError."""
-    return [each for each in (folder, *folder.parents) if not each.exists()]
+    return [path for path in (folder, *folder.parents) if not path.exists()]
 
 
 def remove_empty(folders: Iterable[Path]) -> None:

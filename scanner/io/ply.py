@@ -200,6 +200,6 @@ def _vertex_layout(path: Path, header: list[str]) -> tuple[int, np.dtype[np.void
     names = [name for name, _ in fields]
     missing = [name for column in _COLUMNS for name in column.components if name not in names]
     if missing or len(set(names)) < len(names) or not all(kind for _, kind in fields):
-        found = f"without {', '.join(missing)}" if missing else "with properties that no cloud has"
-        raise InputError(f"{path}: expected points with normals and colours, found vertices {found}")
+        content = f"without {', '.join(missing)}" if missing else "with properties that no cloud has"
+        raise InputError(f"{path}: expected points with normals and colours, found vertices {content}")
     return int(count), np.dtype(fields)

@@ -64,14 +64,14 @@ class _CheckSum:
     adler: int
     length: int
 
-    def followed_by(self, other: "_CheckSum") -> "_CheckSum":
+    def followed_by(self, following: "_CheckSum") -> "_CheckSum":
         """Return the checksum of these bytes followed by others (RFC 1950, section 9, whose two sums are `low` and
         `high`).
         """
-        (high, low), (other_high, other_low) = (divmod(each.adler, 1 << 16) for each in (self, other))
+        (high, low), (other_high, other_low) = (divmod(check_sum.adler, 1 << 16) for check_sum in (self, following))
         joined = (low + other_low - 1) % _ADLER
-        joined += (high + other_high + other.length * (low - 1)) % _ADLER << 16
-        return _CheckSum(joined, self.length + other.length)
+        joined += (high + other_high + following.length * (low - 1)) % _ADLER << 16
+        return _CheckSum(joined, self.length + following.length)
 
 
 @dataclass(frozen=True)

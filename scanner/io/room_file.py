@@ -76,6 +76,7 @@ def read_room(path: Path) -> StoredRoom:
     """Raises InputError if the file is missing or malformed, or holds no rotation."""
     entry = validate(_RoomEntry, read_yaml(path), str(path))
     stations = (
-        StoredStation(each.name, each.folder, each.place(f"{path}: station {each.name}")) for each in entry.stations
+        StoredStation(station.name, station.folder, station.place(f"{path}: station {station.name}"))
+        for station in entry.stations
     )
     return StoredRoom(entry.unit, tuple(stations))

@@ -33,16 +33,16 @@ def validate(model: type[Model], data: object, where: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found = error.errors(include_url=False)
-        lines = [_explain(details, data, model) for details in found[:_MOST_LINES]]
-        if len(found) > _MOST_LINES:
-            lines.append(f"and {len(found) - _MOST_LINES:,} more of the kind")
+        problems = error.errors(include_url=False)
+        lines = [_explain(details, data, model) for details in problems[:_MOST_LINES]]
+        if len(problems) > _MOST_LINES:
+            lines.append(f"and {len(problems) - _MOST_LINES:,} more of the kind")
         raise InputError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from error
 
 
 def _explain(details: ErrorDetails, data: object, model: type[BaseModel]) -> str:
     location = _keys_in_file(details["loc"], data, missing=details["type"] == "missing")
-    key, found, context = _dotted(location), details["input"], details.get("ctx", {})
+    key, value, context = _dotted(location), details["input"], details.get("ctx", {})
     match details["type"]:
         case "extra_forbidden":
             return f"unknown key '{key}'; {_suggestion(key, model, details['loc'])}"
@@ -55,12 +55,12 @@ def _explain(details: ErrorDetails, data: object, model: type[BaseModel]) -> str
                 f"'{key}.{_tag_key(context)}' must be one of {context['expected_tags']}, found {shown(context['tag'])}"
             )
         case "model_type" | "model_attributes_type" | "dict_type":
-            return f"'{key}' must be a section of 'key: value' lines, found {shown(found)}"
+            return f"'{key}' must be a section of 'key: value' lines, found {shown(value)}"
         case "value_error" | "assertion_error":
             message = str(context["error"])
             return f"'{key}': {message}" if key else message
         case _:
-            return f"'{key}' {_requirement(details['msg'])}, found {shown(found)}"
+            return f"'{key}' {_requirement(details['msg'])}, found {shown(value)}"
 
 
 def _tag_key(context: dict[str, Any]) -> str:
@@ -124,7 +124,7 @@ def known_keys(model: type[BaseModel], prefix: str = "", kinds: Sequence[int | s
         name = field.alias or attribute
         yield prefix + name
         sections = list(_models_in(field.annotation))
-        for section in [each for each in sections if _is_one_of(each, kinds)] or sections:
+        for section in [section_type for section_type in sections if _is_one_of(section_type, kinds)] or sections:
             yield from known_keys(section, f"{prefix}{name}.", kinds)
 
 

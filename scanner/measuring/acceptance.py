@@ -87,16 +87,16 @@ def parse_ball_bar(text: str, unit: str) -> BallBar:
 def errors_of(name: str, scan: FinishedScan, scene: Scene, ball_bar: BallBar) -> tuple[Error, ...]:
     """Compute the errors of one placement. Raises NoMeasurementError if a sphere is not found."""
     measured = measure(scan, scene, list(ball_bar.diameters), [])
-    found: list[Error] = []
+    errors: list[Error] = []
     for number, (sphere, nominal) in enumerate(zip(measured.spheres, ball_bar.diameters, strict=True), start=1):
         of, points = f"sphere {number}", len(sphere.errors.residual)
         share = sphere.strays / (points + sphere.strays)
-        found.append(_form("PF", name, of, sphere.errors, share))
-        found.append(Error("PS", name, of, sphere.diameter - nominal, sphere.diameter_budget))
+        errors.append(_form("PF", name, of, sphere.errors, share))
+        errors.append(Error("PS", name, of, sphere.diameter - nominal, sphere.diameter_budget))
     (spacing,) = measured.distances
-    found.append(Error("SD", name, "spheres 1 and 2", spacing.distance - ball_bar.length, spacing.budget))
-    found += [_form("F", name, f"face {face.name}", face.errors, 0.0) for face in measured.scene.faces]
-    return tuple(found)
+    errors.append(Error("SD", name, "spheres 1 and 2", spacing.distance - ball_bar.length, spacing.budget))
+    errors += [_form("F", name, f"face {face.name}", face.errors, 0.0) for face in measured.scene.faces]
+    return tuple(errors)
 
 
 def _form(quantity: str, name: str, of: str, errors: FitErrors, strays: float) -> Error:

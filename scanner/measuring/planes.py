@@ -41,13 +41,13 @@ def measure_scene(matches: Matches, calibration: Calibration, uncertainty: Uncer
     front = np.flatnonzero(met.in_front & inside)
     part, points = part[front], met.points[front]
     labels = () if part.face is None else range(len(FACE_NAMES))
-    found = [face for label in labels if (face := _fitted(part, points, label, errors)) is not None]
+    fitted = [face for label in labels if (face := _fitted(part, points, label, errors)) is not None]
     to_corner = calibration.sigma.known_camera_to_corner
-    if to_corner is not None and len(found) == len(FACE_NAMES):
-        errors = _anchored(found, errors, to_corner)
-        found = [_with_spreads(face, errors) for face in found]
-    faces = tuple(_measured(face) for face in found)
-    return Scene(faces, tuple(_angle(*pair) for pair in combinations(found, 2)), errors, known_lengths(points, errors))
+    if to_corner is not None and len(fitted) == len(FACE_NAMES):
+        errors = _anchored(fitted, errors, to_corner)
+        fitted = [_with_spreads(face, errors) for face in fitted]
+    faces = tuple(_measured(face) for face in fitted)
+    return Scene(faces, tuple(_angle(*pair) for pair in combinations(fitted, 2)), errors, known_lengths(points, errors))
 
 
 def one_in_each_cell(matches: Matches, size: Size) -> Matches:

@@ -36,13 +36,13 @@ class KnownLengths:
                 f"Lengths in the middle of this scene are known to ± {_two_digits(share)} % relative to the baseline, "
                 "whose own length is not known."
             )
-        shown = shown_unit(self.unit)
+        unit = shown_unit(self.unit)
         # The largest power of ten below the distance of the scene.
-        length = 10.0 ** floor(log10(shown.factor * float(np.linalg.norm(self.middle))))
-        whole = f"{length / 1000:g} m" if shown.name == "mm" and length >= 1000 else f"{length:g} {shown.name}"
+        length = 10.0 ** floor(log10(unit.factor * float(np.linalg.norm(self.middle))))
+        whole = f"{length / 1000:g} m" if unit.name == "mm" and length >= 1000 else f"{length:g} {unit.name}"
         exact = "" if self.scale_sigma else f", taking {self.anchor} that was given as exact"
         known = _two_digits(self.budget.sigma * length)
-        return f"{whole} in the middle of this scene is known to ± {known} {shown.name}{exact}."
+        return f"{whole} in the middle of this scene is known to ± {known} {unit.name}{exact}."
 
 
 def _two_digits(value: float) -> str:

@@ -36,16 +36,16 @@ def measure_spheres(
     cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
     free = np.ones(len(scan), np.bool_)
     rng = np.random.default_rng(0)
-    found = []
+    spheres = []
     for diameter in diameters:
         centre = find_sphere(cloud, diameter / 2, free, rng)
         if centre is None:
             raise _not_found(scan, diameter)
         sphere = _measure(scan, centre, diameter / 2, errors)
-        found.append(sphere)
+        spheres.append(sphere)
         apart = np.linalg.norm(scan.points - sphere.centre, axis=1)
         free &= apart > (1 + _GATE) * diameter / 2
-    return tuple(found)
+    return tuple(spheres)
 
 
 def centre_distances(spheres: tuple[SphereMeasurement, ...]) -> tuple[DistanceMeasurement, ...]:

@@ -14,10 +14,10 @@ def unpaired_bits(patterns: Sequence[Pattern]) -> tuple[tuple[int, ...], ...]:
     parity. XOR codes would violate this among the Gray bits that they are made of, since g₀ ⊕ g₁ = x₀ ⊕ x₁.
     """
     paired = {number for group in level_groups(patterns) for number in group}
-    shown = Counter(map(kind, patterns))
+    counts = Counter(map(kind, patterns))
     codes: dict[Hashable, list[tuple[int, int]]] = defaultdict(list)
     for number, pattern in enumerate(patterns):
-        if isinstance(pattern, Gray | Xor) and number not in paired and shown[kind(pattern)] == 1:
+        if isinstance(pattern, Gray | Xor) and number not in paired and counts[kind(pattern)] == 1:
             codes[pattern.axis, pattern.bits, pattern.cell, pattern.offset].append((number, _of_gray_bits(pattern)))
     groups = [group for bits in codes.values() for group in _independent(bits)]
     return tuple(sorted(group for group in groups if len(group) > 1))

@@ -121,10 +121,10 @@ def xor_sequence(
 
     With a base `above_finest` bits above the finest, coarser bits are relative to it, and finer ones are shown plainly.
     """
-    for shown in gray_sequence(axis, length, cell, inverses=inverses):
-        base = shown.bits - 1 - above_finest
-        relative = Xor(axis, shown.bit, shown.bits, base, cell, inverted=shown.inverted)
-        yield relative if shown.bit < base else shown
+    for pattern in gray_sequence(axis, length, cell, inverses=inverses):
+        base = pattern.bits - 1 - above_finest
+        relative = Xor(axis, pattern.bit, pattern.bits, base, cell, inverted=pattern.inverted)
+        yield relative if pattern.bit < base else pattern
 
 
 def phase_sequence(axis: Axis, period: float, shifts: int) -> Iterator[Phase]:

@@ -59,9 +59,9 @@ class Quantity:
 
 def plain(value: float, decimals: int, *, signed: bool = False) -> str:
     """Format a number with a typographic minus sign, and without a sign if it is shown as zero."""
-    shown = f"{value:z.{decimals}f}"
-    sign = "+" if signed and value > 0 and float(shown) else ""
-    return f"{sign}{shown}".replace("-", "−")
+    text = f"{value:z.{decimals}f}"
+    sign = "+" if signed and value > 0 and float(text) else ""
+    return f"{sign}{text}".replace("-", "−")
 
 
 def percent(share: float) -> str:

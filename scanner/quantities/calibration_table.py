@@ -51,8 +51,8 @@ def truth_line(calibration: Calibration, truth: Calibration) -> str:
     """State the calibration's errors against the truth, in one line."""
     percent = np.abs(intrinsic_errors_percent(calibration, truth)).mean()
     turned = np.degrees(Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude())
-    found, true = calibration.translation, truth.translation
-    aside = np.degrees(np.arctan2(np.linalg.norm(np.cross(found, true)), np.dot(found, true)))
+    estimated, true = calibration.translation, truth.translation
+    aside = np.degrees(np.arctan2(np.linalg.norm(np.cross(estimated, true)), np.dot(estimated, true)))
     return (
         f"Against the truth: mean absolute error of f_c, f_p, x_p, y_p {percent:.2f} %, "
         f"rotation {turned:.3f}°, direction of the baseline {aside:.3f}°"

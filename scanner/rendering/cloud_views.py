@@ -90,12 +90,12 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
 
     Surfaces seen from behind are not drawn, so that walls do not hide the inside of a room.
     """
-    seen, index = _facing(cloud, view, _POINTS_PER_PIXEL * size[0] * size[1])
+    facing, index = _facing(cloud, view, _POINTS_PER_PIXEL * size[0] * size[1])
     drawn = [wireframe.segments @ view.axes.T for wireframe in wireframes]
-    low, high = _bounds(seen, drawn)
+    low, high = _bounds(facing, drawn)
     scale = _SUPERSAMPLING * min(size[0] / (high - low)[0], size[1] / (high - low)[1])
     height, width = (int(np.ceil(extent * scale)) for extent in (high - low)[::-1])
-    pixels = (seen - np.append(low, 0).astype(np.float32)) * np.float32(scale)
+    pixels = (facing - np.append(low, 0).astype(np.float32)) * np.float32(scale)
     picture = splatted(pixels, _shaded(cloud, index, view), height, width)
     for _ in range(_FILL_PASSES):
         picture = filled(picture)
@@ -109,7 +109,7 @@ def render(cloud: Cloud | MergedCloud, view: View, size: tuple[int, int], wirefr
 def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats32, Ints]:
     """Points (N, 3) in the view's frame, `most` of them evenly out of all, and which of the cloud's they are (N,)."""
     is_image = cloud.points.ndim == 3
-    points, normals = (each if is_image else each[None] for each in (cloud.points, cloud.normals))
+    points, normals = (values if is_image else values[None] for values in (cloud.points, cloud.normals))
     # A subset of the rows suffices to count the points.
     total = _COUNTED_ROWS * np.count_nonzero(np.isfinite(points[::_COUNTED_ROWS, :, 2])) if is_image else len(points[0])
     step = ceil(max(1.0, total / most) ** (1 / cloud.points[..., 0].ndim))
@@ -117,11 +117,11 @@ def _facing(cloud: Cloud | MergedCloud, view: View, most: float) -> tuple[Floats
     return facing(points, normals, view.axes.astype(np.float32), row_step, step)
 
 
-def _bounds(seen: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
+def _bounds(facing: Floats32, drawn: list[Floats]) -> tuple[Floats, Floats]:
     """Corners of the picture in the view's plane, (2,) each: without outliers, with all lines and a margin."""
     ends = [np.array([[0.0, 0.0], [1.0, 1.0]])]
-    if len(seen):
-        some = seen[:: max(1, len(seen) // _SAMPLE), :2]
+    if len(facing):
+        some = facing[:: max(1, len(facing) // _SAMPLE), :2]
         ends = [np.asarray(np.percentile(some, (0.2, 99.8), axis=0), np.float64)]
     ends += [segments.reshape(-1, 3)[:, :2] for segments in drawn]
     everything = np.concatenate(ends)

@@ -38,8 +38,8 @@ def photograph(texture: Image, longest_side: int = LONGEST_SIDE) -> Pixels:
     small = cv2.resize(texture, size, interpolation=cv2.INTER_AREA)
     levels = np.arange(np.iinfo(texture.dtype).max + 1)
     white = max(1.0, float(np.percentile(small[::2, ::2], 99.5)))
-    shown = as_pixels(255 * np.clip(levels / white, 0, 1) ** (1 / 1.8))[small]
-    return np.ascontiguousarray(shown[..., ::-1] if shown.ndim == 3 else cv2.cvtColor(shown, cv2.COLOR_GRAY2RGB))
+    picture = as_pixels(255 * np.clip(levels / white, 0, 1) ** (1 / 1.8))[small]
+    return np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB))
 
 
 def reduced_size(width: int, height: int, longest_side: int = LONGEST_SIDE) -> tuple[int, int]:

@@ -29,7 +29,7 @@ def facing(
     """
     rows = (points.shape[0] - 1) // row_step + 1
     columns = (points.shape[1] - 1) // column_step + 1
-    seen = np.empty((rows * columns, 3), np.float32)
+    colours = np.empty((rows * columns, 3), np.float32)
     index = np.empty(rows * columns, np.int64)
     count = 0
     for row in range(0, points.shape[0], row_step):
@@ -38,10 +38,12 @@ def facing(
             away = axes[2, 0] * normal[0] + axes[2, 1] * normal[1] + axes[2, 2] * normal[2]
             if np.isfinite(point[2]) and away < 0:
                 for axis in range(3):
-                    seen[count, axis] = axes[axis, 0] * point[0] + axes[axis, 1] * point[1] + axes[axis, 2] * point[2]
+                    colours[count, axis] = (
+                        axes[axis, 0] * point[0] + axes[axis, 1] * point[1] + axes[axis, 2] * point[2]
+                    )
                 index[count] = row * points.shape[1] + column
                 count += 1
-    return seen[:count], index[:count]
+    return colours[:count], index[:count]
 
 
 @compiled

@@ -43,12 +43,12 @@ class NotFoundError(Exception):
 def detect(image: Image, target: Target) -> Detected:
     """Find the one board in an image (H, W) or (H, W, 3), of 8 or 16 bits. Raises NotFoundError."""
     grey = _grey(image)
-    found = _find(grey, target)
-    if found is None:
+    detected = _find(grey, target)
+    if detected is None:
         raise NotFoundError(f"no {target} was found{_what_else(grey, target)}")
-    if _is_another(_without(grey, found, target), target):
+    if _is_another(_without(grey, detected, target), target):
         raise NotFoundError(f"there are two boards like {target} in the picture; expected one")
-    return found
+    return detected
 
 
 def on_board(detected: Detected, target: Target, size: tuple[int, int]) -> Bools:
@@ -65,19 +65,19 @@ def on_board(detected: Detected, target: Target, size: tuple[int, int]) -> Bools
 def _find(grey: Image, target: Target) -> Detected | None:
     match target.kind:
         case "chessboard":
-            found = _chessboard(grey, target)
+            detected = _chessboard(grey, target)
         case "charuco":
-            found = _charuco(grey, target)
+            detected = _charuco(grey, target)
         case "aprilgrid":
-            found = _aprilgrid(grey, target)
+            detected = _aprilgrid(grey, target)
         case _:
-            found = _dots(grey, target)
-    found = None if found is None else _consistent(found, target)
-    if found is None or target.kind not in ("chessboard", "charuco"):
-        return found
+            detected = _dots(grey, target)
+    detected = None if detected is None else _consistent(detected, target)
+    if detected is None or target.kind not in ("chessboard", "charuco"):
+        return detected
     # Chessboard corners between markers belong to a ChArUco board.
     free = target.square * (_BESIDE_MARKERS if target.kind == "charuco" else 1.0)
-    return Detected(found.points, refined(grey, found.points, found.pixels, free))
+    return Detected(detected.points, refined(grey, detected.points, detected.pixels, free))
 
 
 def _is_another(grey: Image, target: Target) -> bool:
@@ -85,22 +85,22 @@ def _is_another(grey: Image, target: Target) -> bool:
     counts = (target.columns, target.rows)
     if target.kind == "chessboard":
         small = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        return any(bool(cv2.findChessboardCornersSB(each, counts, flags=0)[0]) for each in (small, grey))
+        return any(bool(cv2.findChessboardCornersSB(picture, counts, flags=0)[0]) for picture in (small, grey))
     if target.kind == "charuco":
         return _charuco(grey, target) is not None
     return False
 
 
-def _consistent(found: Detected, target: Target) -> Detected | None:
+def _consistent(detected: Detected, target: Target) -> Detected | None:
     """Without points that are not where the others put them; None if too few are left."""
     for _ in range(2):
-        if len(found.points) < max(min(_FEWEST, len(target.points)), 4):
+        if len(detected.points) < max(min(_FEWEST, len(target.points)), 4):
             return None
-        homography = homography_between(found.pixels, found.points)
-        off = np.linalg.norm(mapped(homography, found.pixels) - found.points, axis=1)
+        homography = homography_between(detected.pixels, detected.points)
+        off = np.linalg.norm(mapped(homography, detected.pixels) - detected.points, axis=1)
         near = off < _STRAY * target.square
-        found = Detected(found.points[near], found.pixels[near])
-    return found
+        detected = Detected(detected.points[near], detected.pixels[near])
+    return detected
 
 
 def _chessboard(grey: Image, target: Target) -> Detected | None:
@@ -113,14 +113,14 @@ def _chessboard(grey: Image, target: Target) -> Detected | None:
             return _right_way_round(ordered.reshape(-1, 2), target)
         if grid is not None:
             raise NotFoundError(f"no {target} was found, but {_counted(grid)}")
-    found, corners = cv2.findChessboardCorners(grey, counts)
-    return _right_way_round(_pixels(corners), target) if found else None
+    is_found, corners = cv2.findChessboardCorners(grey, counts)
+    return _right_way_round(_pixels(corners), target) if is_found else None
 
 
 def _largest(grey: Image, counts: tuple[int, int]) -> Floats | None:
     """The corners (R, C, 2) of a chessboard with at least these counts; None if there is none."""
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, counts, _SB | cv2.CALIB_CB_LARGER)
-    if not found:
+    is_found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, counts, _SB | cv2.CALIB_CB_LARGER)
+    if not is_found:
         return None
     grid = _pixels(corners).reshape(*meta.shape[:2], 2)
     # The rim of the sheet may look like another row of corners, but has no squares on either side.
@@ -184,8 +184,8 @@ def _charuco(grey: Image, target: Target) -> Detected | None:
             board.setLegacyPattern(legacy)
             corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
             numbers = np.asarray(ids if ids is not None else [], np.int64).ravel()
-            found = Detected(target.points[numbers], _pixels(corners if len(numbers) else []))
-            checked = _consistent(found, target)
+            detected = Detected(target.points[numbers], _pixels(corners if len(numbers) else []))
+            checked = _consistent(detected, target)
             if checked is not None and (best is None or len(checked.points) > len(best.points)):
                 best = checked
         if best is not None and len(best.points) > len(target.points) // 2:
@@ -205,7 +205,7 @@ def _aprilgrid(grey: Image, target: Target) -> Detected | None:
             continue
         numbers = np.asarray(ids, np.int64).ravel()
         there = numbers < target.columns * target.rows
-        pixels = np.concatenate([_pixels(each) for each in corners]).reshape(-1, 4, 2)[there].reshape(-1, 2)
+        pixels = np.concatenate([_pixels(corner) for corner in corners]).reshape(-1, 4, 2)[there].reshape(-1, 2)
         pixels = pixels - _APRILTAG_ORIGIN
         for places in _tag_numberings(numbers[there], target):
             chosen = (4 * places[:, None] + np.arange(4)).ravel()
@@ -227,8 +227,8 @@ def _dots(grey: Image, target: Target) -> Detected | None:
     counts = (target.columns, target.rows)
     for picture in (grey, 255 - grey, _equalised(grey), 255 - _equalised(grey)):
         for flags in (symmetric, symmetric | cv2.CALIB_CB_CLUSTERING):
-            found, centres = cv2.findCirclesGrid(picture, counts, flags=flags, blobDetector=_blobs(grey))
-            if found:
+            is_found, centres = cv2.findCirclesGrid(picture, counts, flags=flags, blobDetector=_blobs(grey))
+            if is_found:
                 ordered = _right_way_round(_pixels(centres), target)
                 return Detected(ordered.points, corrected(grey, ordered.points, ordered.pixels))
     return None
@@ -250,8 +250,8 @@ def _what_else(grey: Image, target: Target) -> str:
             if grid is not None:
                 return f", but {_counted(grid)}"
     if target.kind in ("charuco", "aprilgrid"):
-        seen = max(_markers(grey), default=0)
-        return f", but {seen} markers of such a board" if seen else ", nor any markers"
+        highest = max(_markers(grey), default=0)
+        return f", but {highest} markers of such a board" if highest else ", nor any markers"
     return ": it must be lit, completely in the picture, and have these counts"
 
 
@@ -262,10 +262,10 @@ def _markers(grey: Image) -> Iterator[int]:
         yield 0 if ids is None else len(ids)
 
 
-def _without(grey: Image, found: Detected, target: Target) -> Image:
+def _without(grey: Image, detected: Detected, target: Target) -> Image:
     """The image with the board painted over."""
     painted = grey.copy()
-    mask = on_board(found, target, (grey.shape[1], grey.shape[0]))
+    mask = on_board(detected, target, (grey.shape[1], grey.shape[0]))
     painted[mask] = np.median(grey[mask])
     return painted
 

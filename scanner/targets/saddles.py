@@ -27,7 +27,7 @@ def refined(grey: Image, points: Floats, pixels: Floats, square: float) -> Float
     side = _sides(points, pixels, square)
     blur = max(_LEAST_BLUR_PX, _BLUR * float(np.median(side)))
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), blur)
-    return np.stack([_saddle(smooth, pixel, each) for pixel, each in zip(pixels, side, strict=True)])
+    return np.stack([_saddle(smooth, pixel, pixel_side) for pixel, pixel_side in zip(pixels, side, strict=True)])
 
 
 def _sides(points: Floats, pixels: Floats, square: float) -> Floats:

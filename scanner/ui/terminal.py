@@ -58,11 +58,11 @@ class Terminal:
         if self._quiet:
             return
         for part in parts:
-            shown = fitted(part, self._out) if isinstance(part, Table) else part
-            if isinstance(shown, str):
-                self._out.print(for_screen(harmless(shown), sys.stdout), soft_wrap=True, markup=False)
+            rendered = fitted(part, self._out) if isinstance(part, Table) else part
+            if isinstance(rendered, str):
+                self._out.print(for_screen(harmless(rendered), sys.stdout), soft_wrap=True, markup=False)
             else:
-                self._out.print(shown)
+                self._out.print(rendered)
 
     def tell(self, *sentences: str) -> None:
         """Print sentences for the operator."""

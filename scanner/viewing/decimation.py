@@ -18,15 +18,15 @@ def shuffled(count: int) -> Ints:
     return np.random.default_rng(_SEED).permutation(count)
 
 
-def statement(shown: int, total: int) -> str:
+def statement(drawn: int, total: int) -> str:
     """State how many points are shown: 'showing 1 in 8 of 4.9 million points'."""
-    if not 0 <= shown <= total:
-        raise ValueError(f"expected 0 to {total} points to be shown, found {shown}")
-    if shown == total:
+    if not 0 <= drawn <= total:
+        raise ValueError(f"expected 0 to {total} points to be shown, found {drawn}")
+    if drawn == total:
         return f"showing all {many(total)} points"
-    if shown == 0:
+    if drawn == 0:
         return f"showing none of {many(total)} points"
-    ratio = total / shown
+    ratio = total / drawn
     return f"showing 1 in {round(ratio) if ratio >= 9.5 else f'{ratio:.2g}'} of {many(total)} points"
 
 

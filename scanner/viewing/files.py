@@ -45,8 +45,8 @@ def add_files(gui: viser.GuiApi, folder: Path, link: Callable[[Path], str]) -> N
 
 def _add_exports(gui: viser.GuiApi, folder: Path) -> None:
     """Formats of one file each; the others are folders, which the command makes."""
-    formats = {name: each for name, each in FORMATS.items() if each.suffixes}
-    chosen = gui.add_dropdown("Export as", [f"{name}: {each.about}" for name, each in formats.items()])
+    formats = {name: export for name, export in FORMATS.items() if export.suffixes}
+    chosen = gui.add_dropdown("Export as", [f"{name}: {export.about}" for name, export in formats.items()])
     button = gui.add_button("Export", color=PLAIN)
     message = gui.add_markdown("")
 

@@ -30,7 +30,9 @@ def first_look(scan: Scan) -> tuple[ViewedCloud, int]:
     cloud = newest.cloud
     there = np.flatnonzero(cloud.there)
     chosen = there[_chosen(len(there))]
-    points, normals, colours = (each.reshape(-1, 3)[chosen] for each in (cloud.points, cloud.normals, cloud.colours))
+    points, normals, colours = (
+        values.reshape(-1, 3)[chosen] for values in (cloud.points, cloud.normals, cloud.colours)
+    )
     rigs = tuple(_rig(newest, np.eye(3, 4)))
     up = np.array([0.0, -1.0, 0.0])
     return ViewedCloud(points.astype(np.float64), normals, colours, rigs, None, up, cloud.unit, "camera"), len(there)

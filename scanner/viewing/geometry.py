@@ -55,11 +55,11 @@ def viewpoint(cloud: ViewedCloud, aspect: float = USUAL_ASPECT) -> Viewpoint:
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(backward, right), backward])
     near = np.linalg.norm(points - middle, axis=1) <= 2 * typical_size(cloud)  # outliers may be out of sight
-    seen = np.concatenate([points[near], devices]) @ axes.T
-    centre = (seen.min(axis=0) + seen.max(axis=0)) / 2
-    seen -= centre
+    in_view = np.concatenate([points[near], devices]) @ axes.T
+    centre = (in_view.min(axis=0) + in_view.max(axis=0)) / 2
+    in_view -= centre
     half = np.tan(FIELD_OF_VIEW_RAD / 2) / _MARGIN
-    distance = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / (half * aspect, half), axis=1)))
+    distance = float(np.max(in_view[:, 2] + np.max(np.abs(in_view[:, :2]) / (half * aspect, half), axis=1)))
     target = centre @ axes
     return Viewpoint(target + distance * backward, target, cloud.up)
 

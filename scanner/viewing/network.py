@@ -17,7 +17,9 @@ def network_cloud(folder: Path) -> ViewedCloud:
     cloud, network = read_cloud(folder / NETWORK_CLOUD_FILE), read_network(folder / NETWORK_FILE)
     if not len(cloud):
         raise InputError(f"{folder / NETWORK_CLOUD_FILE}: the cloud is empty")
-    cameras, projectors = ([each for each in network.devices if each.kind == kind] for kind in ("camera", "projector"))
+    cameras, projectors = (
+        [device for device in network.devices if device.kind == kind] for kind in ("camera", "projector")
+    )
     if not (cameras and projectors):
         raise InputError(f"{folder / NETWORK_FILE}: expected a camera and a projector or more")
     # Every device once, or more often where there are more of the other kind.

@@ -59,18 +59,18 @@ class Picked:
 
     def text(self) -> str:
         """Describe the measurement (Markdown)."""
-        scan, scene, shown = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
+        scan, scene, unit = self.cloud.scan, self.cloud.scene, shown_unit(self.cloud.unit)
         match self.points:
             case ():
                 return "Click on a point of the cloud; on two for a distance, on three for the angle at the second."
             case (one,):
-                x, y, z = (shown.number(value) for value in scan.points[one])
+                x, y, z = (unit.number(value) for value in scan.points[one])
                 column, row = scan.pixel[one]
-                return f"Camera pixel ({column}, {row}): x {x}, y {y}, z {z} {shown.name}"
+                return f"Camera pixel ({column}, {row}): x {x}, y {y}, z {z} {unit.name}"
             case (first, second):
                 distance = distance_between(scan, scene, (first, second))
                 sigma = distance.budget.sigma if distance.budget else None
-                return f"Distance: **{shown.length(distance.distance, sigma)}**"
+                return f"Distance: **{unit.length(distance.distance, sigma)}**"
             case (first, second, third):
                 angle, sigma_cell = angle_cells(angle_at(scan, scene, (first, second, third)))
                 return f"Angle: **{angle} {sigma_cell}**"

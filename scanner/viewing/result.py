@@ -169,7 +169,7 @@ class ViewedResult:
     def _captures(self) -> dict[str, Path]:
         """Folders of the captures by their names, the newest first; of a room's stations in their order."""
         if self._room is not None:
-            return {f"{n}: {each.name}": each.folder for n, each in enumerate(self._room.stations, start=1)}
+            return {f"{n}: {station.name}": station.folder for n, station in enumerate(self._room.stations, start=1)}
         older = [path for path in (self.folder / CAPTURES_FOLDER).glob("*") if path.name.isdecimal() and path.is_dir()]
         older.sort(key=lambda path: int(path.name), reverse=True)
         places = {len(older) + 1: self.folder} | {int(path.name): path for path in older}
@@ -208,8 +208,13 @@ class ViewedResult:
         if not len(cloud):
             raise InputError(f"{room.cloud}: the cloud is empty")
         rigs = tuple(
-            PlacedRig(scan.calibration, each.place.rotation, each.place.translation, _picture(each.folder, scan))
-            for each, scan in ((station, station.scan) for station in reversed(room.stations))
+            PlacedRig(
+                scan.calibration,
+                station_with_scan.place.rotation,
+                station_with_scan.place.translation,
+                _picture(station_with_scan.folder, scan),
+            )
+            for station_with_scan, scan in ((station, station.scan) for station in reversed(room.stations))
         )
         up = np.array([0.0, 0.0, 1.0])
         return ViewedCloud(cloud.points, cloud.normals, cloud.colours, rigs, None, up, room.unit, "room")
@@ -253,6 +258,6 @@ def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     if recorded is not None:
         return recorded
     camera = scan.calibration.camera
-    seen = np.zeros((camera.height, camera.width, 3), np.uint8)
-    seen[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
-    return photograph(seen)
+    picture = np.zeros((camera.height, camera.width, 3), np.uint8)
+    picture[scan.pixel[:, 1], scan.pixel[:, 0]] = scan.colours[:, ::-1]
+    return photograph(picture)

@@ -244,11 +244,11 @@ class Scene:
 
     def _draw_ruler(self, cloud: ViewedCloud) -> None:
         """Along the most level edge of the corner; without a corner, the baseline is labelled instead."""
-        shown = shown_unit(cloud.unit)
+        unit = shown_unit(cloud.unit)
         if cloud.corner is None:
             for rig in cloud.rigs[:1]:
                 middle = rig.to_cloud(rig.calibration.projector_centre / 2)
-                self._label(f"{LABELS}/ruler", shown.length(rig.calibration.baseline), middle, "top-center")
+                self._label(f"{LABELS}/ruler", unit.length(rig.calibration.baseline), middle, "top-center")
             return
         rig = cloud.rigs[0]
         legs = cloud.corner.corner.legs @ rig.rotation.T
@@ -259,7 +259,7 @@ class Scene:
         lines = ruler_lines(vertex, edge, across, reach)
         self._lines(f"{FACES}/ruler", lines, _INK)
         step = nice_step(reach)
-        text = f"{shown.factor * step:g} {shown.name}"
+        text = f"{unit.factor * step:g} {unit.name}"
         # Next to a tick near the edge's middle, because its ends carry a name and an angle.
         place = (max(0, round(reach / (2 * step) - 0.5)) + 0.5) * step
         self._label(f"{LABELS}/ruler", text, vertex + place * edge, "top-center")

@@ -42,10 +42,10 @@ class ServedFiles:
         first, _, rest = address.partition("?")[0].lstrip("/").partition("/")
         if first != _PREFIX:
             return None
-        found = self._file([unquote(part) for part in rest.split("/")])
-        if found is not None:
+        file = self._file([unquote(part) for part in rest.split("/")])
+        if file is not None:
             with suppress(InputError):  # one that is a decompression bomb, or unreadable
-                return _response(http.HTTPStatus.OK, read_whole(found), _headers(found))
+                return _response(http.HTTPStatus.OK, read_whole(file), _headers(file))
         return _response(http.HTTPStatus.NOT_FOUND, b"There is no such file.\n", {"Content-Type": "text/plain"})
 
     def _file(self, parts: list[str]) -> Path | None:
@@ -55,8 +55,8 @@ class ServedFiles:
         if folder is None or not names or any(not name or "\0" in name for name in names):
             return None
         try:
-            found = folder.joinpath(*names).resolve()  # also follows links
-            return found if found.is_relative_to(folder) and found.is_file() else None
+            path = folder.joinpath(*names).resolve()  # also follows links
+            return path if path.is_relative_to(folder) and path.is_file() else None
         except (OSError, RuntimeError):  # a name that is too long, or circular links
             return None
 

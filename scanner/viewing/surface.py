@@ -50,6 +50,6 @@ def surface_of(cloud: CaptureCloud) -> Surface:
     chosen = np.flatnonzero(np.all(scan.pixel % step == 0, axis=1))
     width, height = (-(-side // step) for side in scan.calibration.camera.size)
     focal_px = float(np.mean(scan.calibration.camera.focal_px)) / step
-    seen = SeenPoints(scan.matches.camera_px[chosen] / step, scan.points[chosen], scan.normals[chosen], focal_px)
-    triangles = image_triangles(seen, index_grid(scan.pixel[chosen] // step, Size(width, height)))
+    points = SeenPoints(scan.matches.camera_px[chosen] / step, scan.points[chosen], scan.normals[chosen], focal_px)
+    triangles = image_triangles(points, index_grid(scan.pixel[chosen] // step, Size(width, height)))
     return Surface(cloud, chosen[triangles].astype(np.int32))

@@ -90,13 +90,13 @@ def corner_text(corner: MeasuredCorner | None, unit: str) -> str:
 
 
 def _corner_lines(corner: MeasuredCorner, unit: str) -> Iterator[str]:
-    shown = shown_unit(unit)
+    unit_shown = shown_unit(unit)
     yield corner.scene.sentence
     yield ""
     for angle in corner.scene.angles:
         yield f"- {angle_name(angle.faces)}: {' '.join(angle_cells(angle))}"
     for face in corner.scene.faces:
-        yield f"- Face {face.name}: flat to {shown.length(face.deviation, face.budget.sigma)}"
+        yield f"- Face {face.name}: flat to {unit_shown.length(face.deviation, face.budget.sigma)}"
 
 
 def angle_name(faces: tuple[str, str]) -> str:

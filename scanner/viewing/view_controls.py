@@ -91,11 +91,11 @@ class ViewControls:
             self._statement.content = "Drawing …"
             with failures_shown(self._statement):
                 self._scene.draw_box(box)
-                shown = self._draw(colouring, share, box, as_surface=as_surface)
+                drawn = self._draw(colouring, share, box, as_surface=as_surface)
                 self._drawn = wanted
                 self._percent.disabled = as_surface
-                self._bar.content = bar_html(shown.coloured.bar)
-                self._statement.content = f"{self._how_many(shown, box)} {shown.coloured.legend}"
+                self._bar.content = bar_html(drawn.coloured.bar)
+                self._statement.content = f"{self._how_many(drawn, box)} {drawn.coloured.legend}"
 
     def _draw(self, colouring: Colouring, share: float, box: Box, *, as_surface: bool) -> Shown:
         if not (as_surface and isinstance(self._cloud, CaptureCloud)):
@@ -103,11 +103,11 @@ class ViewControls:
         self._surface = self._surface or surface_of(self._cloud)
         return self._scene.draw_surface(self._surface, colouring, box)
 
-    def _how_many(self, shown: Shown, box: Box) -> str:
+    def _how_many(self, drawn: Shown, box: Box) -> str:
         if self._shown_as.value == _SURFACE:
-            return f"Showing {many(shown.triangles)} triangles."
+            return f"Showing {many(drawn.triangles)} triangles."
         part = f", of {many(len(self._cloud.points))} in all" if box.bounded else ""
-        return f"{statement(shown.points, shown.among).capitalize()}{part}."
+        return f"{statement(drawn.points, drawn.among).capitalize()}{part}."
 
     def _add_part(self, label: str, part: str) -> None:
         box = self._gui.add_checkbox(label, initial_value=True)

@@ -31,7 +31,7 @@ def before_a_wall(
 
 def together(projector: Bench, cameras: list[BesideBench]) -> SynchronisedRig:
     first, *others = cameras
-    return synchronised(projector, first, {}, others=[(other, {}) for other in others])
+    return synchronised(projector, first, {}, further=[(other, {}) for other in others])
 
 
 def seen(picture: np.ndarray, gain: float = 1.0) -> np.ndarray:

@@ -91,7 +91,7 @@ def _icosphere() -> tuple[Floats, Ints]:
     """Unit directions (V, 3), and outward triangles (T, 3)."""
     golden = (1 + 5**0.5) / 2
     corners = [(0.0, a, b) for a in (-1.0, 1.0) for b in (-golden, golden)]
-    vertices = np.array([np.roll(each, turn) for turn in range(3) for each in corners])
+    vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in corners])
     apart = np.linalg.norm(vertices[:, None] - vertices, axis=2)
     near = (apart < 2.1) & (apart > 0)
     triangles = np.array(

@@ -73,19 +73,19 @@ class Stage:
     def cast(self, origin: Floats, directions: Floats) -> Hits:
         """Cast rays (n, 3) from one origin (3,)."""
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=1)
-        found = self._scene.cast_rays(self._o3d.core.Tensor(rays.astype(np.float32)))
-        along, which = found["t_hit"].numpy().astype(np.float64), found["geometry_ids"].numpy()
+        hits = self._scene.cast_rays(self._o3d.core.Tensor(rays.astype(np.float32)))
+        along, which = hits["t_hit"].numpy().astype(np.float64), hits["geometry_ids"].numpy()
         there = np.isfinite(along)
         points = origin + np.where(there, along, 0.0)[:, None] * directions
-        normals = found["primitive_normals"].numpy().astype(np.float64)
+        normals = hits["primitive_normals"].numpy().astype(np.float64)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         normals *= -np.sign(np.sum(normals * directions, axis=1, keepdims=True))
         thing = there & (which == _THING)
         albedo = np.full(len(points), 0.5)
         resting = there & (which == _BACKGROUND)
         albedo[resting] = _speckled(points[resting] / self._size)
-        corners = self._solid.triangles[found["primitive_ids"].numpy()[thing].astype(np.int64)]
-        u, v = found["primitive_uvs"].numpy()[thing].astype(np.float64).T
+        corners = self._solid.triangles[hits["primitive_ids"].numpy()[thing].astype(np.int64)]
+        u, v = hits["primitive_uvs"].numpy()[thing].astype(np.float64).T
         albedo[thing] = np.sum(self._solid.albedo[corners] * np.stack([1 - u - v, u, v], axis=1), axis=1)
         return Hits(there, points, normals, albedo, thing)
 
