@@ -30,8 +30,7 @@ from hw.timing.timed_rig import MOST_AHEAD
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
 from scanner.decoding import Decoder
-from scanner.io import sync_open
-from scanner.io.png import png_of
+from scanner.io import png_of, sync_open
 from scanner.patterns import PRESETS, Pattern
 
 PROJECTOR = Size(854, 480)

@@ -18,9 +18,8 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.pointcloud import surface
-from calib.rooms import Registration, StationView, register, station_view
+from calib.rooms import Registration, StationView, marks_of, register, station_view
 from calib.rooms.alignment import composed, inverse
-from calib.rooms.marks import marks_of
 from calib.synthetic.stations import CAMERA, Paint, Station, moved_rig, random_room, ring, seen_from
 
 KINDS = ("whole", "open", "stranger", "two", "moved", "bare")

@@ -28,8 +28,7 @@ from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
 from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
 from calib.rooms.priors import RoomPrior
 from calib.self_calibration import PrincipalPoint, self_calibrate
-from calib.synthetic import SyntheticRoom, random_room
-from calib.synthetic.rooms import RoomOptions
+from calib.synthetic import RoomOptions, SyntheticRoom, random_room
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room

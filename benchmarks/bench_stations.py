@@ -20,8 +20,7 @@ import numpy as np
 from bench_registration import view_of
 
 from calib.rooms import RigPrior, RoomEstimate, estimate_room, register
-from calib.synthetic import random_room
-from calib.synthetic.rooms import RoomOptions
+from calib.synthetic import RoomOptions, random_room
 from calib.synthetic.stations import random_room as furnished
 from calib.synthetic.stations import ring, seen_from
 

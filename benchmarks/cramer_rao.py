@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.boards.likelihood import Levels, View, device_prior
+from calib.boards import INTRINSIC_COLUMNS, View
+from calib.boards import State as BoardState
+from calib.boards.likelihood import Levels, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
-from calib.boards.parameters import INTRINSIC_COLUMNS, Placed, device_of
-from calib.boards.parameters import State as BoardState
+from calib.boards.parameters import Placed, device_of
 from calib.geometry import Matches, Motion
 from calib.networks import Device, Network, Sight
 from calib.networks.prior import NetworkKnowledge
@@ -26,10 +27,9 @@ from calib.refinement import (
     predict,
 )
 from calib.refinement import device_of as rig_device_of
-from calib.rooms import Room
+from calib.rooms import Room, RoomPlane
 from calib.rooms.likelihood import evaluate as evaluate_room
 from calib.rooms.patches import Patch
-from calib.rooms.planes import RoomPlane
 from calib.rooms.priors import RoomPrior
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticNetwork, SyntheticPhotos

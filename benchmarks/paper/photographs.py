@@ -12,8 +12,7 @@ from calib.geometry import Intrinsics, Size
 from paper.captures import Setup
 from paper.experiment import Experiment, Figures, room_of, rooms
 from scanner.commands.main import main as scan
-from scanner.io import MATCHES_FILE, read_calibration, read_matches
-from scanner.io.image_file import read_image
+from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches
 from scanner.results import CALIBRATION_FILE
 
 CUT_OFF = (0.2, 0.15)  # shares of width and height, on the left and at the top

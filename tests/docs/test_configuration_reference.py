@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import yaml
 
-from scanner.configuration.schema import Config, load_config
+from scanner.configuration import Config, load_config
 from scanner.errors import InputError
 from scanner.io.validation import known_keys
 from tests.support.places import ROOT

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
-from scanner.io.png import write_png
-from scanner.patterns.pattern import Black, Pattern, White, draw, gray_sequence
+from scanner.configuration import load_config
+from scanner.io import write_png
+from scanner.patterns import Black, Pattern, White, draw, gray_sequence
 from tests.support.documented import PAGES, Documented, commands, commands_in, parse
 from tests.support.places import ROOT
 

@@ -21,7 +21,7 @@ def board(folder: Path) -> Run:
     from scanner.commands.arguments import NAMED
     from scanner.commands.main import parser_of
     from scanner.io import read_calibration
-    from scanner.targets.target import parse_target
+    from scanner.targets import parse_target
     from tests.support.board_captures import CAMERA, PROJECTOR, write_board_capture
 
     options = BoardOptions(CAMERA, PROJECTOR, 7, 5, 0.05, _VIEWS, distance=(0.9, 1.3), matches=1, bend=0.0)
@@ -61,8 +61,7 @@ def board(folder: Path) -> Run:
 
 def batch(folder: Path) -> Run:
     """`scan batch` with lists of existing and missing captures, and the resulting table."""
-    from scanner.batch.listing import Request, list_jobs
-    from scanner.batch.running import run_batch
+    from scanner.batch import Request, list_jobs, run_batch
     from scanner.batch.work import Delivery, work
     from scanner.ui import EXIT_INPUT, EXIT_REFUSED, Terminal
     from tests.support.small_capture import write_capture

@@ -15,8 +15,7 @@ from tests.fuzz.mutations import Random, extreme, of_bytes, of_yaml
 
 def refusal(folder: Path) -> Run:
     """`refused.yaml`, and its card in the history."""
-    from scanner.results import REFUSAL_FILE, Verdict, verdict_of
-    from scanner.results.stated_uncertainty import verdict_entries, write_refusal
+    from scanner.results import REFUSAL_FILE, Verdict, verdict_entries, verdict_of, write_refusal
     from scanner.viewing.texts import notes_text, verdict_text
 
     path = folder / REFUSAL_FILE
@@ -48,9 +47,9 @@ def log(folder: Path) -> Run:
 
 def row(folder: Path) -> Run:
     """A row of an earlier run of a batch, and its table."""
+    from scanner.batch import run_batch
     from scanner.batch.listing import Job
     from scanner.batch.rows import Row
-    from scanner.batch.running import run_batch
     from scanner.configuration import Config
     from scanner.ui import Terminal
 

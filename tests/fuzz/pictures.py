@@ -96,7 +96,7 @@ def masks(folder: Path) -> Run:
 
 def photos(folder: Path) -> Run:
     """Photos with EXIF data."""
-    from scanner.photos.photo import read_photos
+    from scanner.photos import read_photos
 
     exif = Image.Exif()
     exif[0x0112] = 6

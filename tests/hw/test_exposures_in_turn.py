@@ -12,8 +12,8 @@ from hw.simulated.rig import SimulatedCamera
 from hw.timing.camera_group import CameraGroup
 from hw.timing.sequential import SequentialAcquisition, Timing
 from hw.timing.synchronisation import synchronised
-from scanner.capture.stream import capture
-from scanner.patterns.pattern import Black, White, draw, sequence_for
+from scanner.capture import capture
+from scanner.patterns import Black, White, draw, sequence_for
 from tests.support.rig_bench import SIZE, Bench
 
 

@@ -20,10 +20,10 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import latency, synchronisation
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.commands import devices
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from scanner.console.settings import Picture, Settings
 from scanner.console.worker import Activity, Worker
 from scanner.ui import Terminal

@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.timing.resting import RestingLight
 from hw.timing.stability import StabilityTest, stability_test
 

@@ -16,7 +16,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
 from scanner import pipeline
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.commands import scan as scan_command
 from scanner.commands.main import main
 from scanner.console.settings import Picture, Settings

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Redundancy
 from hw.timing.streamed_rig import StreamedRig, streamed
-from scanner.capture.steady_camera import remarks_on_camera
+from scanner.capture import remarks_on_camera
 from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, level_groups, unpaired_bits
 from tests.support.stream_bench import SIZE, StreamBench, seen_row
 

@@ -15,7 +15,7 @@ from hw.optional_parts import RIG
 from hw.projector.process import ScreenProjector, list_screens
 from scanner.commands import devices
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
 from tests.support.places import ROOT
 

@@ -11,7 +11,7 @@ from calib.numerics import Floats
 from scanner.boards.drawing import draw_target
 from scanner.io import write_png
 from scanner.patterns import pattern_to_dict, sequence_for
-from scanner.targets.target import Target
+from scanner.targets import Target
 
 CAMERA = Intrinsics(320, 256, (400.0, 400.0), (163.0, 125.0), (0.0,) * 5)
 PROJECTOR = Intrinsics(320, 200, (470.0, 470.0), (161.0, 190.0), (0.0,) * 5)

@@ -9,7 +9,7 @@ from calib.numerics import Floats
 from calib.refinement import into_cells
 from calib.synthetic import SyntheticBoards
 from scanner.boards.drawing import draw_target
-from scanner.targets.target import Target
+from scanner.targets import Target
 
 
 def views_of(boards: SyntheticBoards) -> list[View]:

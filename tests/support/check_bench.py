@@ -4,7 +4,7 @@ from hw.rig import Rig
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.report import CheckReport, CheckRow
-from scanner.configuration.schema import Config, load_config
+from scanner.configuration import Config, load_config
 
 CAMERA, PROJECTOR = (306, 256), (214, 120)
 PERIOD_US = 1e6 / 60

@@ -5,10 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner
-from calib.geometry.matches import Matches
+from calib.geometry import Calibration, Corner, Intrinsics, Matches
 from tests.support.room import SPHERE, Ball, Placed, Room, seen
 
 CAMERA = Intrinsics(408, 342, (299.0, 299.0), (209.0, 176.0), (-0.05, 0.0, 0.0, 0.0, 0.0))

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from scanner.commands.main import _choose, parser_of
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from tests.support.places import ROOT
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

@@ -13,10 +13,8 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.simulation import SimulatedRoom
-from scanner.patterns import PRESETS
-from scanner.patterns.sequence_file import write_sequence
-from scanner.recordings.player_video import write_player_video
-from scanner.recordings.programme import Programme, programme_of
+from scanner.patterns import PRESETS, write_sequence
+from scanner.recordings import Programme, programme_of, write_player_video
 
 CAMERA, PROJECTOR = (384, 216), (256, 144)
 BIT_RATE = 1.5e6

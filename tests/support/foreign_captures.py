@@ -12,7 +12,7 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, draw
+from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, draw
 
 
 @dataclass

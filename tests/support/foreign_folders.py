@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.numerics import Image
 from scanner.commands.main import main
-from scanner.patterns.pattern import Axis, Black, Pattern, Phase, White
+from scanner.patterns import Axis, Black, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
 
 # The smallest projector that is sold, so that its size is recognised.

@@ -11,8 +11,7 @@ from calib.diagnostics import SystematicErrors
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.self_calibration import KnownCalibration, PrincipalPoint, SelfCalibration, self_calibrate_jointly
-from calib.synthetic import random_boards
-from calib.synthetic.captures import random_captures
+from calib.synthetic import random_boards, random_captures
 from tests.support.boards import views_of
 
 

@@ -17,9 +17,9 @@ from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, s
 from hw.loopback.settings import LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import Recording, open_capture
+from scanner.capture import Recording, open_capture
 from scanner.commands.main import main
-from scanner.patterns.pattern import Pattern, draw
+from scanner.patterns import Pattern, draw
 
 CAMERA, PROJECTOR = (306, 256), (320, 180)
 ROOM = {"seed": 2, "furniture": False, "interreflection": False}  # which is built in a fifth of the time

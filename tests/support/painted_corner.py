@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calib.geometry.camera import Intrinsics
-from calib.numerics.array_types import Floats, Image
+from calib.geometry import Intrinsics
+from calib.numerics import Floats, Image
 from tests.support.room import Placed, Room
 
 CAMERA = Intrinsics(640, 480, (620.0, 620.0), (340.0, 224.0), (-0.03, 0.0, 0.0, 0.0, 0.0))

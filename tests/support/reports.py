@@ -4,20 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry.calibration import DeviceSigmas, Sigmas
-from calib.geometry.camera import Size
-from calib.geometry.corner import Corner
-from calib.geometry.matches import Matches
-from calib.pointcloud.organised_cloud import build_cloud
+from calib.geometry import Corner, DeviceSigmas, Matches, Sigmas, Size
+from calib.pointcloud import build_cloud
 from calib.refusal import RefusalError
-from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.capture_metadata import CaptureMetadata
-from scanner.decoding.decoder import Decoding
+from calib.self_calibration import Profile, SelfCalibration
+from scanner.capture import CaptureMetadata
+from scanner.decoding import Decoding, MaskReason
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
-from scanner.patterns.pattern import sequence_for
-from scanner.reporting.contents import ReportInput
-from scanner.results.stages import Decoded, Reconstructed, Refused, SelfCalibrated
+from scanner.patterns import sequence_for
+from scanner.reporting import ReportInput
+from scanner.results import Decoded, Reconstructed, Refused, SelfCalibrated
 from tests.support.cloud_scene import Scene
 
 SIZES = (Size(408, 342), Size(854, 480))

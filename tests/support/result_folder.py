@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry.camera import Intrinsics
-from calib.numerics.array_types import Bools, Floats
-from calib.pointcloud.organised_cloud import build_cloud
-from scanner.io.calibration_file import write_calibration
-from scanner.io.matches_file import write_matches
-from scanner.io.ply import write_ply
-from scanner.results.finished_scan import FinishedScan, read_finished_scan
+from calib.geometry import Intrinsics
+from calib.numerics import Bools, Floats
+from calib.pointcloud import build_cloud
+from scanner.io import write_calibration, write_matches, write_ply
+from scanner.results import FinishedScan, read_finished_scan
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 

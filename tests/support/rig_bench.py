@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.errors import FrameLostError
 from hw.rig import Capabilities, Frame
 from hw.timing.devices import Swap, nothing

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.calibration import Calibration
-from calib.numerics.array_types import Bools, Floats, Ints
-from calib.synthetic.captures import look_at
+from calib.geometry import Calibration
+from calib.numerics import Bools, Floats, Ints
+from calib.synthetic import look_at
 
 SPHERE = 1000
 NOTHING = -1

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
-from calib.geometry.matches import Matches
-from calib.numerics.array_types import Floats, Ints
+from calib.geometry import Calibration, Intrinsics, Matches
+from calib.numerics import Floats, Ints
 from tests.support.room import NOTHING, UP, Ball, Box, Placed, Room, seen
 
 OUTLIER = NOTHING

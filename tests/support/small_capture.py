@@ -5,10 +5,9 @@ from typing import Any
 
 import yaml
 
-from calib.geometry.camera import Size
-from scanner.io.png import write_png
-from scanner.patterns.pattern import Pattern, draw, sequence_for
-from scanner.patterns.sequence_file import pattern_to_dict
+from calib.geometry import Size
+from scanner.io import write_png
+from scanner.patterns import Pattern, draw, pattern_to_dict, sequence_for
 
 SIZE = Size(48, 32)
 PATTERNS = sequence_for(SIZE, cell=8, shifts=3)

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from calib.geometry.camera import Intrinsics
-from calib.numerics.array_types import Floats
-from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import Pose, State
-from calib.synthetic.captures import SyntheticCapture
+from calib.geometry import Intrinsics
+from calib.numerics import Floats
+from calib.refinement import Cells, Pose, State
+from calib.synthetic import SyntheticCapture
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:

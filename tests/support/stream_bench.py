@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.rig import Capabilities, Frame
 from hw.timing.devices import Swap
 from hw.timing.frame_reader import Arrival, FrameReader

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics.array_types import Bools, Image
-from scanner.decoding.decoder import Decoder, Decoding
+from calib.numerics import Bools, Image
+from scanner.decoding import Decoder, Decoding
 from scanner.decoding.frame_corrections import FrameCorrections, corrections_of
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.samples import Samples
-from scanner.patterns.pattern import Pattern, Phase, draw, phase_sequence
+from scanner.patterns import Pattern, Phase, draw, phase_sequence
 
 Light = NDArray[np.floating[Any]]
 _FINE = 3

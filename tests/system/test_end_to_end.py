@@ -11,19 +11,15 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.geometry.calibration import Sigmas
-from calib.geometry.matches import NO_FACE
-from calib.pointcloud.pixel_index import NONE
+from calib.geometry import NO_FACE, Sigmas
+from calib.pointcloud import NONE
 from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
-from scanner.capture.recording import open_capture
-from scanner.configuration.schema import load_config
-from scanner.io.calibration_file import read_calibration
-from scanner.io.matches_file import read_matches, write_matches
-from scanner.io.png import write_png
-from scanner.io.yaml_text import read_yaml
-from scanner.quantities.calibration_numbers import intrinsic_errors_percent
-from scanner.results.finished_scan import read_finished_scan
+from scanner.capture import open_capture
+from scanner.configuration import load_config
+from scanner.io import read_calibration, read_matches, read_yaml, write_matches, write_png
+from scanner.quantities import intrinsic_errors_percent
+from scanner.results import read_finished_scan
 from tests.support.command_line import names, run
 from tests.support.small_capture import read_listing, write_listing
 from tests.support.small_room import with_few_rays

@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scanner.capture.recording import open_capture
-from scanner.io.calibration_file import read_calibration
-from scanner.io.matches_file import read_matches
-from scanner.io.ply import read_cloud
-from scanner.quantities.calibration_numbers import intrinsic_errors_percent
-from scanner.results.finished_scan import read_finished_scan
+from scanner.capture import open_capture
+from scanner.io import read_calibration, read_cloud, read_matches
+from scanner.quantities import intrinsic_errors_percent
+from scanner.results import read_finished_scan
 from tests.support.command_line import names, run
 from tests.support.small_room import with_few_rays
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scanner.capture.recording import open_capture
-from scanner.configuration.schema import load_config
-from scanner.decoding.decoder import Decoder
-from scanner.decoding.stopped_sequence import usable
+from scanner.capture import open_capture
+from scanner.configuration import load_config
+from scanner.decoding import Decoder, usable
 from scanner.errors import InputError
 from tests.support.fault_bench import FaultBench
 from tests.support.places import ROOT

@@ -14,9 +14,9 @@ from hw.aravis import backend as aravis
 from hw.open_rig import open_rig
 from hw.projector.process import list_screens
 from hw.timing.synchronisation import SynchronisedRig
-from scanner.capture.stream import capture
-from scanner.configuration.schema import Config, load_config
-from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
+from scanner.capture import capture
+from scanner.configuration import Config, load_config
+from scanner.patterns import Axis, Black, Gray, Pattern, White
 
 pytestmark = pytest.mark.hardware
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scanner.capture.recording import open_capture
-from scanner.io.png import write_png
-from scanner.patterns.pattern import draw
+from scanner.capture import open_capture
+from scanner.io import write_png
+from scanner.patterns import draw
 from tests.support.fault_bench import FaultBench
 from tests.support.foreign_captures import ENDS, bits
 

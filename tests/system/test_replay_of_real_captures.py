@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from scanner.commands.main import main
-from scanner.io.ply import read_cloud
+from scanner.io import read_cloud
 from tests.support.places import REAL_CAPTURES
 
 DATA = REAL_CAPTURES

@@ -7,15 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics, Size
-from calib.geometry.matches import NO_FACE, Matches
-from calib.synthetic.captures import PAPER_PROJECTOR, SyntheticCapture, random_captures
-from scanner.io.calibration_file import read_calibration, write_calibration
-from scanner.io.matches_file import read_matches, write_matches
-from scanner.quantities.calibration_numbers import intrinsic_errors_percent
-from scanner.reconstruction.earlier_captures import read_captures
-from scanner.results.stated_uncertainty import read_uncertainty, read_verdict
+from calib.geometry import NO_FACE, Calibration, Intrinsics, Matches, Size
+from calib.synthetic import PAPER_PROJECTOR, SyntheticCapture, random_captures
+from scanner.io import read_calibration, read_matches, write_calibration, write_matches
+from scanner.quantities import intrinsic_errors_percent
+from scanner.reconstruction import read_captures
+from scanner.results import read_uncertainty, read_verdict
 from tests.support.command_line import names, run
 from tests.support.small_capture import SIZE, write_capture
 

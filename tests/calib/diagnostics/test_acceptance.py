@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from calib.diagnostics.acceptance import missing_knowledge, no_corner, refuse_degenerate, refuse_untrustworthy
+from calib.refinement import CAMERA, PROJECTOR, Knowledge, Refinement, family_of, into_cells, refine
 from calib.refinement.distortion_from_planes import straighten
-from calib.refinement.focal_sweep import at_focal, family_of
-from calib.refinement.likelihood import Knowledge
-from calib.refinement.match_cells import into_cells
-from calib.refinement.parameters import CAMERA, PROJECTOR
-from calib.refinement.refine import Refinement, refine
+from calib.refinement.focal_sweep import at_focal
 from calib.refusal import PHOTOS, RIG, RefusalError
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 KNOWLEDGE = Knowledge(
     (PAPER_CAMERA.width, PAPER_CAMERA.height),

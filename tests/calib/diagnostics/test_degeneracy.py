@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.diagnostics.degeneracy import reasons_in_images, reasons_in_space
-from calib.numerics.array_types import Floats
-from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import Pose, State, without_lens
+from calib.numerics import Floats
+from calib.refinement import Cells, Pose, State
+from calib.refinement.parameters import without_lens
 from calib.refusal import RIG
 
 AHEAD = np.array([0.0, 0.0, 1.0])

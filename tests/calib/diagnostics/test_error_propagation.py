@@ -25,7 +25,7 @@ from calib.geometry import Calibration, Matches, Sigmas, intersect
 from calib.numerics import Floats, blocks
 from calib.pointcloud import Plane, dihedral_angle_rad, dihedral_gradients, fit_plane
 from calib.refinement import SHARED, State
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 SIZES = (PAPER_CAMERA.size, PAPER_PROJECTOR.size)
 STEP = np.array(

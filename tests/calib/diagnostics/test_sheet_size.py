@@ -9,7 +9,7 @@ from calib.diagnostics import moved_calibration, size_of_sheet
 from calib.geometry import Calibration, Matches
 from calib.numerics import Floats
 from calib.refinement import SHARED
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, look_at
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, look_at
 from tests.support.known_rigs import before
 
 ROTATION = look_at(np.array([0.4, 0.0, 0.0]), np.array([0.0, 0.1, 2.0]), np.array([0.0, -1.0, 0.0]))

@@ -8,17 +8,12 @@ import pytest
 
 from calib.diagnostics.next_best_view import best_next_view, moved_pose
 from calib.diagnostics.uncertainty import Uncertainty
-from calib.geometry.matches import Matches
-from calib.geometry.radial_distortion import unproject
+from calib.geometry import Matches, unproject
+from calib.refinement import CAMERA, SHARED, Knowledge, family_of, into_cells, refine
 from calib.refinement.distortion_from_planes import straighten
-from calib.refinement.focal_sweep import family_of
 from calib.refinement.further_planes import depths
-from calib.refinement.likelihood import Knowledge
-from calib.refinement.match_cells import into_cells
-from calib.refinement.parameters import CAMERA, SHARED
-from calib.refinement.refine import refine
-from calib.self_calibration.rig import PrincipalPoint, self_calibrate, self_calibrate_jointly
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.self_calibration import PrincipalPoint, self_calibrate, self_calibrate_jointly
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
 PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calib.closed_form.transfer import image_of_corner, intrinsic_matrices, transfer
 from calib.geometry.corner import Corner, corner_planes, depths_on_planes, polar
 from calib.geometry.homography import face_grams
-from calib.synthetic.captures import PAPER_CAMERA, random_capture
+from calib.synthetic import PAPER_CAMERA, random_capture
 
 SEEDS = st.integers(0, 10_000)
 

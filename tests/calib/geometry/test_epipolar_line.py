@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.epipolar_line import cross_epipolar_lines
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from calib.synthetic import look_at
 
 BENT = (-0.25, 0.08, 0.002, -0.001, 0.0)

@@ -14,7 +14,7 @@ from calib.geometry.homography import (
     homography_from_gram,
     mapped,
 )
-from calib.synthetic.captures import random_capture
+from calib.synthetic import random_capture
 
 
 def _equations(source: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
 from calib.geometry.triangulation import intersect, intersect_rays
-from calib.numerics.array_types import Floats
-from calib.synthetic.captures import look_at
+from calib.numerics import Floats
+from calib.synthetic import look_at
 
 CAMERA = Intrinsics(1200, 900, (1000.0, 1010.0), (590.0, 455.0))
 PROJECTOR = Intrinsics(800, 600, (900.0, 880.0), (405.0, 590.0))

@@ -4,7 +4,7 @@ from calib.geometry import Motion, Size, project, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import Floats
-from calib.rooms.planes import RoomPlane
+from calib.rooms import RoomPlane
 
 LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
 

@@ -5,7 +5,7 @@ from calib.networks.network import Device, Network
 from calib.networks.placement import placed
 from calib.networks.sights import Sight
 from calib.refinement import Cells
-from calib.rooms.planes import RoomPlane
+from calib.rooms import RoomPlane
 
 
 def test_the_jacobian_matches_the_prediction() -> None:

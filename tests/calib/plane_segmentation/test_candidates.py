@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.homography import homogeneous
-from calib.geometry.matches import Matches
-from calib.numerics.array_types import Floats
+from calib.geometry import Matches, homogeneous
+from calib.numerics import Floats
 from calib.plane_segmentation import corner_hypotheses
 from calib.plane_segmentation.faces import find_faces
 from calib.plane_segmentation.fundamental_matrix import _best_candidate

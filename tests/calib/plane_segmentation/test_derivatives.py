@@ -6,8 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats
-from calib.numerics.levenberg_marquardt import minimise
+from calib.numerics import Floats, minimise
 from calib.plane_segmentation.fundamental_matrix import _epipolar_residuals, _Pairs, _plane_residuals
 from calib.plane_segmentation.planar_bundle_adjustment import residuals_of_planes
 from calib.plane_segmentation.plane_parallax import Lens, TwoView

@@ -6,13 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.geometry import homogeneous
-from calib.geometry.camera import Intrinsics
-from calib.geometry.matches import NO_FACE, Matches
-from calib.numerics.array_types import Ints
+from calib.geometry import NO_FACE, Intrinsics, Matches, homogeneous
+from calib.numerics import Ints
 from calib.plane_segmentation.faces import Faces, find_faces
 from calib.refusal import RefusalError
-from calib.synthetic.captures import random_capture
+from calib.synthetic import random_capture
 from tests.support.room import SPHERE, Ball, Box
 from tests.support.scenes import (
     OUTLIER,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats, Ints
+from calib.numerics import Floats, Ints
 from calib.plane_segmentation.affine_ransac import CellFits, fit_cells
 from calib.plane_segmentation.region_growing import grow, local_planes
 from calib.plane_segmentation.surfels import Grid, Surfels

@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.homography import homogeneous
-from calib.geometry.matches import Matches
-from calib.numerics.array_types import Floats
-from calib.numerics.levenberg_marquardt import minimise
+from calib.geometry import Matches, homogeneous
+from calib.numerics import Floats, minimise
 from calib.plane_segmentation.plane_parallax import Lens, TwoView
 from calib.plane_segmentation.surfels import make_surfels
 

@@ -6,8 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner
+from calib.geometry import Corner, Intrinsics
 from calib.pointcloud.corner_registration import find_order
 from calib.pointcloud.corner_view import View
 from hw.settings import SimulatedRigSettings

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calib.geometry.triangulation import intersect
-from calib.numerics.robust_statistics import biweight, blocks, robust_covariance, robust_sigma
+from calib.geometry import intersect
+from calib.numerics import biweight, blocks, robust_covariance, robust_sigma
 from calib.pointcloud.plane_fit import dihedral_angle_rad, fit_plane
 from calib.pointcloud.point_covariance import point_covariances
 from calib.pointcloud.sphere_fit import fit_sphere

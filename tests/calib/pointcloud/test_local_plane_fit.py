@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from calib.pointcloud.local_plane_fit import WindowPlanes, window_planes
 
 FOCAL_PX = 400.0

@@ -6,11 +6,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.geometry.matches import Matches
+from calib.geometry import Matches
 from calib.pointcloud.organised_cloud import Cloud, build_cloud
-from scanner.capture.recording import open_capture
-from scanner.decoding.decoder import Decoder
-from scanner.io.calibration_file import read_calibration
+from scanner.capture import open_capture
+from scanner.decoding import Decoder
+from scanner.io import read_calibration
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M, Scene, room, with_mistakes
 from tests.support.places import REAL_CAPTURES
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.geometry.matches import Matches
+from calib.geometry import Matches
 from calib.pointcloud.pixel_grid import Organised, organise
 from tests.support.cloud_scene import Scene, room, with_mistakes
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.camera import Intrinsics
-from calib.geometry.triangulation import intersect
+from calib.geometry import Intrinsics, intersect
 from calib.pointcloud.pixel_index import NONE, density, index_grid, without_gaps
 from calib.pointcloud.sphere_ransac import OrganisedPoints, find_sphere
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M, Scene, room, with_mistakes

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.numerics.array_types import Floats, Ints
+from calib.numerics import Floats, Ints
 from calib.pointcloud.voxel_grid import nearest_in_voxels
 
 

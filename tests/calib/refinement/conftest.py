@@ -9,7 +9,7 @@ from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import State
 from calib.refinement.profile_minimiser import relax
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 from tests.support.states import each_a_cell, true_state
 
 SIGMA_PX = 0.1

@@ -7,7 +7,7 @@ import pytest
 
 from calib.refinement.distortion_from_planes import _homographies, _misfit, straighten
 from calib.refinement.match_cells import into_cells
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 from tests.support.states import device_of
 
 

@@ -8,7 +8,7 @@ import pytest
 from calib.refinement.focal_sweep import at_focal, family_of, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.likelihood import Fit
 from calib.refinement.parameters import State
-from calib.synthetic.captures import random_capture, random_captures
+from calib.synthetic import random_capture, random_captures
 from tests.calib.refinement.conftest import KNOWLEDGE, Case
 from tests.support.states import each_a_cell, true_state
 

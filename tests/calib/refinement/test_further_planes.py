@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.matches import Matches
-from calib.self_calibration.rig import PrincipalPoint, SelfCalibration, self_calibrate
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+from calib.geometry import Matches
+from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.geometry.homography import TooFewMatchesError
-from calib.geometry.matches import Matches
+from calib.geometry import Matches, TooFewMatchesError
 from calib.refinement.match_cells import Cells, into_cells
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 LENSES: dict[str, Any] = {
     "camera": replace(PAPER_CAMERA, distortion=(-0.06, 0.0, 0.0, 0.0, 0.0)),

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.refinement.likelihood import Knowledge, Prior, evaluate
 from calib.refinement.parameters import FurtherPlane, State, predict
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 from tests.support.states import each_a_cell, true_state
 
 CAMERA = replace(PAPER_CAMERA, distortion=(-0.06, 0.01, 0.0, 0.0, 0.0))

@@ -6,7 +6,7 @@ import pytest
 from calib.refinement.likelihood import Knowledge
 from calib.refinement.match_cells import into_cells
 from calib.refinement.photo_starts import objective_of_photos, photo_family
-from calib.synthetic.photos import random_photos
+from calib.synthetic import random_photos
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

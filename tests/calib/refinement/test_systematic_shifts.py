@@ -8,7 +8,7 @@ from calib.geometry import Matches
 from calib.numerics import Floats
 from calib.refinement import CUBIC, Shifts, monomials
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 
 _PX = 0.1
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calib.geometry.matches import Matches
-from calib.numerics.array_types import Floats
+from calib.geometry import Matches
+from calib.numerics import Floats
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import Method, PrincipalPoint, self_calibrate
 from tests.support.cloud_scene import CAMERA, PROJECTOR, room

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.geometry.matches import Matches
+from calib.geometry import Matches
 from calib.refinement import shared_corner
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration, self_calibrate_jointly
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
 
 CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
 PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)

@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.geometry.camera import Intrinsics
-from calib.geometry.matches import Matches
-from calib.geometry.relative_pose import Motion
-from calib.plane_segmentation.sparse_faces import find_sparse_faces
-from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State, predict, without_lens
+from calib.geometry import Intrinsics, Matches, Motion
+from calib.plane_segmentation import find_sparse_faces
+from calib.refinement import CAMERA, PROJECTOR, Pose, State, predict
+from calib.refinement.parameters import without_lens
 from calib.refusal import RefusalError
 from calib.self_calibration.photos import anywhere, calibrate_photos
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration
-from calib.synthetic.photos import SyntheticPhotos, random_photos
+from calib.synthetic import SyntheticPhotos, random_photos
 
 SIZE = (1600, 1200)
 WIDTH = SIZE[0]

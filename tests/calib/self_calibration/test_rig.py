@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.closed_form.transfer_objective import exact_search, objective_for, search
-from calib.geometry.matches import Matches
+from calib.closed_form import exact_search, objective_for, search
+from calib.geometry import Matches
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import Method, PrincipalPoint, SelfCalibration, self_calibrate
-from calib.synthetic.captures import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
 
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 LENSES = {

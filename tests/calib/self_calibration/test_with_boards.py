@@ -9,7 +9,7 @@ from calib.geometry import Calibration
 from calib.refinement import SHARED, KnownRig
 from calib.refusal import RefusalError
 from calib.self_calibration import self_calibrate_jointly
-from calib.synthetic.boards import BoardOptions
+from calib.synthetic import BoardOptions
 from tests.support.known_rigs import Before, before, corner_before, errors_of, intrinsics_and_length, sigmas
 
 pytestmark = pytest.mark.xdist_group("boards and corner")  # what they share is made once

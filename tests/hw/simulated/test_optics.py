@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.camera import Intrinsics
+from calib.geometry import Intrinsics
 from hw.simulated.device import Optics
 from hw.simulated.picture import PictureOptics
 from hw.simulated.placement import resized

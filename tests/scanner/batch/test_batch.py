@@ -20,9 +20,8 @@ from scanner.batch.processes import Processes
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
 from scanner.commands.main import main
 from scanner.errors import StorageError
-from scanner.io.calibration_file import read_calibration
-from scanner.ui.exit_codes import failure_of
-from scanner.ui.terminal import Terminal
+from scanner.io import read_calibration
+from scanner.ui import Terminal, failure_of
 from tests.support.deadly_work import deadly_work
 from tests.support.full_disk import no_file_larger_than
 from tests.support.places import ROOT

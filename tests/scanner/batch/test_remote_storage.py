@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from calib.numerics.parallel import use_processors
+from calib.numerics import use_processors
 from scanner.batch.cluster import DaskWorkers
 from scanner.batch.listing import Request, list_jobs
 from scanner.batch.location import Location
 from scanner.batch.running import run_batch
-from scanner.ui.terminal import Terminal
+from scanner.ui import Terminal
 
 fsspec = pytest.importorskip("fsspec", reason="stores that are far away need the extra 'batch'")
 pytest.importorskip("distributed")

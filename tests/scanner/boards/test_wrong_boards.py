@@ -10,7 +10,7 @@ import pytest
 from calib.synthetic import BoardOptions, SyntheticBoards, random_boards
 from scanner.commands.main import main
 from scanner.io import read_image, write_png
-from scanner.targets.target import Target
+from scanner.targets import Target
 from tests.support.board_captures import CAMERA, PROJECTOR, write_board_capture
 
 pytestmark = pytest.mark.xdist_group("wrong boards")  # what the module shares is made once

@@ -16,12 +16,12 @@ from scanner import pipeline
 from scanner.capture import rig_placement as places
 from scanner.capture.recording import open_capture
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from scanner.decoding import SMOOTH_PX
 from scanner.errors import InputError
-from scanner.reconstruction.earlier_captures import read_captures
-from scanner.results.stages import Decoded
-from scanner.ui.terminal import Terminal
+from scanner.reconstruction import read_captures
+from scanner.results import Decoded
+from scanner.ui import Terminal
 from tests.support.small_capture import SIZE
 
 BEFORE_PATTERNS = 5  # frames, of lines of one pixel and what they are compared with

@@ -12,7 +12,7 @@ from scanner.capture.recorder import record
 from scanner.capture.recording import open_capture
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
-from scanner.patterns.pattern import draw
+from scanner.patterns import draw
 from tests.support import small_capture
 from tests.support.small_capture import SIZE, write_capture
 

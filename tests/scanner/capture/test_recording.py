@@ -20,8 +20,8 @@ from scanner.capture.recording import open_capture
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
 from scanner.io import image_file as images
-from scanner.io.png import write_png
-from scanner.patterns.pattern import Gray, White, draw
+from scanner.io import write_png
+from scanner.patterns import Gray, White, draw
 from tests.support.small_capture import PATTERNS, SIZE, read_listing, write_capture, write_listing
 
 

@@ -15,10 +15,9 @@ from scanner.capture.recorder import record
 from scanner.capture.recording import Recording, open_capture
 from scanner.capture.resuming import take_up
 from scanner.capture.stream import capture
-from scanner.decoding.decoder import Decoder
+from scanner.decoding import Decoder
 from scanner.errors import InputError
-from scanner.patterns.pattern import Black, Gray, Pattern, Phase, White
-from scanner.patterns.presets import PRESETS
+from scanner.patterns import PRESETS, Black, Gray, Pattern, Phase, White
 
 SIZE = (120, 80)
 PATTERNS = PRESETS["quick"].patterns(SIZE)

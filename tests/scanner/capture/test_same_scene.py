@@ -8,7 +8,7 @@ from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
 from scanner.capture.same_scene import compare, refuse_another_scene, scale_of
 from scanner.errors import InputError
-from scanner.patterns.pattern import Gray, White, draw
+from scanner.patterns import Gray, White, draw
 
 pytestmark = pytest.mark.xdist_group("same scene")  # what the module shares is made once
 

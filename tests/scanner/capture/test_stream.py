@@ -4,7 +4,7 @@ import pytest
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig
 from scanner.capture.stream import capture
-from scanner.patterns.pattern import draw
+from scanner.patterns import draw
 from tests.support.small_capture import PATTERNS, SIZE
 
 

@@ -6,7 +6,7 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.report import CheckReport, CheckRow
-from scanner.ui.terminal import Terminal
+from scanner.ui import Terminal
 from tests.support.check_bench import CAMERA, PERIOD_US, PROJECTOR, changed, config, rig_in
 
 

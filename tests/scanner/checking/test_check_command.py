@@ -20,8 +20,8 @@ from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.table import table_of
 from scanner.commands import check as command
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
-from scanner.ui.terminal import Terminal
+from scanner.configuration import load_config
+from scanner.ui import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
 
 pytestmark = pytest.mark.xdist_group("checking")  # what the module shares is made once

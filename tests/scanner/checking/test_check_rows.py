@@ -14,7 +14,7 @@ from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
 from hw.simulated.rig import SimulatedCamera
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.stream import capture
+from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.check import check_rig
 from scanner.checking.exposure import exposure_levels, exposure_row, propose_exposure
@@ -24,13 +24,13 @@ from scanner.checking.pixels import pixel_row
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.response import measure_ramp, ramp_of, response_row
 from scanner.checking.steadiness import InitialState, levels_of, patterns, row_of, steadiness_row
-from scanner.decoding.decoder import Decoding
+from scanner.decoding import Decoding
 from scanner.decoding.motion import Fit
-from scanner.patterns.projector_response import ProjectorResponse
+from scanner.patterns import ProjectorResponse
 from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
-from scanner.reconstruction.calibrate import label, solve
-from scanner.ui.terminal import Terminal
+from scanner.reconstruction import label, solve
+from scanner.ui import Terminal
 from tests.support.check_bench import PERIOD_US, PROJECTOR, changed, config, rig_in, row
 
 pytestmark = pytest.mark.xdist_group("checking")

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats
+from calib.numerics import Floats
 from hw.simulated.simulation import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.focus import BlurSamples, period_for, separate_lenses
 from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row
 from scanner.checking.report import State
-from scanner.patterns.pattern import sequence_for
-from scanner.ui.terminal import Terminal
+from scanner.patterns import sequence_for
+from scanner.ui import Terminal
 from tests.support.check_bench import PERIOD_US, changed, config, rig_in, row
 
 pytestmark = pytest.mark.xdist_group("checking")

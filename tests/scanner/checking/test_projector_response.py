@@ -8,13 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.stream import capture
+from scanner.capture import capture
 from scanner.checking.light import photograph_light
 from scanner.checking.response import measure_ramp
-from scanner.decoding.decoder import Decoder
-from scanner.patterns.pattern import Phase, draw
-from scanner.patterns.presets import PRESETS
-from scanner.patterns.projector_response import ProjectorResponse
+from scanner.decoding import Decoder
+from scanner.patterns import PRESETS, Phase, ProjectorResponse, draw
 from tests.support.check_bench import PROJECTOR, changed, rig_in
 
 QUICK = PRESETS["quick"].patterns(PROJECTOR)

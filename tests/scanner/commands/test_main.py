@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
+from calib.geometry import Calibration, Intrinsics
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner import pipeline
-from scanner.io.calibration_file import write_calibration
-from scanner.patterns.pattern import sequence_for
-from scanner.patterns.sequence_file import write_sequence
+from scanner.io import write_calibration
+from scanner.patterns import sequence_for, write_sequence
 from tests.support.command_line import run
 from tests.support.places import ROOT
 from tests.support.small_capture import SIZE, read_listing, write_listing

@@ -7,12 +7,12 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.camera import Size
+from calib.geometry import Size
 from hw.settings import SimulatedRigSettings
 from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
 from scanner.io.validation import known_keys
-from scanner.patterns.pattern import sequence_for
+from scanner.patterns import sequence_for
 from tests.support.places import ROOT
 
 ROOM_SIM = ROOT / "configs" / "room-sim.yaml"

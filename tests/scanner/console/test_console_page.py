@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
-from scanner.io.calibration_file import read_calibration
+from scanner.configuration import load_config
+from scanner.io import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 from tests.support.notebook import until as until_within
 from tests.support.small_room import CONFIG

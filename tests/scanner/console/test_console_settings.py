@@ -10,7 +10,7 @@ from hw.aravis.settings import AravisRigSettings
 from scanner.console.results import earlier_results
 from scanner.console.settings import Picture, Settings, drawn
 from scanner.errors import InputError
-from scanner.patterns.pattern import sequence_for
+from scanner.patterns import sequence_for
 
 CONFIG = "rig: {backend: aravis, exposure_us: 1000}\ncamera: {width: 32, height: 24}\n"
 

@@ -7,9 +7,8 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from hw.open_rig import open_rig
-from scanner.configuration.schema import load_config
-from scanner.io.calibration_file import write_calibration
-from scanner.io.matches_file import read_matches
+from scanner.configuration import load_config
+from scanner.io import read_matches, write_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting
 from tests.support.notebook import until
 from tests.support.small_room import CONFIG

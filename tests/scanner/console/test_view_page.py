@@ -7,12 +7,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from calib.geometry.camera import Intrinsics
-from calib.pointcloud.corner_view import View
-from calib.pointcloud.merged_cloud import merged
-from calib.pointcloud.organised_cloud import build_cloud
+from calib.geometry import Intrinsics
+from calib.pointcloud import View, build_cloud, merged
 from scanner.commands.main import main
-from scanner.io.ply import read_cloud, write_merged_ply
+from scanner.io import read_cloud, write_merged_ply
 from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_result
 

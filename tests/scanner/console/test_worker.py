@@ -24,7 +24,7 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.networks.captures import Pair
 from scanner.networks.sights import OnSight, Watched
 from scanner.patterns import White
-from scanner.results.stated_uncertainty import read_verdict
+from scanner.results import read_verdict
 from scanner.ui import Progress
 from tests.support.notebook import Notebook, until
 

@@ -10,15 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.geometry.calibration import Calibration
+from calib.geometry import Calibration
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.truth import GroundTruth
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.patterns.pattern import Axis, Black, Pattern, White, draw, sequence_for
-from scanner.patterns.presets import PRESETS, PresetName
+from scanner.patterns import PRESETS, Axis, Black, Pattern, PresetName, White, draw, sequence_for
 
 CAMERA, PROJECTOR = (612, 512), (428, 240)
 FACES = 3

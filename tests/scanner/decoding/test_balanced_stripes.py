@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.patterns.pattern import sequence_for
+from scanner.patterns import sequence_for
 from tests.support.synthetic_capture import Scene, decode
 
 PIXELS = 4096

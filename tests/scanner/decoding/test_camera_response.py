@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Floats, Image
+from calib.numerics import Floats, Image
 from scanner.decoding.decoder import Decoding
 from scanner.decoding.light.camera_response import CameraResponse
-from scanner.patterns import sequence_for
-from scanner.patterns.pattern import Pattern
+from scanner.patterns import Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, corrections_to, decode
 
 pytestmark = pytest.mark.xdist_group("camera response")  # frames are rendered once

@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.errors import InputError
-from scanner.patterns.pattern import White, sequence_for
-from scanner.patterns.presets import PRESETS, PresetName
+from scanner.patterns import PRESETS, PresetName, White, sequence_for
 from tests.support.synthetic_capture import Scene, decode, dimmed
 
 SCENE = Scene()

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from scanner.patterns import sequence_for
 from tests.support.synthetic_capture import Scene, decode
 

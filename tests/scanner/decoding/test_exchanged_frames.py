@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from calib.refusal import RefusalError
 from scanner.decoding.decoder import Decoder
 from scanner.errors import InputError
-from scanner.patterns.pattern import Black, Gray, Pattern, White, gray_sequence, sequence_for
+from scanner.patterns import Black, Gray, Pattern, White, gray_sequence, sequence_for
 from tests.support.synthetic_capture import Scene, decode, fringes
 
 SCENE = Scene(camera=(200, 150), indirect=0.3)

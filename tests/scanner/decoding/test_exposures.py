@@ -7,19 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated.rig import SimulatedCamera, SimulatedProjector
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recorder import record
-from scanner.capture.recording import open_capture
-from scanner.capture.stream import capture
+from scanner.capture import capture, open_capture, record
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.errors import InputError
-from scanner.patterns.pattern import Black, Pattern, White, sequence_for
+from scanner.patterns import Black, Pattern, White, sequence_for
 from tests.support.synthetic_capture import Scene
 
 PATTERNS = sequence_for((300, 200), inverses=False)

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from scanner.decoding.light.ghost import Ghost, without_ghost
-from scanner.patterns.pattern import Gray, Pattern, sequence_for
-from scanner.patterns.presets import PRESETS
+from scanner.patterns import PRESETS, Gray, Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, corrections_to, decode, fringes
 
 SCENE = Scene()

@@ -11,8 +11,7 @@ from scanner.decoding import Decoding
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.motion import find_inconsistent_pixels
-from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels
+from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.light_arithmetic import contradictions
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from scanner.decoding.axis_decoder import _measure
 from scanner.decoding.checks.code_checks import _changes, _note_changes
 from scanner.decoding.codes.gray_fold import GrayFold
@@ -16,7 +16,7 @@ from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_sh
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.planning import plan_sequence
-from scanner.patterns.pattern import Pattern, gray_sequence, phase_sequence
+from scanner.patterns import Pattern, gray_sequence, phase_sequence
 
 SHAPE = (3, 4)
 

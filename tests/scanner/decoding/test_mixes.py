@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scanner.patterns.pattern import (
+from scanner.patterns import (
     Axis,
     Black,
     Gray,

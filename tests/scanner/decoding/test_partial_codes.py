@@ -8,7 +8,7 @@ import pytest
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.planning import plan_sequence
-from scanner.patterns.pattern import Black, White, gray_sequence, sequence_for
+from scanner.patterns import Black, White, gray_sequence, sequence_for
 from tests.support.synthetic_capture import Scene, decode, dimmed
 
 SCENE = Scene()

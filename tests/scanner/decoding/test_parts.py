@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
+from scanner.decoding import saturation_level
 from scanner.decoding.codes.gray_code import cell_numbers, interval_of
 from scanner.decoding.connected_components import SMALLEST_PATCH, small_patches
 from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
-from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.mask_reasons import Against
 from scanner.decoding.motion.code_shift import middle_of
 from scanner.decoding.planning import plan_sequence, repeat_length
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
-from scanner.patterns.pattern import Gray, Pattern, gray_sequence, phase_sequence
+from scanner.patterns import Gray, Pattern, gray_sequence, phase_sequence
 
 
 @given(st.integers(0, 2**32 - 1))

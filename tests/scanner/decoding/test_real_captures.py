@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.geometry.triangulation import intersect
-from calib.numerics.array_types import Image
-from scanner.capture.recording import open_capture
+from calib.geometry import intersect
+from calib.numerics import Image
+from scanner.capture import open_capture
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.errors import InputError
-from scanner.io.calibration_file import read_calibration
-from scanner.patterns.pattern import Pattern
+from scanner.io import read_calibration
+from scanner.patterns import Pattern
 from tests.support.places import REAL_CAPTURES
 
 DATA = REAL_CAPTURES

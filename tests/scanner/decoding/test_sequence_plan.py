@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scanner.decoding.decoder import Decoder
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
-from scanner.patterns.pattern import (
+from scanner.patterns import (
     Axis,
     Black,
     Gray,

@@ -5,14 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.camera import Intrinsics
+from calib.geometry import Calibration, Intrinsics
 from scanner.decoding.decoder import Decoder
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.stopped_sequence import usable
 from scanner.errors import InputError
-from scanner.patterns.pattern import Gray, Pattern, Phase, draw, sequence_for
-from scanner.patterns.presets import PRESETS, PresetName
+from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, draw, sequence_for
 
 SIZE = (214, 120)
 STANDARD = PRESETS["standard"].patterns(SIZE)

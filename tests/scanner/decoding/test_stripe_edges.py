@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.numerics.array_types import Floats, Image
+from calib.numerics import Floats, Image
 from scanner.decoding.codes.edge_interpolation import edge_between
 from scanner.decoding.decoder import Decoder, Decoding
-from scanner.patterns.pattern import Pattern, draw, sequence_for
+from scanner.patterns import Pattern, draw, sequence_for
 
 PROJECTOR = (64, 48)
 SHAPE = (72, 96)

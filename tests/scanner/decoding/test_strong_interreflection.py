@@ -12,8 +12,7 @@ from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.planning import plan_sequence
-from scanner.patterns.pattern import Code, Xor, gray_sequence, phase_sequence, xor_sequence
-from scanner.patterns.presets import PRESETS
+from scanner.patterns import PRESETS, Code, Xor, gray_sequence, phase_sequence, xor_sequence
 from tests.support.synthetic_capture import Scene
 
 # At most six times as much indirect as direct light.

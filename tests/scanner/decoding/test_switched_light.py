@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from scanner.errors import InputError
-from scanner.patterns import sequence_for
-from scanner.patterns.pattern import Pattern
-from scanner.patterns.presets import PRESETS
+from scanner.patterns import PRESETS, Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, decode
 
 SCENE = replace(Scene(), exposure=150.0)

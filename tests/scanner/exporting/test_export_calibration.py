@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.geometry.camera import Intrinsics
+from calib.geometry import Intrinsics
 from scanner.commands.main import main
 from tests.support.cloud_scene import PROJECTOR
 from tests.support.result_folder import Written, write_result

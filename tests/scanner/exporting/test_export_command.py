@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.matches import Matches
-from scanner.io.matches_file import read_matches, write_matches
+from calib.geometry import Matches
+from scanner.io import read_matches, write_matches
 from tests.support.command_line import run
 from tests.support.result_folder import Written, write_result
 

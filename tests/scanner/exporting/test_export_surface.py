@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.pointcloud.image_mesh import SeenPoints, image_triangles
+from calib.pointcloud import SeenPoints, image_triangles
 from scanner.commands.main import main
 from scanner.exporting.triangles import Mesh, build_mesh
 from tests.support.cloud_scene import SPHERE_RADIUS_M

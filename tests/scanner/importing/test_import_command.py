@@ -10,9 +10,9 @@ import pytest
 
 from calib.geometry import Matches
 from calib.numerics import Image
-from scanner.capture.recording import open_capture
-from scanner.decoding.decoder import Decoder
-from scanner.patterns.pattern import Axis, Black, Gray, Pattern, White
+from scanner.capture import open_capture
+from scanner.decoding import Decoder
+from scanner.patterns import Axis, Black, Gray, Pattern, White
 from tests.support.foreign_captures import ENDS, Photographer, bits, named, steps
 from tests.support.foreign_folders import CAMERA, CENTRED, FOREIGN, PAIRS, PROJECTOR, imported, same
 from tests.support.places import REAL_CAPTURES

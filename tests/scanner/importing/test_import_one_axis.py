@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.importing import describe_order
-from scanner.patterns.pattern import Axis, Pattern, xor_sequence
+from scanner.patterns import Axis, Pattern, xor_sequence
 from tests.support.foreign_captures import ENDS, Photographer, bits, named
 from tests.support.foreign_folders import AXES, KNOWN, imported
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from calib.numerics import Image
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.errors import InputError
-from scanner.io.image_file import read_image
-from scanner.io.png import write_png
+from scanner.io import read_image, write_png
 from tests.support.foreign_captures import ENDS, Photographer, bits, named
 from tests.support.foreign_folders import KNOWN, PAIRS, PROJECTOR, imported
 

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
-from calib.geometry.camera import Intrinsics
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
 from scanner.errors import InputError
 from scanner.io.calibration_file import read_calibration, write_calibration
 

@@ -12,7 +12,7 @@ from scanner.capture import open_capture
 from scanner.commands.main import main
 from scanner.errors import InputError
 from scanner.io import read_calibration, read_cloud, read_image, read_matches, read_yaml
-from scanner.photos.photo import read_photos
+from scanner.photos import read_photos
 from tests.support.little_memory import little_memory
 
 

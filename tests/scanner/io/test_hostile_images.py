@@ -16,7 +16,7 @@ from scanner.capture import open_capture
 from scanner.decoding.memory import require_memory
 from scanner.errors import InputError
 from scanner.io import read_image
-from scanner.photos.photo import read_photos
+from scanner.photos import read_photos
 from tests.support.little_memory import little_memory
 from tests.support.small_capture import read_listing
 

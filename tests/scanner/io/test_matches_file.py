@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
 
-from calib.geometry.matches import Matches
+from calib.geometry import Matches
 from scanner.errors import InputError
 from scanner.io.matches_file import read_matches, read_planes, write_matches
 

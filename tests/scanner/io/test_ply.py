@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.geometry.matches import Matches
-from calib.pointcloud.organised_cloud import Cloud, build_cloud
+from calib.geometry import Matches
+from calib.pointcloud import Cloud, build_cloud
 from scanner.io.ply import write_ply
 from tests.support.cloud_scene import room
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.geometry.matches import Matches
-from scanner.io.matches_file import read_matches, write_matches
+from calib.geometry import Matches
+from scanner.io import read_matches, write_matches
 from tests.support.cloud_scene import CAMERA, SPHERE_RADIUS_M
 from tests.support.command_line import run
 from tests.support.result_folder import Written, write_result

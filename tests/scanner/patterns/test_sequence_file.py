@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.patterns.pattern import Axis, Black, Gray, Pattern, Phase, White, Xor, draw, sequence_for
 from scanner.patterns.sequence_file import PatternEntry, frame_line, pattern_to_dict, write_sequence

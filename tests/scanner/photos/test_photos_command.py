@@ -8,12 +8,9 @@ import pytest
 import yaml
 from PIL import Image
 
-from calib.geometry.calibration import Calibration
-from calib.geometry.triangulation import intersect
+from calib.geometry import Calibration, intersect
 from scanner.commands.main import main
-from scanner.io.calibration_file import read_calibration
-from scanner.io.matches_file import read_matches
-from scanner.io.ply import read_cloud
+from scanner.io import read_calibration, read_cloud, read_matches
 from scanner.viewing.result import ViewedResult
 from tests.support.painted_corner import CAMERA, FIRST, SECOND, THIRD, Walls, painted, photo, write_photos
 

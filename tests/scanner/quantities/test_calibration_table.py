@@ -6,15 +6,13 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from calib.geometry.calibration import Calibration, DeviceSigmas, Sigmas
-from calib.geometry.camera import Intrinsics
-from calib.geometry.corner import Corner
-from scanner.configuration.sections import ScaleSettings
+from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics, Sigmas
+from scanner.configuration import ScaleSettings
 from scanner.errors import InputError
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
 from scanner.quantities.calibration_table import calibration_table, truth_line
-from scanner.reconstruction.metric_scale import scaled
-from scanner.ui.terminal import Terminal
+from scanner.reconstruction import scaled
+from scanner.ui import Terminal
 
 TRUTH = Calibration(
     Intrinsics(1224, 1024, (895.0, 895.0), (628.0, 527.0)),

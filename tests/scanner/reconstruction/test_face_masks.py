@@ -4,10 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.camera import Size
-from calib.geometry.matches import Matches
+from calib.geometry import Matches, Size
 from scanner.errors import InputError
-from scanner.io.png import write_png
+from scanner.io import write_png
 from scanner.reconstruction.face_masks import label_by_masks, read_masks
 
 SIZE = Size(40, 30)

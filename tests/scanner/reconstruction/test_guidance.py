@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.diagnostics.next_best_view import NextView, moved_pose, step_taken
-from calib.geometry.calibration import Calibration
-from calib.geometry.matches import Matches
-from calib.refinement.parameters import Pose
-from calib.synthetic.captures import PAPER_CAMERA, random_captures
-from scanner.capture.capture_metadata import CaptureMetadata
-from scanner.configuration.schema import Config
+from calib.diagnostics import NextView
+from calib.diagnostics.next_best_view import moved_pose, step_taken
+from calib.geometry import Calibration, Matches
+from calib.refinement import Pose
+from calib.synthetic import PAPER_CAMERA, random_captures
+from scanner.capture import CaptureMetadata
+from scanner.configuration import Config
 from scanner.reconstruction.guidance import Guidance, guide, where_to
-from scanner.results.stages import Decoded, GivenMatches
+from scanner.results import Decoded, GivenMatches
 
 CONFIG = Config.model_validate(
     {"scale": {"baseline_m": 0.5}, "camera": {"principal_point": {"known": PAPER_CAMERA.principal_point_px}}}

@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry.corner import Corner
-from calib.pointcloud.corner_view import View, cells_of
-from calib.pointcloud.merged_cloud import merged
-from calib.pointcloud.organised_cloud import Cloud, build_cloud
-from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.capture_metadata import CaptureMetadata
+from calib.geometry import Corner
+from calib.pointcloud import Cloud, View, build_cloud, merged
+from calib.pointcloud.corner_view import cells_of
+from calib.self_calibration import Profile, SelfCalibration
+from scanner.capture import CaptureMetadata
 from scanner.reconstruction.merge_clouds import consistency, merge
-from scanner.results.stages import Decoded, GivenMatches, SelfCalibrated
+from scanner.results import Decoded, GivenMatches, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
-from scanner.decoding.motion.device_motion import Disturbance, MotionFound
+from scanner.decoding.motion import MotionFound
+from scanner.decoding.motion.device_motion import Disturbance
 from scanner.reconstruction.moved_captures import refuse_costly, with_motion_notes
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.geometry import Size
-from scanner.patterns import PRESETS
-from scanner.patterns.pattern import draw
+from scanner.patterns import PRESETS, draw
 from scanner.recordings.averaging import image_of
 from scanner.recordings.clocks import Clocks
 from scanner.recordings.player_video import write_player_video

@@ -7,8 +7,8 @@ import pytest
 import yaml
 from filming.camera import Camera
 
-from scanner.capture.recording import open_capture
-from scanner.decoding.decoder import Decoder
+from scanner.capture import open_capture
+from scanner.decoding import Decoder
 from tests.support.command_line import run
 from tests.support.filmed_room import BIT_RATE, CAMERA, PROJECTOR, FilmedRoom
 

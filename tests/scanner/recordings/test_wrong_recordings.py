@@ -11,8 +11,7 @@ import pytest
 
 from calib.geometry import Size
 from scanner.errors import InputError
-from scanner.patterns import PRESETS
-from scanner.patterns.sequence_file import write_sequence
+from scanner.patterns import PRESETS, write_sequence
 from scanner.recordings.libav import av as library
 from scanner.recordings.programme import WHITE, programme_of
 from tests.support.command_line import run

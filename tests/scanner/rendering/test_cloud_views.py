@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calib.pointcloud.organised_cloud import Cloud, CloudStatistics, build_cloud
-from calib.synthetic.captures import PAPER_CAMERA
+from calib.pointcloud import Cloud, CloudStatistics, build_cloud
+from calib.synthetic import PAPER_CAMERA
 from scanner.rendering.cloud_views import Wireframe, frustum, render, standard_views, view_along
 from tests.support.cloud_scene import Scene, room
 

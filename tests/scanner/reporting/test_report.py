@@ -9,19 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.geometry.calibration import DeviceSigmas, Sigmas
-from calib.pointcloud.organised_cloud import Cloud
-from scanner.capture.capture_metadata import CaptureMetadata
-from scanner.decoding.fringes.single_fringe import UNCHECKED
-from scanner.decoding.mask_reasons import MaskReason
-from scanner.patterns.pattern import sequence_for
-from scanner.quantities.calibration_numbers import Quantity, device_quantities
+from calib.geometry import DeviceSigmas, Sigmas
+from calib.pointcloud import Cloud
+from scanner.capture import CaptureMetadata
+from scanner.decoding import UNCHECKED, MaskReason
+from scanner.patterns import sequence_for
+from scanner.quantities import Quantity, device_quantities
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.page import write_report
 from scanner.reporting.sections import describe_patterns, faces, mask
 from scanner.reporting.verdict import verdict
-from scanner.results.provenance import Provenance
-from scanner.results.stages import Decoded, GivenCalibration, GivenMatches, Reconstructed, SelfCalibrated
+from scanner.results import Decoded, GivenCalibration, GivenMatches, Provenance, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import Scene, room
 from tests.support.reports import SIZES, calibrated_report, decoding_of, refused_report
 

@@ -8,7 +8,7 @@ import pytest
 
 from scanner.reporting.contents import ReportInput
 from scanner.reporting.page import write_report
-from scanner.results.stages import Refused
+from scanner.results import Refused
 from tests.support.cloud_scene import room
 from tests.support.reports import calibrated_report, refused_report
 

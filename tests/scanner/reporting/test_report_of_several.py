@@ -7,26 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.diagnostics.uncertainty import Uncertainty
-from calib.geometry.calibration import Calibration
-from calib.geometry.corner import Corner
-from calib.geometry.matches import Matches
-from calib.geometry.radial_distortion import unproject
-from calib.pointcloud.corner_view import View
-from calib.pointcloud.merged_cloud import merged
-from calib.pointcloud.organised_cloud import build_cloud
+from calib.diagnostics import Uncertainty
+from calib.geometry import Calibration, Corner, Matches, unproject
+from calib.pointcloud import View, build_cloud, merged
 from calib.refinement import CAMERA as CAMERA_COLUMNS
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
-from calib.refinement.parameters import SHARED, State
-from calib.self_calibration.rig import Profile, SelfCalibration
-from scanner.capture.capture_metadata import CaptureMetadata
+from calib.refinement import SHARED, State
+from calib.self_calibration import Profile, SelfCalibration
+from scanner.capture import CaptureMetadata
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
 from scanner.reporting.principal_point import effect_of_principal_point
 from scanner.reporting.uncertainty import point_sigmas
 from scanner.reporting.verdict import verdict
-from scanner.results.stages import Decoded, GivenMatches, Reconstructed, SelfCalibrated
+from scanner.results import Decoded, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 SIGMA_F = 0.01

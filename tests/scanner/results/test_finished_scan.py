@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry.triangulation import intersect
+from calib.geometry import intersect
 from scanner.errors import InputError
-from scanner.io.ply import read_cloud, write_ply
+from scanner.io import read_cloud, write_ply
 from scanner.results.finished_scan import read_finished_scan
 from tests.support.cloud_scene import room
 from tests.support.result_folder import Written, write_result

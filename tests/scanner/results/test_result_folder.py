@@ -7,7 +7,7 @@ import pytest
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.results.names import default_out
 from scanner.results.result_folder import OutputFolder, new_result

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.diagnostics.uncertainty import Uncertainty
-from calib.geometry.calibration import Calibration
-from calib.geometry.relative_pose import Motion
-from calib.geometry.triangulation import intersect
-from calib.numerics.array_types import Floats
-from calib.refinement.parameters import CAMERA, ROTATION, SHARED, TRANSLATION, State
+from calib.diagnostics import Uncertainty
+from calib.geometry import Calibration, Motion, intersect
+from calib.numerics import Floats
+from calib.refinement import CAMERA, ROTATION, SHARED, TRANSLATION, State
 from scanner.errors import InputError
-from scanner.io.calibration_file import read_calibration, write_calibration
+from scanner.io import read_calibration, write_calibration
 from scanner.results.stated_uncertainty import COLUMNS, confidence_entries, read_uncertainty, read_verdict
 from scanner.results.verdict import Verdict
 from tests.support.cloud_scene import Scene, room

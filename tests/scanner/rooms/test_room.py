@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion
 from calib.numerics import Floats
-from scanner.exporting import FORMATS
-from scanner.exporting.formats import Request
+from scanner.exporting import FORMATS, Request
 from scanner.io import read_calibration, read_cloud
 from scanner.results import read_finished_room
 from scanner.rooms.floorplan import floor_plan

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scanner.io.ply import read_cloud
+from scanner.io import read_cloud
 from scanner.viewing.crop import Frame, box_within, frame_of, write_cropped
 from scanner.viewing.result import CaptureCloud
 from scanner.viewing.surface import surface_of

@@ -10,7 +10,7 @@ import pytest
 from hw.optional_parts import CONSOLE
 from scanner.commands.main import main
 from scanner.errors import InputError
-from scanner.results.verdict import Verdict
+from scanner.results import Verdict
 from scanner.viewing.opening import address, free_port, is_local, require_viser, warning
 from scanner.viewing.texts import escaped, verdict_text
 

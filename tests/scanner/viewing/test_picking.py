@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scanner.configuration.sections import ScaleSettings
+from scanner.configuration import ScaleSettings
 from scanner.viewing.picking import Picked, point_at
 from scanner.viewing.result import CaptureCloud
 from tests.support.result_folder import Written

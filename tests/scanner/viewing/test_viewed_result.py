@@ -7,20 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.diagnostics.uncertainty import Uncertainty
-from calib.geometry.triangulation import intersect
-from calib.pointcloud.corner_view import View
-from calib.pointcloud.merged_cloud import merged
-from calib.pointcloud.organised_cloud import build_cloud
-from calib.pointcloud.point_covariance import point_covariances
-from calib.refinement.parameters import SHARED, State
+from calib.diagnostics import Uncertainty
+from calib.geometry import intersect
+from calib.pointcloud import View, build_cloud, merged, point_covariances
+from calib.refinement import SHARED, State
 from scanner.errors import InputError
-from scanner.io.calibration_file import read_calibration, write_calibration
-from scanner.io.ply import write_merged_ply
-from scanner.io.poses_file import write_poses
-from scanner.rendering.cloud_views import frustum_lines
-from scanner.results.stated_uncertainty import confidence_entries
-from scanner.results.verdict import Verdict
+from scanner.io import read_calibration, write_calibration, write_merged_ply, write_poses
+from scanner.rendering import frustum_lines
+from scanner.results import Verdict, confidence_entries
 from scanner.viewing.colouring import Colouring, coloured, possible_colourings
 from scanner.viewing.geometry import (
     FIELD_OF_VIEW_RAD,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
+from scanner.configuration import load_config
 from tests.support.loopback_bench import Loopback
 
 pytestmark = pytest.mark.xdist_group("loopback")

@@ -10,7 +10,7 @@ import pytest
 from hw.simulated.simulation import SimulatedRoom
 from scanner.console.settings import Picture, Settings
 from scanner.console.worker import Activity, Worker
-from scanner.io.calibration_file import read_calibration
+from scanner.io import read_calibration
 from tests.support.loopback_bench import check_frames
 from tests.support.notebook import Notebook
 from tests.support.notebook import until as until_within

@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.numerics.array_types import Image
+from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
 from hw.rig import Rig, exposure_control
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture
-from scanner.capture.stream import capture
+from scanner.capture import capture, open_capture
 from scanner.checking.exposure import propose_exposure
-from scanner.configuration.schema import load_config
-from scanner.patterns.pattern import Black, Pattern, White, draw
+from scanner.configuration import load_config
+from scanner.patterns import Black, Pattern, White, draw
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Loopback, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]

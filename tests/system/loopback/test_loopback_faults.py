@@ -20,13 +20,11 @@ from hw.loopback.launcher import shown_on, virtual_screen
 from hw.loopback.settings import Conditions
 from hw.open_rig import open_rig
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture
-from scanner.capture.stream import capture
+from scanner.capture import capture, open_capture
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
-from scanner.io.image_file import read_image
-from scanner.io.png import write_png
-from scanner.patterns.pattern import Black, White
+from scanner.configuration import load_config
+from scanner.io import read_image, write_png
+from scanner.patterns import Black, White
 from tests.support.loopback_bench import (
     CAMERA,
     CONFIG,

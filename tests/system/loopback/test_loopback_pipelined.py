@@ -9,7 +9,7 @@ import pytest
 
 from hw.loopback.settings import Conditions
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from tests.support.loopback_bench import Loopback, check_frames, scan
 
 pytestmark = [pytest.mark.xdist_group("loopback"), pytest.mark.usefixtures("capture_only")]

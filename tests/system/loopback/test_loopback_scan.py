@@ -9,13 +9,12 @@ import pytest
 from hw.aravis.settings import AravisRigSettings
 from hw.open_rig import open_rig
 from hw.simulated.simulation import SimulatedRoom
-from scanner.capture.recording import open_capture
-from scanner.capture.stream import capture
+from scanner.capture import capture, open_capture
 from scanner.commands.main import main
-from scanner.configuration.schema import load_config
-from scanner.io.calibration_file import read_calibration
-from scanner.patterns.pattern import Black, White
-from scanner.quantities.calibration_numbers import intrinsic_errors_percent
+from scanner.configuration import load_config
+from scanner.io import read_calibration
+from scanner.patterns import Black, White
+from scanner.quantities import intrinsic_errors_percent
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, ROOM, Loopback, check_frames, scan
 
 pytestmark = pytest.mark.xdist_group("loopback")

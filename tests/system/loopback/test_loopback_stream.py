@@ -17,9 +17,9 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated.simulation import place_room
 from hw.simulated.truth import true_calibration
 from hw.timing import stream_calibration
-from scanner.capture.recording import open_capture
-from scanner.io.calibration_file import read_calibration
-from scanner.quantities.calibration_numbers import device_quantities, intrinsic_errors_percent
+from scanner.capture import open_capture
+from scanner.io import read_calibration
+from scanner.quantities import device_quantities, intrinsic_errors_percent
 from tests.support.loopback_bench import scan
 
 pytestmark = pytest.mark.xdist_group("loopback")

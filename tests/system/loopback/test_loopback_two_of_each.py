@@ -20,7 +20,7 @@ from hw.loopback.lit_room import LitRoom
 from hw.loopback.settings import LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
-from scanner.capture.recording import open_capture
+from scanner.capture import open_capture
 from scanner.commands.main import main
 from scanner.networks import job
 from tests.support.loopback_bench import Keeper, wrong_frames
