@@ -185,8 +185,7 @@ class AxisDecoder:
         value, variance = coordinates[0], variances[0]
         for of_fringe, own_variance in zip(coordinates[1:], variances[1:], strict=True):
             _average_in(of_fringe, own_variance, value, variance)
-        centre, reach = np.float32((self.plan.length - 1) / 2), np.float32(self.plan.length / 2 + EDGE_PX)
-        _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
+        mask_outside(self.plan, value, reason)
         if signals.log_exposure is not None:
             brightness -= signals.log_exposure
         shape = signals.shape
@@ -302,6 +301,12 @@ def _average_in(coordinate: Floats32, own_variance: Floats32, value: Floats32, v
         share = variance[i] / (variance[i] + own_variance[i])
         value[i] += share * (coordinate[i] - value[i])
         variance[i] = share * own_variance[i]
+
+
+def mask_outside(axis: AxisPlan, value: Floats32, reason: Reasons) -> None:
+    """Mask the unmasked ones of the coordinates (P,) that are beyond the picture's border, in place."""
+    centre, reach = np.float32((axis.length - 1) / 2), np.float32(axis.length / 2 + EDGE_PX)
+    _note_beyond(value, centre, reach, np.uint8(MaskReason.OUTSIDE), reason)
 
 
 @compiled

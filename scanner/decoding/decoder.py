@@ -204,14 +204,16 @@ class Decoder:
                 if halves := halves_of(self._plan):
                     seen = folded.plan, maps.projector_px, self._projector_size
                     motion = motion_between(halves, folded.alike, *seen, motion)
+                cell_px = maps.projector_px
                 if motion is not None and motion.significant and not motion.is_too_large:
+                    cell_px = cell_px if by_pixel else cell_px.copy()
                     motion.shift.take_back(maps.projector_px)
                 # The folded images are as large as the matches and no longer needed.
                 plan, brightest = folded.plan, folded.brightest
                 del folded
             with blaming_shifts(plan, observed.code_shifts):
                 with suspecting(anomalies):
-                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis, by_pixel=by_pixel)
+                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis, None if by_pixel else cell_px)
                 judged = (judge(anomalies, reasons, matches, one_axis=self._one_axis is not None),) if anomalies else ()
                 refuse_period_slips(plan, observed.code_shifts)
                 if observed.inconsistent is None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Image, compiled
 from scanner.decoding.arrays import Floats32
+from scanner.decoding.axis_decoder import mask_outside
 from scanner.decoding.checks.map_checks import check_maps
 from scanner.decoding.codes.code_cells import average_cells
 from scanner.decoding.connected_components import small_patches
@@ -19,30 +20,34 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 def match_kept(
-    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None, *, by_pixel: bool
+    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None, cell_px: Floats32 | None
 ) -> tuple[Matches, NDArray[np.uint8]]:
     """Return the matches, and for all pixels (H, W) the mask reason. Raises InputError; overwrites the maps.
 
-    `brightest`: (H, W) grey. `by_pixel`: each pixel has its own coordinate; otherwise one match per cell of the codes.
+    `brightest`: (H, W) grey. `cell_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes;
+    None if each pixel has its own coordinate.
     """
     reasons = maps.reason
+    # Interpolation between blurred edges, or a motion that was taken back, may carry coordinates beyond the border.
+    for number, axis in enumerate(plan.axes):
+        mask_outside(axis, maps.projector_px.reshape(-1, 2)[:, number], reasons.reshape(-1))
     if one_axis:
         # Before the calibration masks pixels, which would be its error rather than the frames'.
         check_maps(plan, maps, reasons == np.uint8(MaskReason.KEPT))
         one_axis.complete(maps)
     kept = reasons == np.uint8(MaskReason.KEPT)
-    if by_pixel:
+    if cell_px is None:
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
     else:
         if one_axis:
             cells = one_axis.average_stripes(kept, maps, brightest)
         else:
-            cells = average_cells(kept, maps.projector_px, maps.variance, brightest)
+            cells = average_cells(kept, cell_px, maps.projector_px, maps.variance, brightest)
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
     kept = reasons == np.uint8(MaskReason.KEPT)
     if not one_axis:
         check_maps(plan, maps, kept)
-    if by_pixel:
+    if cell_px is None:
         return _pixel_matches(kept, maps), reasons
     return Matches(cells.camera_px, cells.projector_px, sigma_px=np.sqrt(cells.variance)), reasons
 

@@ -65,7 +65,7 @@ class OneAxis:
         # Noise may have carried a coordinate beyond the first pixel.
         number = np.maximum(np.floor((along[kept] + np.float32(0.5)) / cell), 0)
         along[kept] = number * cell + (cell - 1) / 2
-        cells = average_cells(kept, cut, maps.variance, brightness)
+        cells = average_cells(kept, cut, cut, maps.variance, brightness)
         known_px = cells.projector_px[:, self._axis]
         found = cross_epipolar_lines(cells.camera_px, known_px, self._axis, self.calibration)
         there = found.in_front

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from calib.numerics import Bools, Image
 from scanner.decoding import Decoder, Decoding
@@ -118,6 +119,20 @@ class Scene:
         kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
         edge = cv2.morphologyEx(boxed, cv2.MORPH_GRADIENT, kernel)
         return (cv2.erode(lit, kernel, borderValue=0) > 0) & (edge == 0)
+
+
+@dataclass(frozen=True)
+class Turned(Scene):
+    """The scene after the camera has turned, which shifts the whole picture."""
+
+    right_px: float = 0.0
+    down_px: float = 0.0
+
+    def frame(self, pattern: Pattern, number: int) -> Image:
+        still = super().frame(pattern, number)
+        # OpenCV's cubic interpolation shifts ramps by up to 0.05 px.
+        moved = ndimage.shift(still.astype(np.float64), (self.down_px, self.right_px), order=3, mode="nearest")
+        return np.rint(np.clip(moved, 0, 255)).astype(np.uint8)
 
 
 @lru_cache(maxsize=512)

@@ -35,13 +35,18 @@ class CellMatches:
     rejected: Bools
 
 
-def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brightness: Image) -> CellMatches:
-    """Average the `kept` pixels (H, W) that share their `projector_px` (H, W, 2), weighted by `brightness` (H, W)."""
+def average_cells(
+    kept: Bools, cell_px: Floats32, projector_px: Floats32, variance: Floats32, brightness: Image
+) -> CellMatches:
+    """Average the `kept` pixels (H, W) whose cells have the same centre `cell_px` (H, W, 2), weighted by `brightness`.
+
+    `projector_px` (H, W, 2): their coordinates, which differ from the centre by a motion that was taken back.
+    """
     rejected = np.zeros(kept.shape, np.bool_)
     if not kept.any():
         return CellMatches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0), rejected)
     half_px, pixels = np.empty((2, np.count_nonzero(kept), 2), np.int32)
-    _list_pixels(kept, projector_px, half_px, pixels)
+    _list_pixels(kept, cell_px, half_px, pixels)
     (across, number_x), (down, number_y) = (_numbered(half_px[:, axis]) for axis in (0, 1))
     group = number_y[half_px[:, 1]] * np.int32(len(across)) + number_x[half_px[:, 0]]
     counts = np.bincount(group, minlength=len(across) * len(down))
@@ -52,15 +57,17 @@ def average_cells(kept: Bools, projector_px: Floats32, variance: Floats32, brigh
     group, count = number[group], counts[cells]
 
     weight, of_variance, square = np.zeros((3, len(cells)))
-    camera_px, middle_px = np.zeros((2, len(cells), 2))
-    _add_up(pixels, group, brightness.astype(np.float32), variance, weight, camera_px, middle_px, square, of_variance)
+    camera_px, shift_px, middle_px = np.zeros((3, len(cells), 2))
+    of_pixels = pixels, group, brightness.astype(np.float32), variance, cell_px, projector_px
+    _add_up(*of_pixels, weight, camera_px, shift_px, middle_px, square, of_variance)
     camera_px /= weight[:, None]
+    shift_px /= weight[:, None]
     middle_px /= count[:, None]
     spread = square / count + np.sum((camera_px - middle_px) ** 2 - middle_px**2, axis=1)
     good = spread <= _SMALLEST_SPREAD + np.median(count)
     good &= _is_whole(cell_x, cell_y, count)
     rejected[kept] = ~good[group]
-    centre_px = np.stack([across[cell_x], down[cell_y]], axis=1)
+    centre_px = np.stack([across[cell_x], down[cell_y]], axis=1) + shift_px
     return CellMatches(camera_px[good], centre_px[good], (of_variance / count**2)[good], rejected)
 
 
@@ -75,17 +82,15 @@ def _numbered(half_px: Ints) -> tuple[Floats, Ints]:
 
 
 @compiled
-def _list_pixels(kept: Bools, projector_px: Floats32, half_px: Ints, pixels: Ints) -> None:
-    """List the kept pixels, (N, 2) each: projector coordinates in half pixels, counted from −0.5; camera column and
-    row.
-    """
+def _list_pixels(kept: Bools, cell_px: Floats32, half_px: Ints, pixels: Ints) -> None:
+    """List the kept pixels, (N, 2) each: centres of cells in half pixels, counted from −0.5; camera column and row."""
     height, width = kept.shape
     n = 0
     for row in range(height):
         for column in range(width):
             if kept[row, column]:
                 for axis in range(2):
-                    half_px[n, axis] = int(2 * projector_px[row, column, axis] + 1.5)
+                    half_px[n, axis] = int(2 * cell_px[row, column, axis] + 1.5)
                 pixels[n, 0], pixels[n, 1] = column, row
                 n += 1
 
@@ -96,19 +101,24 @@ def _add_up(
     group: Ints,
     brightness: Floats32,
     variance: Floats32,
+    cell_px: Floats32,
+    projector_px: Floats32,
     weight: Floats,
     camera_px: Floats,
+    shift_px: Floats,
     middle_px: Floats,
     square: Floats,
     of_variance: Floats,
 ) -> None:
-    """Sum weights, weighted pixels, pixels, their squares and variances by group."""
+    """Sum weights, weighted pixels and shifts, pixels, their squares and variances by group."""
     for n in range(len(group)):
         (column, row), into = pixels[n], group[n]
         by = brightness[row, column] + 1.0
         weight[into] += by
         camera_px[into, 0] += by * column
         camera_px[into, 1] += by * row
+        for axis in range(2):
+            shift_px[into, axis] += by * (projector_px[row, column, axis] - cell_px[row, column, axis])
         middle_px[into, 0] += column
         middle_px[into, 1] += row
         square[into] += column * column + row * row

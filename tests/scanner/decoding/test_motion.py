@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from calib.numerics import Image
 from calib.refusal import RefusalError
@@ -15,7 +14,7 @@ from scanner.decoding import Decoding
 from scanner.decoding.motion import MotionFound
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, phase_sequence, sequence_for
-from tests.support.synthetic_capture import Light, Scene, decode
+from tests.support.synthetic_capture import Light, Scene, Turned, decode
 
 SCENE = Scene()
 STANDARD = sequence_for(SCENE.projector)
@@ -182,20 +181,6 @@ def test_a_small_bump_during_the_codes_is_not_reported_as_large() -> None:
 
 
 FIRST_OF_Y = next(number for number, pattern in enumerate(APART) if getattr(pattern, "axis", "") == "y")
-
-
-@dataclass(frozen=True)
-class Turned(Scene):
-    """Return the scene after the camera has turned, which shifts the whole picture."""
-
-    right_px: float = 0.0
-    down_px: float = 0.0
-
-    def frame(self, pattern: Pattern, number: int) -> Image:
-        still = super().frame(pattern, number)
-        # OpenCV's cubic interpolation shifts ramps by up to 0.05 px.
-        moved = ndimage.shift(still.astype(np.float64), (self.down_px, self.right_px), order=3, mode="nearest")
-        return np.rint(np.clip(moved, 0, 255)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("patterns", [APART, tuple(p for p in APART if not isinstance(p, Phase))])
