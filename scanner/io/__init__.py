@@ -8,7 +8,9 @@ from scanner.io.durable import exchange, sync, sync_open, sync_tree
 from scanner.io.given_file import (
     LONGEST_SIDE_PX,
     MOST_IMAGE_FILE_BYTES,
+    MOST_PIXELS,
     copy_given,
+    opened,
     read_bytes,
     read_whole,
     real_path,

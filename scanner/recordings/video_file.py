@@ -1,9 +1,9 @@
 """Reading a recording: the luma of its frames with their times."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from calib.geometry import Size
 from calib.numerics import Image
 from scanner.errors import InputError
+from scanner.recordings.film_bytes import FRAME_LIMITS, FilmBytes, opened_film
 from scanner.recordings.libav import av
 from scanner.recordings.tone_curve import LumaCodes
 
@@ -37,11 +38,12 @@ class VideoFile:
 
         Raises InputError if a frame is of another size or interlaced. A truncated file is read as far as possible.
         """
-        with _opened(self.path) as (container, stream):
+        with opened_film(self.path) as (container, film):
+            stream = _video_stream(self.path, container)
             stream.thread_type = "AUTO"
             per_frame = 1 / float(stream.average_rate or 30)
             last = -np.inf
-            for number, frame in enumerate(_decoded(container, stream)):
+            for number, frame in enumerate(_decoded(container, stream, film)):
                 if (frame.width, frame.height) != self.size:
                     raise InputError(
                         f"{self.path}: expected frames of {self.size}, found {frame.width} × {frame.height}"
@@ -56,15 +58,13 @@ class VideoFile:
 
 def open_video(path: Path) -> VideoFile:
     """Open a recording and read its first frames. Raises InputError for other files."""
-    if not path.is_file():
-        raise InputError(
-            f"{path}: expected a recording (mp4, mov, mkv), found {'a folder' if path.is_dir() else 'no such file'}"
-        )
-    with _opened(path) as (container, stream):
-        first = next(_decoded(container, stream), None)
+    with opened_film(path) as (container, film):
+        stream = _video_stream(path, container)
+        frames = _decoded(container, stream, film)
+        first = next(frames, None)
         if first is None:
             raise InputError(f"{path}: no frame can be read: copy the file again, or record again")
-        count = 1 + sum(1 for _, _ in zip(range(_FEWEST_FRAMES - 1), _decoded(container, stream), strict=False))
+        count = 1 + sum(1 for _, _ in zip(range(_FEWEST_FRAMES - 1), frames, strict=False))
         if count < _FEWEST_FRAMES:
             raise InputError(f"{path}: expected a recording, found {count} frame{'s' * (count > 1)}: is it a still?")
         bits = _bits(first)
@@ -75,28 +75,24 @@ def open_video(path: Path) -> VideoFile:
         return VideoFile(path, Size(first.width, first.height), turns, LumaCodes(black, white), stream.frames or 0)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    library = av()
-    try:
-        with library.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: expected a recording, found a file without pictures")
-            yield container, container.streams.video[0]
-    except (library.FFmpegError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: expected a recording (mp4, mov, mkv), found a file that cannot be read as one "
-            f"({getattr(error, 'strerror', None) or error}): copy the file again, whole"
-        ) from error
+def _video_stream(path: Path, container: Any) -> Any:
+    if not container.streams.video:
+        raise InputError(f"{path}: expected a recording, found a file without pictures")
+    stream = container.streams.video[0]
+    if stream.codec_context is None:
+        raise InputError(f"{path}: expected a recording, found pictures in a code that is not known here")
+    stream.codec_context.options = FRAME_LIMITS
+    return stream
 
 
-def _decoded(container: Any, stream: Any) -> Iterator[Any]:
+def _decoded(container: Any, stream: Any, film: FilmBytes) -> Iterator[Any]:
     """The frames up to the first that cannot be read, where a file was cut off."""
     library = av()
     any_yet = False
     try:
         for frame in container.decode(stream):
             any_yet = True
+            film.waits_since = monotonic()
             yield frame
     except library.FFmpegError:
         if not any_yet:

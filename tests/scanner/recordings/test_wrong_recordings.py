@@ -24,17 +24,22 @@ def text(path: Path, recording: Path) -> None:
     path.write_text("no film\n")
 
 
-def still(path: Path, recording: Path) -> None:
+def picture(path: Path, recording: Path) -> None:
     assert cv2.imwrite(str(path.with_suffix(".png")), np.zeros((48, 64), np.uint8))
     path.with_suffix(".png").rename(path)
 
 
+def still(path: Path, recording: Path) -> None:
+    of_frames(path, lambda number: 90, count=1)
+
+
 def sound(path: Path, recording: Path) -> None:
-    with av.open(str(path), "w", format="wav") as container:
-        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 8000), np.int16), "s16", "mono")
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("aac", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), "fltp", "mono")
         frame.sample_rate = 8000
         container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
 
 
 def cut_off(path: Path, recording: Path) -> None:
@@ -42,11 +47,11 @@ def cut_off(path: Path, recording: Path) -> None:
     path.write_bytes(whole[: len(whole) // 2])
 
 
-def of_frames(path: Path, level: Callable[[int], float]) -> None:
+def of_frames(path: Path, level: Callable[[int], float], count: int = 300) -> None:
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for number in range(300):
+        for number in range(count):
             image = np.full((48, 64), np.uint8(level(number)))
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray").reformat(format="yuv420p")))
         container.mux(stream.encode(None))
@@ -72,6 +77,7 @@ def another_film(path: Path, recording: Path) -> None:
     ("make", "told"),
     [
         (text, "cannot be read"),
+        (picture, "of another kind"),
         (still, "is it a still?"),
         (sound, "a file without pictures"),
         (cut_off, "copy the file again, whole"),
