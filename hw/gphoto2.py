@@ -22,8 +22,7 @@ from hw.errors import DeviceError, FrameLostError
 from hw.optional_parts import GPHOTO2
 from hw.rig import Capabilities, Frame
 from hw.settings import USUAL_EXPOSURE_US, CameraRigSettings
-from hw.timing.devices import nothing
-from hw.timing.exposures import whole_periods
+from hw.timing.devices import nothing, whole_periods
 
 # Makers have different names for the same setting.
 _SHUTTER, _ISO, _APERTURE = ("shutterspeed", "shutterspeed2"), ("iso",), ("aperture", "f-number")

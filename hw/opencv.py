@@ -15,7 +15,7 @@ from hw.cameras import CameraInfo, refuse_other_setting, refuse_other_size
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame
 from hw.settings import CameraRigSettings
-from hw.timing.exposures import whole_periods
+from hw.timing.devices import whole_periods
 from hw.timing.frame_reader import FrameReader
 
 _OPENING_MS = 5000

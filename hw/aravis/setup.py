@@ -4,13 +4,27 @@ Observed with Aravis 0.8, and relied on here: it clips an impossible setting sil
 `camera` is an Aravis.Camera throughout, `name` what errors call it. GLib.Error is raised if it does not answer.
 """
 
+from pathlib import Path
 from typing import Any
 
 from hw.aravis.devices import Aravis
 from hw.aravis.pixel_formats import PixelFormat, pixel_format
-from hw.aravis.receive_buffer import receive_buffer
 from hw.aravis.settings import AravisRigSettings
 from hw.cameras import refuse_other_setting
+
+_LIMIT = Path("/proc/sys/net/core/rmem_max")
+# The kernel counts overhead of packets too, and the reader may be late.
+_KEPT = 4
+
+
+def receive_buffer(frame_bytes: int, limit: Path = _LIMIT) -> int | None:
+    """Bytes of a receive buffer that holds a whole frame with reserve; None if the system's limit is lower."""
+    wanted = _KEPT * frame_bytes
+    try:
+        return wanted if int(limit.read_text()) >= wanted else None
+    except (OSError, ValueError):  # not Linux, or not readable
+        return None
+
 
 _BUFFERS = 4
 _AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto")

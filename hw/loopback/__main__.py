@@ -14,8 +14,7 @@ from pathlib import Path
 
 from hw.errors import DeviceError
 from hw.loopback.camera import LoopbackCamera
-from hw.loopback.exposure import RoomSensor
-from hw.loopback.lit_room import LitRoom
+from hw.loopback.exposure import LitRoom, RoomSensor
 from hw.loopback.mjpeg_server import MjpegServer
 from hw.loopback.screen import ScreenHistory, SeveralScreens, XwdScreen
 from hw.loopback.settings import Conditions, LoopbackSettings

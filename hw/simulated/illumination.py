@@ -1,10 +1,12 @@
-"""Direct illumination: the projector's light from the lens to a surface."""
+"""Direct illumination: the projector's light from the lens to a surface, and the flicker of its lamp."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.numerics import Floats, Ints
+from hw.settings import SimulatedRigSettings
+from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
 from hw.simulated.scene import Scene
 
@@ -46,3 +48,23 @@ class ProjectorLight:
         brightness = self.projector.optics.vignetting(pixels[:, reached], _VIGNETTING)
         irradiance[reached] = brightness * facing / depths[reached] ** 3
         return pixels, irradiance
+
+
+class Lamp:
+    """Light 1 + m cos(2πt + φ), with t in refresh periods. Every exposure begins at a random phase φ."""
+
+    def __init__(self, settings: SimulatedRigSettings, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+
+    def brightness(self, exposure_us: float, rows: int) -> Light:
+        """Brightness of the rows in the next frame, relative to the mean, (rows, 1)."""
+        settings = self._settings
+        if settings.pulsation == 0 and settings.flicker == 0:
+            return np.ones((rows, 1), np.float32)
+        # sinc is the mean of the cosine over an exposure of that many periods.
+        periods = exposure_us / 1e6 * settings.refresh_hz
+        swing = settings.pulsation * np.sinc(periods) + settings.flicker
+        rolled = settings.rolling_shutter_ms / 1e3 * settings.refresh_hz
+        phase = self._rng.uniform(0, 2 * np.pi) + 2 * np.pi * rolled * np.arange(rows) / rows
+        return (1 + swing * np.cos(phase)).astype(np.float32)[:, None]

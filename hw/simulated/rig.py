@@ -6,7 +6,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame
 from hw.simulated.arrays import Light
-from hw.simulated.lamp import Lamp
+from hw.simulated.illumination import Lamp
 from hw.simulated.renderer import Renderer
 from hw.simulated.simulation import SimulatedRoom
 from hw.simulated.things import SimulatedThing, ThingRenderer

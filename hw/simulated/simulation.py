@@ -10,8 +10,7 @@ from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
 from hw.simulated.device import PlacedDevice
-from hw.simulated.motion import offset_px, turned
-from hw.simulated.moving_objects import box_in, person_in
+from hw.simulated.motion import box_in, offset_px, person_in, turned
 from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
 from hw.simulated.room import DRAWN_BY, Room, draw_room

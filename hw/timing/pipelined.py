@@ -8,8 +8,8 @@ An exposure must fit between the latest light of its picture and the earliest li
 the measured times of the swaps. A frame counts if it was triggered in time, if the camera's clock agrees, and if it
 passes verification by complementary sums (`complementary_sums.py`) or parity (`parity_check.py`). A missed picture is
 shown again behind those on their way. After many misses the next ones are taken at rest, more each time. The period
-adapts to the jitter of the last frames (`jitter.py`). With the pace `AT_REST` all frames are taken at rest: they are
-verified and repeated alike, because a window system may show a picture late.
+adapts to the jitter of the last frames (`trigger_schedule.py`). With the pace `AT_REST` all frames are taken at rest:
+they are verified and repeated alike, because a window system may show a picture late.
 """
 
 import logging
@@ -23,13 +23,11 @@ from hw.rig import NO_REDUNDANCY, Frames, Redundancy
 from hw.timing.camera_group import CameraGroup
 from hw.timing.complementary_sums import ComplementarySums
 from hw.timing.devices import ATTEMPTS, BufferedProjector
-from hw.timing.jitter import TriggerJitter
-from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import WithParity, with_parity
 from hw.timing.sequential import SequentialAcquisition
 from hw.timing.timed_rig import Tally
-from hw.timing.trigger_schedule import Pace, TriggerSchedule
-from hw.timing.verification import FrameVerification, Group
+from hw.timing.trigger_schedule import Pace, TriggerJitter, TriggerSchedule
+from hw.timing.verification import FrameVerification, Group, NumberedPictures
 
 log = logging.getLogger(__name__)
 

@@ -17,13 +17,12 @@ from hw.errors import DeviceError
 from hw.rig import NO_REDUNDANCY, Frame, Redundancy, exposure_control
 from hw.timing.automatics import Appearance, appearance, changes, is_another_view, reference_picture
 from hw.timing.devices import ATTEMPTS, FlippingProjector, StreamingCamera
-from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import with_parity
 from hw.timing.resting import RestingLight
 from hw.timing.stable_frames import StableFrames
 from hw.timing.stream_calibration import StreamTiming
 from hw.timing.timed_rig import Tally
-from hw.timing.verification import FrameVerification, Group
+from hw.timing.verification import FrameVerification, Group, NumberedPictures
 
 log = logging.getLogger(__name__)
 

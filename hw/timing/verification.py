@@ -3,20 +3,48 @@
 A group is judged once its frames are known, and those of the pictures that were on the wall before and after them.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeVar
 
-from calib.numerics import Floats
+from calib.numerics import Floats, Image
 from hw.rig import Frame
 from hw.timing.complementary_sums import ComplementarySums
-from hw.timing.numbered_pictures import NumberedPictures
 from hw.timing.parity_check import mixed_share, odd_share
 
 T = TypeVar("T")
 Group = tuple[int, ...]
 Levels = dict[int, Floats]  # the brightness of a camera's frames, by picture number
+
+
+class NumberedPictures:
+    """Reads pictures, numbered from 0, on demand, and keeps them until `forget`."""
+
+    def __init__(self, images: Iterator[Image]) -> None:
+        self._images = images
+        self._known: dict[int, Image] = {}
+        self._count = 0
+        self._ended = False
+
+    def __getitem__(self, number: int) -> Image:
+        return self._known[number]
+
+    def has(self, number: int) -> bool:
+        """Whether there is a picture with this number."""
+        while self._count <= number and not self._ended:
+            image = next(self._images, None)
+            if image is None:
+                self._ended = True
+            else:
+                self._known[self._count] = image
+                self._count += 1
+        return number < self._count
+
+    def forget(self, before: int) -> None:
+        """Drop the pictures with smaller numbers."""
+        for number in [known for known in self._known if known < before]:
+            del self._known[number]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.moving import at_place, moves_by_itself
+from hw.open_rig import at_place, moves_by_itself
 from scanner.errors import InputError
 from scanner.ui import Operator
 

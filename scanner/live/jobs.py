@@ -12,7 +12,7 @@ from calib.refusal import RefusalError
 from hw.ahead import in_background
 from hw.backends import RigSettings
 from hw.errors import DeviceError
-from hw.moving import at_place, at_place_or_last, moves_by_itself, turns_by_itself
+from hw.open_rig import at_place, at_place_or_last, moves_by_itself, turns_by_itself
 from hw.rig import Rig
 from scanner.checking.devices import opened
 from scanner.configuration import Config

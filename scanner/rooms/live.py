@@ -12,7 +12,7 @@ from calib.geometry import Calibration, Motion
 from calib.numerics import Bools
 from calib.refusal import RefusalError
 from calib.rooms import Group, Pair, register
-from hw.moving import at_place, moves_by_itself
+from hw.open_rig import at_place, moves_by_itself
 from scanner.capture import check_places
 from scanner.configuration import Config
 from scanner.errors import InputError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hw.aravis.receive_buffer import receive_buffer
+from hw.aravis.setup import receive_buffer
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import pytest
 
 from hw.errors import DeviceError
 from hw.projector.screens import Screen, choose_screen
-from hw.timing.exposures import whole_periods
+from hw.timing.devices import whole_periods
 
 DESK = Screen(0, "eDP-1", 0, 0, 1920, 1080, 60.0)
 BEAMER = Screen(1, "HDMI-1", 1920, 0, 1280, 720, 59.94)

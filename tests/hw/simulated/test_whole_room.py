@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.moving import at_place
+from hw.open_rig import at_place
 from hw.settings import SimulatedRigSettings
 from hw.simulated.room import draw_room
 from hw.simulated.view import lit_and_visible, seen

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hw.errors import DeviceError
-from hw.moving import at_place
-from hw.open_rig import OpenedRig
+from hw.open_rig import OpenedRig, at_place
 from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from scanner import pipeline

@@ -15,8 +15,8 @@ from calib.numerics import Image
 from calib.refusal import RefusalError
 from hw import real_devices
 from hw.aravis import backend as aravis
+from hw.loopback.exposure import LitRoom
 from hw.loopback.launcher import loopback_network, own_addresses
-from hw.loopback.lit_room import LitRoom
 from hw.loopback.settings import LoopbackSettings
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
