@@ -22,7 +22,7 @@ from scanner.rendering import (
     css_colour,
     shaded,
 )
-from scanner.rendering.png import png_of
+from scanner.rendering.colours import png_of
 from scanner.reporting.svg import HEIGHT, WIDTH, Plot, Scale
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY_BLUE, ORANGE)

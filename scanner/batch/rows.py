@@ -1,11 +1,15 @@
-"""A row of a batch's table: the outcome of one capture."""
+"""The rows of a batch's table, each the outcome of one capture, and the table as files for other programs."""
 
+import csv
+import io
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import get_args
 
 from pydantic import TypeAdapter
 
+from scanner.batch.location import Location
 from scanner.errors import InputError
 from scanner.results import Grade
 
@@ -64,3 +68,33 @@ class Row:
 
 
 _CHECKED = TypeAdapter(Row)
+
+
+_COLUMNS = tuple(field.name for field in fields(Row))
+
+
+def write_csv(place: Location, rows: Sequence[Row]) -> None:
+    """A line for each row, after one with the columns' names. Raises OSError."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    place.write(text.getvalue().encode())
+
+
+def write_parquet(place: Location, rows: Sequence[Row]) -> None:
+    """The same with types, empty columns included. Raises OSError."""
+    import pyarrow
+    import pyarrow.parquet
+
+    kinds = {"str": pyarrow.string(), "int": pyarrow.int64(), "float": pyarrow.float64()}
+    schema = pyarrow.schema(
+        [
+            pyarrow.field(field.name, kinds[str(getattr(field.type, "__name__", field.type)).split(" ")[0]])
+            for field in fields(Row)
+        ]
+    )
+    columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}
+    sink = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(columns, schema=schema), sink)
+    place.write(sink.getvalue())

@@ -12,8 +12,7 @@ from scanner.batch.listing import Job
 from scanner.batch.location import Location
 from scanner.batch.page import write_page
 from scanner.batch.processes import WorkerDiedError
-from scanner.batch.rows import ENDING, Row
-from scanner.batch.table import write_csv, write_parquet
+from scanner.batch.rows import ENDING, Row, write_csv, write_parquet
 from scanner.batch.work import ROWS, Delivery, Work, work
 from scanner.errors import is_of_the_disk
 from scanner.ui import EXIT_BUG, Progress

@@ -9,7 +9,7 @@ from scanner.viewing.opening import require_viser
 def run(args: Namespace) -> None:
     """Serve until Ctrl-C. Raises InputError, KeyboardInterrupt."""
     require_viser()
-    from scanner.console.run import console  # viser is an extra
+    from scanner.console.page import console  # viser is an extra
     from scanner.console.settings import Settings
 
     settings = Settings(args.config, tuple(args.set), calibration=args.calibration)

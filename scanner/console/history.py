@@ -7,8 +7,7 @@ from pathlib import Path
 import viser
 
 from scanner.comparing import COMPARE_PAGE, compare_files, headings, rows, summary, write_compare_page
-from scanner.console.history_cards import card_of
-from scanner.console.results import earlier_results
+from scanner.console.results import card_of, earlier_results
 from scanner.console.texts import card_html
 from scanner.results import LOG_FILE
 from scanner.viewing.texts import escaped, link_html

@@ -1,5 +1,6 @@
 """The operator's page: what is done now at the top, below it one of three pages, and beside them the cloud."""
 
+import logging
 from pathlib import Path
 from threading import Event, Thread
 
@@ -16,11 +17,13 @@ from scanner.console.network_view import NetworkView
 from scanner.console.operating import Operating
 from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Status, Worker
+from scanner.interruption import finishing
 from scanner.results import REFUSAL_FILE, Scan
+from scanner.ui import Terminal
+from scanner.viewing.clicking import KnownScale
 from scanner.viewing.first_look import first_look
 from scanner.viewing.panel import ResultPanel, reading
-from scanner.viewing.scale import KnownScale
-from scanner.viewing.server import Serving, add_style
+from scanner.viewing.server import Serving, add_style, announce_page, serving, wait
 
 _WIDTH_PX = 380
 _LOOKED_EVERY_S = 1.0
@@ -142,3 +145,27 @@ class ConsolePage:
     def _turn_to_result(self) -> None:
         self._hint.visible = False
         self._turn_to(RESULT)
+
+
+log = logging.getLogger(__name__)
+
+
+def console(settings: Settings, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
+    """Serve the page until Ctrl-C, which raises KeyboardInterrupt. Raises InputError.
+
+    A scan that is running then is cancelled: what it has captured is kept, and the terminal says where.
+    """
+    config = settings.in_turn()[0].load()
+    required = (config.required_rig, config.camera_size, config.projector_size)  # said in the terminal if missing
+    log.info("console for %s", required)
+    with serving(f"Console: {settings.config.stem}", host, port) as served:
+        page = ConsolePage(served, settings)
+        try:
+            page.start()
+            announce_page(served.address, host, terminal, browser=browser)
+            wait()
+        finally:
+            with finishing(ending=True):
+                ended = page.close()
+                if ended.message:
+                    terminal.show(ended.message)

@@ -57,7 +57,7 @@ class Stage:
 
 
 class StagedProgress:
-    """`scanner.ui.progress.Progress` for a page: tells `on_stage`, and shows frames that go by to `on_frame`.
+    """`scanner.ui.operator.Progress` for a page: tells `on_stage`, and shows frames that go by to `on_frame`.
 
     `durations_s` of steps by what they are called are looked up in it, and written down there. `on_captured` is called
     when the last of some frames has been taken. Raises CancelledError between two frames, and before a step, once

@@ -7,8 +7,8 @@ from datetime import datetime
 from markupsafe import escape
 
 from scanner.checking.report import CheckRow, State
-from scanner.console.history_cards import Card
 from scanner.console.progress import Stage
+from scanner.console.results import Card
 from scanner.console.worker import Status
 from scanner.networks.sights import Sight
 from scanner.results import SIGNS

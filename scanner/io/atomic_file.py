@@ -15,8 +15,7 @@ from pathlib import Path
 
 from scanner.errors import InputError, cannot_write
 from scanner.interruption import finishing
-from scanner.io.durable import sync
-from scanner.io.new_folders import missing_folders, remove_empty
+from scanner.io.durable import missing_folders, remove_empty, sync
 
 log = logging.getLogger(__name__)
 

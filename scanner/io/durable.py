@@ -1,9 +1,13 @@
-"""Make files survive a power cut, and exchange folders in one step."""
+"""Folders and files that survive a power cut, are exchanged in one step, and are begun only if the disk has room."""
 
 import ctypes
 import errno
 import os
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
+
+from scanner.errors import StorageError
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
@@ -50,3 +54,40 @@ def exchange(first: Path, second: Path) -> bool:
     if number in _UNSUPPORTED:
         return False
     raise OSError(number, os.strerror(number), str(first), None, str(second))
+
+
+# Reserve for text files, folders and the file system itself.
+_MARGIN_BYTES = 4_000_000
+
+
+def require_space(folder: Path, count: int, total_bytes: int, what: str) -> None:
+    """Raise StorageError if the disk of a `folder`, which may not be there yet, cannot take `count` more files."""
+    place = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    disk = os.statvfs(place)
+    free, needed = disk.f_bavail * disk.f_frsize, total_bytes + _MARGIN_BYTES
+    if free < needed:
+        raise StorageError(
+            f"{place}: {what} needs up to {_size(needed)}, but {_size(free)} are free; make room there, or choose "
+            "another --out"
+        )
+    if disk.f_files and disk.f_favail < count:
+        raise StorageError(
+            f"{place}: {what} needs {count} files, but its file system takes only {disk.f_favail} more (inodes); "
+            "remove files there, or choose another --out"
+        )
+
+
+def _size(number: int) -> str:
+    return f"{number / 1e9:.1f} GB" if number >= 1e9 else f"{number / 1e6:.0f} MB"
+
+
+def missing_folders(folder: Path) -> list[Path]:
+    """Return the folder and its parents that do not exist yet, deepest first. Raises OSError."""
+    return [path for path in (folder, *folder.parents) if not path.exists()]
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders, deepest first; missing and non-empty ones are skipped."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()

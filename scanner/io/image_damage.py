@@ -12,9 +12,8 @@ from typing import Any
 from PIL import Image, UnidentifiedImageError
 
 from scanner.io.given_file import MOST_IMAGE_BYTES
-from scanner.io.image_size import PNG_START, UNREADABLE
+from scanner.io.image_size import PNG_START, SCAN, UNREADABLE, segments
 from scanner.io.jpeg_check import problem_of_jpeg
-from scanner.io.jpeg_markers import SCAN, segments
 
 _WITHOUT_CHECK = {"TIFF"}  # formats that OpenCV reads despite damage, which is reported here
 _COMPRESSION, _DEFLATE = 259, (8, 32946)

@@ -1,12 +1,16 @@
-"""Validate parsed files into typed values; the only place that turns pydantic's findings into sentences."""
+"""Validate parsed files into typed values that belong to the expected devices.
 
-from collections.abc import Iterator, Sequence
+The only place that turns pydantic's findings into sentences.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import SequenceMatcher
 from typing import Annotated, Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from calib.geometry import Size
 from scanner.errors import InputError
 from scanner.shown_text import harmless, shortened, shown
 
@@ -139,3 +143,12 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for argument in get_args(annotation):
         yield from _models_in(argument)
+
+
+def refuse_other_sizes(
+    what: object, actual: Iterable[Size], expected: Iterable[Size], whose: str, why: str = ""
+) -> None:
+    """Raise InputError if the sizes of camera and projector differ; `expected` are `whose`, `why` ends the message."""
+    for name, size, wanted in zip(("camera", "projector"), actual, expected, strict=True):
+        if size != wanted:
+            raise InputError(f"{what}: its {name} is {size}, but {whose} is {wanted}{why}")

@@ -19,8 +19,7 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
-from scanner.live.joining import joining
-from scanner.live.kept_station import keep_station
+from scanner.live.joining import joining, keep_station
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.sequence import LiveSequence
 from scanner.live.texts import cloud_text

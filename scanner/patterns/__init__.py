@@ -1,7 +1,5 @@
 """Patterns as values, the sequences made of them, and how they are drawn."""
 
-from scanner.patterns.level import level_groups
-from scanner.patterns.parity import unpaired_bits
 from scanner.patterns.pattern import (
     Axis,
     Black,
@@ -19,6 +17,7 @@ from scanner.patterns.pattern import (
 )
 from scanner.patterns.presets import PRESETS, Preset, PresetName
 from scanner.patterns.projector_response import ProjectorResponse
+from scanner.patterns.redundancy import level_groups, unpaired_bits
 from scanner.patterns.sequence_file import (
     FORMAT,
     SEQUENCE_FILE,

@@ -1,7 +1,9 @@
 """Numbers with units and names, as every page, table and file shows them."""
 
 from scanner.quantities.calibration_numbers import (
+    FACE_NAMES,
     Quantity,
+    device_names,
     device_quantities,
     intrinsic_errors_percent,
     percent,
@@ -11,6 +13,13 @@ from scanner.quantities.calibration_numbers import (
     rig_quantities,
 )
 from scanner.quantities.calibration_table import calibration_table, empty_table, truth_line
-from scanner.quantities.lengths import ShownUnit, shown_unit
-from scanner.quantities.names import FACE_NAMES, device_names
-from scanner.quantities.units import METRES, UNKNOWN_UNIT, metres_per, parse_length, parse_seconds, unit_name
+from scanner.quantities.units import (
+    METRES,
+    UNKNOWN_UNIT,
+    ShownUnit,
+    metres_per,
+    parse_length,
+    parse_seconds,
+    shown_unit,
+    unit_name,
+)

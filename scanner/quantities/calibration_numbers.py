@@ -10,7 +10,21 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics
 from calib.numerics import Floats
-from scanner.quantities.names import device_names
+
+FACE_NAMES = ("A", "B", "C")
+
+
+def device_names(calibration: Calibration, number: int = 1, among: int = 1) -> tuple[str, str]:
+    """Return the names of both devices of capture `number` (from 1, the oldest) of `among`. Pairs of photos have one
+    camera.
+
+    Every pair of photos includes the first; the newest pair is the one with the second.
+    """
+    if calibration.one_camera:
+        return "photo 1", f"photo {among - number + 2}"
+    which = f" {number}" if among > 1 else ""
+    return f"camera{which}", f"projector{which}"
+
 
 _DISTORTION_NAMES = ("k₁", "k₂", "p₁", "p₂", "k₃")
 _DEFAULT_SIGNIFICANT = 5

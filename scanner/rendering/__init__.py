@@ -24,6 +24,8 @@ from scanner.rendering.colours import (
     VIRIDIS,
     YELLOW,
     Colour,
+    IndexedPicture,
+    Pixels,
     as_pixels,
     between,
     css_colour,
@@ -39,6 +41,5 @@ from scanner.rendering.downsampling import (
     one_in_cells,
 )
 from scanner.rendering.photographs import LONGEST_SIDE, encode_jpeg, jpeg_uri, photograph, png_uri, reduced_size
-from scanner.rendering.png import IndexedPicture, Pixels
 from scanner.rendering.templates import page, script, script_hash
 from scanner.rendering.ticks import even_ticks, tick_text

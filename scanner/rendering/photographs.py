@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Image
-from scanner.rendering.colours import as_pixels
-from scanner.rendering.png import IndexedPicture, Pixels, png_of
+from scanner.rendering.colours import IndexedPicture, Pixels, as_pixels, png_of
 
 LONGEST_SIDE = 1000
 

@@ -1,4 +1,5 @@
-"""A rig's calibration from stations that show a corner, accurate enough to register all of them.
+"""A rig's calibration from stations that show a corner, accurate enough to register all of them, or held as it was
+given.
 
 Each corner calibrates the rig by itself. The estimates are combined as Gaussians, without outliers. If corners
 contradict each other, because the rig changed or one is wrong, those are used whose epipolar lines fit most stations.
@@ -6,14 +7,14 @@ The room's estimate uses the same matches again, and takes only its start from h
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.diagnostics import Uncertainty, calibration_of
-from calib.geometry import Calibration, Sigmas
+from calib.geometry import Calibration, Intrinsics, Matches, Sigmas
 from calib.numerics import Bools, Floats
-from calib.refinement import SHARED, State, inverse_of
+from calib.refinement import SHARED, State, device_of, inverse_of
 from calib.refusal import RefusalError
 from scanner.configuration import Config
 from scanner.errors import InputError
@@ -143,3 +144,39 @@ def _in_sigmas(step: Floats, covariance: Floats, free: Bools) -> float:
 def _observed(corner: Uncertainty) -> Bools:
     """The columns that a corner determines, (21,)."""
     return np.diag(corner.covariance) > _HELD**2
+
+
+def state_of(calibration: Calibration) -> State:
+    """The model's parameters of a calibration in baselines."""
+    camera, projector = (
+        device_of(replace(device, focal_px=(float(np.mean(device.focal_px)),) * 2))
+        for device in (calibration.camera, calibration.projector)
+    )
+    direction = calibration.translation / calibration.baseline
+    return State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
+
+
+def is_estimated(start: RigStart) -> bool:
+    """Whether the rig is estimated together with the room, or held as it was given, without a covariance."""
+    return bool(start.corners) or start.uncertainty is not None
+
+
+def ideal_rig(calibration: Calibration) -> Calibration:
+    """The same rig with devices that have one focal length each and no distortion."""
+    camera, projector = (
+        Intrinsics(device.width, device.height, (float(np.mean(device.focal_px)),) * 2, device.principal_point_px)
+        for device in (calibration.camera, calibration.projector)
+    )
+    return replace(calibration, camera=camera, projector=projector)
+
+
+def ideal_matches(matches: Matches, start: RigStart) -> Matches:
+    """The matches of an ideal rig if the rig is fixed: the distortion of its lenses is removed."""
+    if is_estimated(start):
+        return matches
+    given, ideal = start.calibration, ideal_rig(start.calibration)
+    camera_px = ideal.camera.project(given.camera.unproject(matches.camera_px.astype(np.float64)))
+    projector_px = ideal.projector.project(given.projector.unproject(matches.projector_px.astype(np.float64)))
+    beyond = ~np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1)
+    camera_px[beyond], projector_px[beyond] = matches.camera_px[beyond], matches.projector_px[beyond]
+    return Matches(camera_px, projector_px, None, matches.sigma_px)

@@ -14,9 +14,8 @@ from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
 from scanner.exporting.open3d_module import open3d
 from scanner.exporting.triangles import Mesh
-from scanner.rooms.blended_cloud import grid_of, index_of
+from scanner.rooms.blended_cloud import denoised, grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
-from scanner.rooms.denoised import denoised
 
 _VOXELS = 1.5  # in edges of the cloud's voxels
 _TRUNCATED = 4.0  # truncation of signed distances, in edges of this grid's voxels

@@ -13,7 +13,7 @@ from scanner.reporting.sections import Picture, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan
-from scanner.rooms.floorplan_svg import plan_svg
+from scanner.rooms.floorplan_drawings import plan_svg
 from scanner.rooms.page_parts import (
     HALF_PX,
     Cell,

@@ -19,8 +19,7 @@ from scanner.results import (
 from scanner.rooms.blended_cloud import blended
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.floorplan import floor_plan
-from scanner.rooms.floorplan_dxf import write_dxf
-from scanner.rooms.floorplan_svg import plan_svg
+from scanner.rooms.floorplan_drawings import plan_svg, write_dxf
 from scanner.rooms.mesh import fused
 from scanner.rooms.page import write_page
 from scanner.rooms.station_files import (

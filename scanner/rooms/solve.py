@@ -33,9 +33,9 @@ from scanner.configuration import Config
 from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded
 from scanner.rooms.contents import RigStart, SolvedRoom, Station
+from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.outlier_stations import outlier_stations_of
-from scanner.rooms.rig_model import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.upright import moved_place, moved_plane, upright
 from scanner.ui import Progress
 

@@ -3,6 +3,5 @@
 from scanner.ui.exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_REFUSED, failure_of
 from scanner.ui.fitting import for_screen
 from scanner.ui.log_file import LogFile, keep_off_the_terminal
-from scanner.ui.operator import Operator
-from scanner.ui.progress import Progress
+from scanner.ui.operator import Operator, Progress
 from scanner.ui.terminal import SILENT, Terminal

@@ -1,6 +1,8 @@
-"""The person at the rig, who receives messages, and is asked to move it."""
+"""Who follows the work: the person at the rig, who is told and asked to move it, and an observer of its progress."""
 
-from typing import Protocol
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
+from typing import Protocol, TypeVar
 
 
 class Operator(Protocol):
@@ -18,3 +20,16 @@ class Operator(Protocol):
 
     def note(self, text: str) -> None:
         """Show a note that matters whether or not the operation succeeds."""
+
+
+T = TypeVar("T")
+
+
+class Progress(Protocol):
+    """Receives the progress of long operations. May raise, to stop them."""
+
+    def track(self, items: Iterable[T], total: int, what: str) -> Iterator[T]:
+        """Pass `items` on, of which there are `total`, and report their number."""
+
+    def step(self, what: str) -> AbstractContextManager[None]:
+        """Report an operation that lasts until the block ends."""

@@ -7,8 +7,8 @@ import numpy as np
 from calib.numerics import Floats
 from scanner.measuring import DistanceMeasurement, angle_at, angle_cells, distance_between
 from scanner.quantities import shown_unit
+from scanner.viewing.clicking import KnownScale, scale_from
 from scanner.viewing.result import CaptureCloud
-from scanner.viewing.scale import KnownScale, scale_from
 
 # Largest angle between a picked point and the ray of a click: about eight pixels of a window.
 _REACH_RAD = 0.008

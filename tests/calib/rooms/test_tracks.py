@@ -14,7 +14,7 @@ from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
 from calib.synthetic.stations import Errors, Paint, random_room, ring, seen_from
-from scanner.rooms.rig_model import state_of
+from scanner.rooms.corner_rig import state_of
 from tests.calib.rooms.test_registration import CAMERA
 from tests.support.numeric import gradient_of
 

@@ -17,9 +17,9 @@ from hw.open_rig import OpenedRig
 from hw.rig import Capabilities, Frame, Rig
 from scanner import pipeline
 from scanner.console import worker as worker_module
+from scanner.console.operating import chime
 from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
 from scanner.console.settings import Picture, Settings, plain_name
-from scanner.console.sound import chime
 from scanner.console.worker import Activity, Status, Worker
 from scanner.networks.captures import Pair
 from scanner.networks.sights import OnSight, Watched

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from scanner.errors import InputError
-from scanner.io.poses_file import read_poses, write_poses
+from scanner.io.room_file import read_poses, write_poses
 
 
 def poses() -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from calib.numerics import Bools, Floats
 from scanner.configuration import Config
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
-from scanner.live.kept_station import matches_of
+from scanner.live.joining import matches_of
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.sequence import FRAMES, LiveSequence
 from scanner.live.watching import proven

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from scanner.rendering.png import IndexedPicture, Pixels, png_of
+from scanner.rendering.colours import IndexedPicture, Pixels, png_of
 
 
 def read_back(data: bytes) -> Pixels:
