@@ -20,9 +20,9 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.interruption import finishing
 from scanner.results import REFUSAL_FILE, Scan
 from scanner.ui import Terminal
-from scanner.viewing.clicking import KnownScale
 from scanner.viewing.first_look import first_look
 from scanner.viewing.panel import ResultPanel, reading
+from scanner.viewing.picking import KnownScale
 from scanner.viewing.server import Serving, add_style, announce_page, serving, wait
 
 _WIDTH_PX = 380

@@ -1,60 +1,17 @@
-"""Measuring by clicking on points, and setting the scale of the configuration by two whose distance is known."""
+"""Measuring by clicking on points, and setting the scale by two whose distance is known."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from threading import Lock
 
-import numpy as np
 import viser
 
-from calib.geometry import Calibration
 from calib.numerics import Floats
-from scanner.measuring import DistanceMeasurement
 from scanner.shown_text import unbroken
-from scanner.viewing.picking import Picked, point_at
+from scanner.viewing.picking import KnownScale, Picked, point_at
 from scanner.viewing.result import CaptureCloud, ViewedCloud
 from scanner.viewing.scene import Scene
 from scanner.viewing.texts import bold, escaped
 from scanner.viewing.view_controls import PLAIN, failures_shown
-
-_LARGEST_SHARE = 0.2  # largest share of a length that its sigma may have in a configuration
-
-
-@dataclass(frozen=True)
-class KnownScale:
-    """`scale.baseline_m` and `scale.sigma_m` of a configuration: the baseline that makes a measured distance as long as
-    it is known to be.
-    """
-
-    baseline_m: float
-    sigma_m: float
-
-    @property
-    def keys(self) -> dict[str, float]:
-        """Return the scale as keys of the configuration file."""
-        return {"scale.baseline_m": float(f"{self.baseline_m:.7g}"), "scale.sigma_m": float(f"{self.sigma_m:.3g}")}
-
-    @property
-    def line(self) -> str:
-        """Return the scale as a line of the configuration file."""
-        baseline_m, sigma_m = self.keys.values()
-        return f"scale: {{baseline_m: {baseline_m}, sigma_m: {sigma_m}}}"
-
-
-def scale_from(
-    distance: DistanceMeasurement, calibration: Calibration, known_m: float, sigma_m: float
-) -> KnownScale | None:
-    """Return the scale from two points whose distance is `known_m` ± `sigma_m`; None if the points are too uncertain.
-
-    The scan measures the baseline relative to the distance, in any unit: the sigma does not include that of the present
-    scale.
-    """
-    baseline_m = calibration.baseline / distance.distance * known_m
-    budget = distance.budget
-    measured = 0.0 if budget is None else np.sqrt(budget.sigma**2 - budget.scale**2) / distance.distance
-    relative = float(np.hypot(measured, sigma_m / known_m))
-    return KnownScale(baseline_m, relative * baseline_m) if relative < _LARGEST_SHARE else None
-
 
 _MM = 1000.0
 
