@@ -19,9 +19,7 @@ from rich.table import Table
 
 from calib.numerics import Bools, Floats, Image
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import GroundTruth
+from hw.simulated import GroundTruth, SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.decoding import Decoder, Decoding
 from scanner.patterns import PRESETS, PresetName, draw
 

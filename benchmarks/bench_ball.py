@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.room import draw_room
-from hw.simulated.truth import true_calibration
+from hw.simulated import draw_room, true_calibration
 from scanner.commands.main import main as scan
 
 ROOM_SIM = Path(__file__).parents[1] / "configs" / "room-sim.yaml"

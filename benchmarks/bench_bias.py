@@ -23,10 +23,7 @@ from conditions.plain_decoder import plain_matches
 from calib.geometry import Matches
 from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
-from hw.simulated import simulation
-from hw.simulated.room import Room
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import GroundTruth
+from hw.simulated import GroundTruth, Room, SimulatedRoom, simulation
 from scanner.decoding import Decoder
 from scanner.decoding.fringes.edge_shift_correction import Footprint
 

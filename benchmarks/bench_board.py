@@ -25,7 +25,7 @@ from calib.refinement import into_cells
 from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.boards import FromBoards, Target, calibrate_captures, read_folders
 from scanner.boards.calibrate import calibrate_board_captures, find_board
 from scanner.capture import CaptureMetadata

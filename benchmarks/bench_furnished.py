@@ -25,7 +25,7 @@ from calib.refinement import CUBIC, Shifts, monomials
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from hw.settings import SimulatedRigSettings
-from hw.simulated.truth import GroundTruth
+from hw.simulated import GroundTruth
 from scanner.decoding import SMOOTH_PX
 
 OUTLYING = 5.0

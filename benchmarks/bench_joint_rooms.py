@@ -26,7 +26,7 @@ from calib.pointcloud import Cloud, MergedCloud, View, build_cloud, find_order, 
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, SelfCalibration, self_calibrate, self_calibrate_jointly
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.quantities import intrinsic_errors_percent
 from scanner.reconstruction import brightness, consistency
 

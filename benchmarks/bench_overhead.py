@@ -27,13 +27,11 @@ from urllib.parse import urlsplit
 
 from hw.ahead import in_background
 from hw.errors import DeviceError
-from hw.loopback.launcher import loopback_rig
-from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
+from hw.loopback import Conditions, LoopbackSettings, WebcamSettings, loopback_rig
 from hw.open_rig import open_rig
 from hw.opencv import OpenCVRigSettings
 from hw.rig import Rig
-from hw.timing.streamed_rig import StreamedRig
-from hw.timing.synchronisation import SynchronisedRig
+from hw.timing import StreamedRig, SynchronisedRig
 from scanner.capture import capture, record
 from scanner.configuration import Config, load_config
 from scanner.decoding import Decoder

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.geometry import Intrinsics
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.commands.main import main as scan
 from scanner.io import read_calibration
 

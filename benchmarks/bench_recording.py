@@ -26,7 +26,7 @@ from calib.geometry import Size
 from calib.numerics import Image
 from hw.ahead import Ahead, in_background
 from hw.rig import Frame
-from hw.timing.timed_rig import MOST_AHEAD
+from hw.timing import MOST_AHEAD
 from scanner.capture import Stream, record
 from scanner.capture import recorder as recorder_module
 from scanner.decoding import Decoder

@@ -27,8 +27,7 @@ from calib.geometry import Calibration, Size
 from calib.numerics import Image
 from calib.refusal import RefusalError
 from hw.settings import SimulatedRigSettings
-from hw.simulated.arrays import Light
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import Light, SimulatedRoom
 from scanner import load_config, replay
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, PresetName

@@ -7,11 +7,7 @@ import time
 import numpy as np
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.room import draw_room
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import true_calibration
-from hw.simulated.view import look
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom, draw_room, look, true_calibration
 
 SIZES = (((306, 256), (214, 120)), ((1224, 1024), (854, 480)), ((2448, 2048), (854, 480)))
 FRAMES = 10

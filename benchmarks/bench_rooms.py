@@ -17,9 +17,7 @@ from calib.plane_segmentation import find_faces
 from calib.refusal import RefusalError
 from calib.self_calibration import Method, PrincipalPoint, SelfCalibration, self_calibrate
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import GroundTruth
+from hw.simulated import GroundTruth, SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.decoding import Decoder, Decoding
 from scanner.patterns import draw, sequence_for
 from scanner.quantities import intrinsic_errors_percent

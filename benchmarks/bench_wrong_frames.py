@@ -18,11 +18,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from hw.errors import DeviceError
-from hw.loopback.launcher import loopback_rig
-from hw.loopback.settings import Conditions, LoopbackSettings
+from hw.loopback import Conditions, LoopbackSettings, loopback_rig
 from hw.open_rig import open_rig
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture, record
 from scanner.configuration import Config
 from scanner.io import parse_yaml

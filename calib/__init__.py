@@ -3,8 +3,9 @@
 The names below are what other programs use; each is imported when it is first asked for. docs/api.md shows them all.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from calib.deferred_imports import defer_imports
 
 if TYPE_CHECKING:
     from calib.diagnostics import Uncertainty as Uncertainty
@@ -28,24 +29,14 @@ if TYPE_CHECKING:
     from calib.self_calibration import self_calibrate as self_calibrate
     from calib.self_calibration import self_calibrate_jointly as self_calibrate_jointly
 
-_HOMES = {
-    "diagnostics": "Uncertainty",
-    "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Sigmas intersect",
-    "plane_segmentation": "Faces find_faces",
-    "pointcloud": "Cloud build_cloud point_covariances",
-    "refusal": "RefusalError",
-    "self_calibration": "PrincipalPoint SelfCalibration calibrate_photos self_calibrate self_calibrate_jointly",
-}
-_HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'calib' has no attribute '{name}'")
-    return getattr(import_module(f"calib.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+__all__, __getattr__, __dir__ = defer_imports(
+    __name__,
+    {
+        "diagnostics": "Uncertainty",
+        "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Sigmas intersect",
+        "plane_segmentation": "Faces find_faces",
+        "pointcloud": "Cloud build_cloud point_covariances",
+        "refusal": "RefusalError",
+        "self_calibration": "PrincipalPoint SelfCalibration calibrate_photos self_calibrate self_calibrate_jointly",
+    },
+)

@@ -4,8 +4,9 @@ The names below are what other programs use; each is imported when it is first a
 """
 
 import os
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from calib.deferred_imports import defer_imports
 
 if TYPE_CHECKING:
     from scanner.configuration import Config as Config
@@ -23,22 +24,12 @@ if TYPE_CHECKING:
 # The most pixels of an image, also for OpenCV, which reads this when it is loaded (see scanner/io/given_file.py).
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "225000000")
 
-_HOMES = {
-    "configuration": "Config load_config",
-    "errors": "InputError StorageError",
-    "jobs": "calibrate replay resume scan",
-    "results": "FinishedScan Scan read_finished_scan",
-}
-_HOME = {name: home for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'scanner' has no attribute '{name}'")
-    return getattr(import_module(f"scanner.{_HOME[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+__all__, __getattr__, __dir__ = defer_imports(
+    __name__,
+    {
+        "configuration": "Config load_config",
+        "errors": "InputError StorageError",
+        "jobs": "calibrate replay resume scan",
+        "results": "FinishedScan Scan read_finished_scan",
+    },
+)

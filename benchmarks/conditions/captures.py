@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Image
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.capture import CAPTURE_FILE
 from scanner.io import flow_yaml
 from scanner.patterns import (

@@ -29,7 +29,7 @@ from conditions.changes import (
     swapped,
     tone_mapped,
 )
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.patterns import Axis, Pattern
 
 # The room of all conditions has 0.05; white in the camera's range reaches 0.85.

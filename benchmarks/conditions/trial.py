@@ -25,8 +25,7 @@ from conditions.judging import (
 )
 from conditions.plain_decoder import plain_matches
 from hw.settings import PanelSettings, SimulatedRigSettings
-from hw.simulated.picture import panel_homography
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom, panel_homography
 from scanner.commands.main import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, write_calibration
 from scanner.patterns import Phase

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.numerics import Floats, Image
 from filming.player import Played
-from hw.simulated.arrays import Light
+from hw.simulated import Light
 
 _STEPS = 60_000  # codes of light in stored pictures
 _TICKS = 90_000

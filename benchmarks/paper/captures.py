@@ -10,9 +10,7 @@ from calib.geometry import NO_FACE, Calibration, Intrinsics, Matches, Size
 from calib.numerics import Floats
 from calib.plane_segmentation import find_faces
 from hw.settings import SimulatedRigSettings
-from hw.simulated.scene import Label
-from hw.simulated.simulation import SimulatedRoom, place_room
-from hw.simulated.truth import true_calibration
+from hw.simulated import Label, SimulatedRoom, place_room, true_calibration
 
 PROJECTOR = Size(854, 480)
 FULL, QUICK = Size(2448, 2048), Size(612, 512)

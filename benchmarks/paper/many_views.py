@@ -8,9 +8,7 @@ import numpy as np
 
 from calib.geometry import Size
 from hw.settings import SimulatedRigSettings
-from hw.simulated.device import Optics, PlacedDevice
-from hw.simulated.placement import draw_camera_pose
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import Optics, PlacedDevice, SimulatedRoom, draw_camera_pose
 from paper.captures import settings_of
 
 VIEWS = 20

@@ -14,8 +14,7 @@ from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats
 from calib.pointcloud import fit_sphere
 from calib.refusal import RefusalError
-from hw.simulated.scene import Label
-from hw.simulated.simulation import place_room
+from hw.simulated import Label, place_room
 from paper.captures import Captured, Setup, captured, settings_of, thinned, without_distortion
 from paper.experiment import Experiment, Figures, room_of, rooms
 from paper.methods import by_paper, known_point, refined

@@ -18,7 +18,7 @@ from hw.aravis.setup import configure, read_back, start
 from hw.cameras import differs, refuse_other_setting
 from hw.errors import DeviceError, FrameLostError
 from hw.rig import Capabilities, Frame
-from hw.timing.devices import ATTEMPTS, TRIGGER_LAG_S, nothing, whole_periods
+from hw.timing import ATTEMPTS, TRIGGER_LAG_S, nothing, whole_periods
 
 __all__ = ["AravisCamera", "connect", "list_cameras"]
 

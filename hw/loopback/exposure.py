@@ -10,9 +10,7 @@ import numpy as np
 from calib.numerics import Image
 from hw.loopback.screen import ScreenLight
 from hw.loopback.settings import LoopbackSettings
-from hw.simulated.arrays import Light
-from hw.simulated.sensor import Sensor
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import Light, Sensor, SimulatedRoom
 
 # GenICam's numbers of the pixel formats that Aravis' simulator offers (PFNC 2.4).
 MONO_8, MONO_16, RGB_8 = 0x01080001, 0x01100007, 0x02180014

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Image
 from hw.loopback.wall import Wall
-from hw.simulated.arrays import Light
+from hw.simulated import Light
 
 _HEADER_WORDS = 25
 _COLOUR_ENTRY_BYTES = 12

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hw.loopback.settings import Conditions
-from hw.simulated.arrays import Light
+from hw.simulated import Light
 
 _MEMORY_S = 3.0
 _REFRESH_S = 1 / 60

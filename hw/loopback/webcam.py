@@ -11,8 +11,7 @@ import numpy as np
 
 from hw.loopback.screen import ScreenLight
 from hw.loopback.settings import Conditions, WebcamSettings
-from hw.simulated.arrays import Light
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import Light, SimulatedRoom
 
 _BANDS = 16  # of rows that are exposed together
 _COLOURS = (0.75, 1.0, 0.9)  # of white, in the order blue, green, red

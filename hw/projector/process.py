@@ -17,7 +17,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.optional_parts import RIG
 from hw.projector.screens import Screen, choose_screen, display_of
-from hw.timing.devices import Swap
+from hw.timing import Swap
 
 # Timeouts. The first start after an installation compiles shaders and byte code.
 _START_TIMEOUT_S = 60.0

@@ -4,3 +4,18 @@ Nothing here depends on patterns, decoding or calibration: the projector shows a
 that it lights. Vectors are stored component first, (3, n), in metres. The world's origin is the vertex of the corner, z
 is up, and the room is where all coordinates are positive.
 """
+
+from hw.simulated.arrays import Light
+from hw.simulated.device import Optics, PlacedDevice
+from hw.simulated.illumination import ProjectorLight
+from hw.simulated.picture import PictureOptics, panel_homography
+from hw.simulated.placement import draw_camera_pose, look_at
+from hw.simulated.rig import Scenery, SimulatedCamera, SimulatedProjector
+from hw.simulated.room import Room, draw_room
+from hw.simulated.scene import Label, Scene
+from hw.simulated.sensor import Sensor
+from hw.simulated.shapes import Block
+from hw.simulated.simulation import SimulatedRoom, place_room
+from hw.simulated.texture import Texture, paint
+from hw.simulated.truth import GroundTruth, true_calibration, true_place
+from hw.simulated.view import look

@@ -8,7 +8,7 @@ from hw.errors import OverexposedError
 from hw.open_rig import open_rig
 from hw.rig import Rig
 from hw.settings import CameraRigSettings
-from hw.timing.timed_rig import TimedRig
+from hw.timing import TimedRig
 from scanner.checking.report import CheckRow, State
 from scanner.configuration import Config
 

@@ -22,7 +22,7 @@ from scanner.errors import InputError
 from scanner.io import new_file
 from scanner.quantities import calibration_table, parse_length
 from scanner.results import CALIBRATION_FILE, REPORT_FILE, default_out, new_result, refuse_occupied
-from scanner.targets.target import UNIT
+from scanner.targets import UNIT
 from scanner.ui import Terminal
 
 _EXAMPLE = "as in: scan board CAPTURE… --board chessboard:9x7 --square 10mm"

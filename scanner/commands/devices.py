@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from hw.backends import BACKENDS, Backend
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
-from hw.projector.process import list_screens
-from hw.projector.screens import Screen
+from hw.projector import Screen, list_screens
 from scanner.ui import Terminal
 
 _ADDRESSES = "network streams cannot be listed: rig: {backend: opencv, camera: http://…} takes an address"

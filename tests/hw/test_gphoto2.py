@@ -17,8 +17,7 @@ from hw.errors import DeviceError
 from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
 from hw.optional_parts import GPHOTO2
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from hw.timing import latency, synchronisation
 from scanner.capture import open_capture
 from scanner.commands import devices

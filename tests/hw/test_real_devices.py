@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hw import real_devices
-from hw.aravis.settings import AravisRigSettings
+from hw.aravis import AravisRigSettings
 from hw.errors import DeviceError
 from hw.opencv import OpenCVRigSettings
-from hw.projector.screens import display_of
+from hw.projector import display_of
 from hw.real_devices import RealDevices, RealPair
 from hw.rig import Capabilities
 from tests.support.simulated_window import SimulatedWindow

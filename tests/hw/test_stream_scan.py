@@ -13,7 +13,7 @@ import pytest
 from hw import opencv, real_devices
 from hw.rig import settable_exposure
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
 from scanner import pipeline
 from scanner.capture import open_capture

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from hw.aravis import AravisRigSettings
 from hw.aravis import backend as aravis
-from hw.aravis.settings import AravisRigSettings
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
 from hw.optional_parts import RIG
-from hw.projector.process import ScreenProjector, list_screens
+from hw.projector import ScreenProjector, list_screens
 from scanner.commands import devices
 from scanner.commands.main import main
 from scanner.configuration import load_config

@@ -1,8 +1,7 @@
 """A small simulated rig whose light and lenses a test changes without solving the room again."""
 
 from hw.rig import Rig
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.configuration import Config, load_config
 

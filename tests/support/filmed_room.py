@@ -11,8 +11,7 @@ from filming.player import Played, play
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
-from hw.simulated.arrays import Light
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import Light, SimulatedRoom
 from scanner.patterns import PRESETS, write_sequence
 from scanner.recordings import Programme, programme_of, write_player_video
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, draw
 
 

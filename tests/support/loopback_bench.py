@@ -13,10 +13,9 @@ from threading import Thread
 
 import numpy as np
 
-from hw.loopback.launcher import CameraProcess, VirtualScreen, camera_process, shown_on, virtual_screen
-from hw.loopback.settings import LoopbackSettings
+from hw.loopback import CameraProcess, LoopbackSettings, VirtualScreen, camera_process, shown_on, virtual_screen
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import Recording, open_capture
 from scanner.commands.main import main
 from scanner.patterns import Pattern, draw

@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats
-from hw.simulated.device import Optics, PlacedDevice
-from hw.simulated.illumination import ProjectorLight
-from hw.simulated.picture import PictureOptics
-from hw.simulated.placement import look_at
-from hw.simulated.scene import Scene
-from hw.simulated.shapes import Block
+from hw.simulated import Block, Optics, PictureOptics, PlacedDevice, ProjectorLight, Scene, look_at
 from scanner.io import CloudPoints, write_room, write_room_ply
 
 STEP_PX = 4  # of a projector's image, from point to point of the cloud

@@ -9,8 +9,8 @@ from typing import Self
 import cv2
 import numpy as np
 
-from hw.loopback.mjpeg_server import MjpegServer
-from hw.simulated.simulation import SimulatedRoom
+from hw.loopback import MjpegServer
+from hw.simulated import SimulatedRoom
 
 PERIOD_S = 1 / 60
 _NOISE = 1.0  # grey levels

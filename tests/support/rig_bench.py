@@ -10,7 +10,7 @@ import pytest
 from calib.numerics import Image
 from hw.errors import FrameLostError
 from hw.rig import Capabilities, Frame
-from hw.timing.devices import Swap, nothing
+from hw.timing import Swap, nothing
 
 SIZE = (8, 6)
 

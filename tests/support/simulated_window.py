@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hw.projector.screens import Screen
-from hw.timing.devices import Swap
+from hw.projector import Screen
+from hw.timing import Swap
 
 
 class SimulatedWindow:

@@ -10,8 +10,7 @@ import pytest
 
 from calib.numerics import Image
 from hw.rig import Capabilities, Frame
-from hw.timing.devices import Swap
-from hw.timing.frame_reader import Arrival, FrameReader
+from hw.timing import Arrival, FrameReader, Swap
 
 SIZE = (64, 48)
 

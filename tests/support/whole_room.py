@@ -9,12 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Matches, Motion
 from calib.numerics import Floats, Image, Ints
 from hw.settings import SimulatedRigSettings
-from hw.simulated.illumination import ProjectorLight
-from hw.simulated.room import Room
-from hw.simulated.scene import Scene
-from hw.simulated.simulation import place_room
-from hw.simulated.texture import Texture, paint
-from hw.simulated.truth import true_calibration, true_place
+from hw.simulated import ProjectorLight, Room, Scene, Texture, paint, place_room, true_calibration, true_place
 
 CAMERA = (612, 512)
 PROJECTOR = (854, 480)

@@ -14,7 +14,7 @@ import yaml
 from calib.geometry import NO_FACE, Sigmas
 from calib.pointcloud import NONE
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import place_room
+from hw.simulated import place_room
 from scanner.capture import open_capture
 from scanner.configuration import load_config
 from scanner.io import read_calibration, read_matches, read_yaml, write_matches, write_png

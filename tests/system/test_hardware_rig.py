@@ -12,8 +12,8 @@ import pytest
 
 from hw.aravis import backend as aravis
 from hw.open_rig import open_rig
-from hw.projector.process import list_screens
-from hw.timing.synchronisation import SynchronisedRig
+from hw.projector import list_screens
+from hw.timing import SynchronisedRig
 from scanner.capture import capture
 from scanner.configuration import Config, load_config
 from scanner.patterns import Axis, Black, Gray, Pattern, White

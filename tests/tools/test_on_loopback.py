@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hw.errors import DeviceError
-from hw.loopback.settings import LoopbackSettings
+from hw.loopback import LoopbackSettings
 from scanner.configuration import load_config
 from tests.support.places import ROOT
 

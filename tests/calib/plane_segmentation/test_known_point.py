@@ -4,8 +4,7 @@ import numpy as np
 
 from calib.plane_segmentation import find_faces
 from hw.settings import SimulatedRigSettings
-from hw.simulated.scene import Label
-from hw.simulated.simulation import place_room
+from hw.simulated import Label, place_room
 from tests.support.whole_room import observed
 
 CAMERA, PROJECTOR = (480, 270), (854, 480)

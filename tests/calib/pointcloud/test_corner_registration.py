@@ -10,8 +10,7 @@ from calib.geometry import Corner, Intrinsics
 from calib.pointcloud.corner_registration import find_order
 from calib.pointcloud.corner_view import View
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import place_room
-from hw.simulated.texture import paint
+from hw.simulated import paint, place_room
 from tests.support.whole_room import lit_picture, observed
 
 CAMERA, PROJECTOR = (204, 171), (214, 120)

@@ -5,7 +5,7 @@ from functools import lru_cache
 import pytest
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines, shows_single_pixels
 from tests.support.check_bench import changed, rig_in
 

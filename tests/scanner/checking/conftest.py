@@ -3,7 +3,7 @@
 import pytest
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.report import CheckReport, CheckRow
 from scanner.ui import Terminal

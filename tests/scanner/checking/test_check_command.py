@@ -10,10 +10,10 @@ import yaml
 from rich.console import Console
 
 from calib.refusal import RefusalError
-from hw.aravis.settings import AravisRigSettings
+from hw.aravis import AravisRigSettings
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.checking import check as checking
 from scanner.checking import devices
 from scanner.checking.report import CheckReport, CheckRow, State

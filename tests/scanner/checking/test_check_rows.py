@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig, exposure_control
-from hw.simulated.rig import SimulatedCamera
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedRoom
 from scanner.capture import capture
 from scanner.checking import view
 from scanner.checking.check import check_rig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Floats
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.checking.check import check_rig
 from scanner.checking.focus import BlurSamples, period_for, separate_lenses
 from scanner.checking.focus_row import amplitude_left, finest_period_px, focus_row

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import capture
 from scanner.checking.light import photograph_light
 from scanner.checking.response import measure_ramp

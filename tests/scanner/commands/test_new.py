@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from hw.aravis.settings import AravisRigSettings
+from hw.aravis import AravisRigSettings
 from hw.backends import BACKENDS
 from hw.cameras import CameraInfo
 from hw.errors import DeviceError
-from hw.projector.screens import Screen
+from hw.projector import Screen
 from scanner.commands import devices, new
 from scanner.commands.main import main
 from scanner.commands.new import filled_in

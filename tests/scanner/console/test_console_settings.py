@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.aravis.settings import AravisRigSettings
+from hw.aravis import AravisRigSettings
 from scanner.console.results import earlier_results
 from scanner.console.settings import Picture, Settings, drawn
 from scanner.errors import InputError

@@ -12,9 +12,7 @@ import pytest
 
 from calib.geometry import Calibration
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
-from hw.simulated.truth import GroundTruth
+from hw.simulated import GroundTruth, SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns import PRESETS, Axis, Black, Pattern, PresetName, White, draw, sequence_for

@@ -11,8 +11,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.capture import capture, open_capture, record
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.mask_reasons import MaskReason

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from hw.settings import SimulatedRigSettings
-from hw.simulated.room import Room
-from hw.simulated.simulation import place_room
-from hw.simulated.truth import true_calibration
+from hw.simulated import Room, place_room, true_calibration
 from scanner.commands.main import main
 from scanner.quantities import Quantity
 

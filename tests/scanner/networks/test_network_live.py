@@ -9,7 +9,7 @@ import yaml
 from calib.geometry import Size
 from hw.errors import DeviceError
 from hw.rig import Frame
-from hw.simulated.rig import SimulatedCamera
+from hw.simulated import SimulatedCamera
 from scanner.capture import open_capture
 from scanner.commands.main import main as scan
 from scanner.configuration import load_config

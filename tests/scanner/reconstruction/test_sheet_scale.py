@@ -8,8 +8,7 @@ import pytest
 from calib.geometry import Calibration, Matches, Size
 from calib.refusal import RefusalError
 from hw.settings import SimulatedRigSettings
-from hw.simulated.rig import SimulatedCamera, SimulatedProjector
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.capture import CaptureMetadata
 from scanner.configuration import CharucoSettings, ScaleSettings
 from scanner.errors import InputError

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from hw.loopback.settings import Conditions
+from hw.loopback import Conditions
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner import pipeline
 from scanner.commands import scan as scan_command
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, ROOM, Keeper, Loopback

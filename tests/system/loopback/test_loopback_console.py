@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.console.settings import Picture, Settings
 from scanner.console.worker import Activity, Worker
 from scanner.io import read_calibration

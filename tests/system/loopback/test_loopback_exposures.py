@@ -10,7 +10,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.open_rig import open_rig
 from hw.rig import Rig, exposure_control
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture
 from scanner.checking.exposure import propose_exposure
 from scanner.configuration import load_config

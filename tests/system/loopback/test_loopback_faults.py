@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from hw.aravis import backend as aravis
-from hw.loopback.launcher import shown_on, virtual_screen
-from hw.loopback.settings import Conditions
+from hw.loopback import Conditions, shown_on, virtual_screen
 from hw.open_rig import open_rig
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture
 from scanner.commands.main import main
 from scanner.configuration import load_config

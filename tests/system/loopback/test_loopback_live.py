@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.commands.main import main
 from scanner.io import read_matches, write_calibration
 from tests.support.loopback_bench import Loopback

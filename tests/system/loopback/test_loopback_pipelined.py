@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hw.loopback.settings import Conditions
-from hw.simulated.simulation import SimulatedRoom
+from hw.loopback import Conditions
+from hw.simulated import SimulatedRoom
 from scanner.capture import open_capture
 from tests.support.loopback_bench import Loopback, check_frames, scan
 

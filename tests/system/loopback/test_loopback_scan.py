@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hw.aravis.settings import AravisRigSettings
+from hw.aravis import AravisRigSettings
 from hw.open_rig import open_rig
-from hw.simulated.simulation import SimulatedRoom
+from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture
 from scanner.commands.main import main
 from scanner.configuration import load_config

@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from calib.geometry import Calibration
-from hw.loopback.launcher import CameraProcess, camera_process, shown_on, virtual_screen
-from hw.loopback.settings import Conditions, LoopbackSettings, WebcamSettings
+from hw.loopback import (
+    CameraProcess,
+    Conditions,
+    LoopbackSettings,
+    WebcamSettings,
+    camera_process,
+    shown_on,
+    virtual_screen,
+)
 from hw.settings import SimulatedRigSettings
-from hw.simulated.simulation import place_room
-from hw.simulated.truth import true_calibration
+from hw.simulated import place_room, true_calibration
 from hw.timing import stream_calibration
 from scanner.capture import open_capture
 from scanner.io import read_calibration

@@ -15,11 +15,9 @@ from calib.numerics import Image
 from calib.refusal import RefusalError
 from hw import real_devices
 from hw.aravis import backend as aravis
-from hw.loopback.exposure import LitRoom
-from hw.loopback.launcher import loopback_network, own_addresses
-from hw.loopback.settings import LoopbackSettings
+from hw.loopback import LitRoom, LoopbackSettings, loopback_network, own_addresses
 from hw.settings import SimulatedRigSettings
-from hw.simulated.arrays import Light
+from hw.simulated import Light
 from scanner.capture import open_capture
 from scanner.commands.main import main
 from scanner.networks import job

@@ -2,7 +2,6 @@ import pytest
 
 from hw.errors import DeviceError
 from hw.projector.screens import Screen, choose_screen
-from hw.timing.devices import whole_periods
 
 DESK = Screen(0, "eDP-1", 0, 0, 1920, 1080, 60.0)
 BEAMER = Screen(1, "HDMI-1", 1920, 0, 1280, 720, 59.94)
@@ -43,13 +42,3 @@ def test_an_ambiguous_screen_is_refused(
         choose_screen(screens, wanted, size)
     for word in words:
         assert word in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("wanted_ms", "refresh_hz", "periods"),
-    [(33.3, 60.0, 2), (1.0, 60.0, 1), (24.9, 60.0, 1), (25.1, 60.0, 2), (33.3, 120.0, 4), (40.0, 59.94, 2)],
-)
-def test_exposures_are_rounded_to_whole_refresh_periods(wanted_ms: float, refresh_hz: float, periods: int) -> None:
-    exposure_us, found = whole_periods(1e3 * wanted_ms, refresh_hz)
-    assert found == periods
-    assert exposure_us == pytest.approx(periods * 1e6 / refresh_hz)
