@@ -19,9 +19,9 @@ from conditions.captures import patterns_of, take
 from rig_deviation import COLUMNS, deviations, rms_of_columns
 
 from calib.geometry import Calibration, Matches
-from calib.numerics import Floats
+from calib.numerics import Floats, orthonormal_polynomials
 from calib.plane_segmentation import find_faces
-from calib.refinement import CUBIC, Shifts, monomials
+from calib.refinement import Shifts
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from hw.settings import SimulatedRigSettings
@@ -60,7 +60,7 @@ def modes_of(matches: Matches, truth: GroundTruth) -> tuple[Floats, Floats]:
         of = np.flatnonzero(near & (matches.labels == face))
         weight = 1 / matches.sigma_px[of].astype(np.float64)
         weight /= np.sqrt(np.mean(weight**2))
-        orthonormal, _ = np.linalg.qr(monomials(matches.camera_px[of])[:, :CUBIC] * weight[:, None])
+        orthonormal = orthonormal_polynomials(matches.camera_px[of], weight)
         modes.append(orthonormal.T @ (error[of] * weight[:, None]) / np.sqrt(len(of)))
         noise.append(1 / np.sqrt(np.sum(1 / matches.sigma_px[of].astype(np.float64) ** 2)))
     return np.stack(modes), np.array(noise)

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion
 from calib.numerics import Floats
-from calib.numerics.open3d_module import open3d
+from calib.open3d_module import open3d
 from calib.refusal import RefusalError
 from calib.rooms.alignment import composed, inverse
 from hw.simulated.things import Solid

@@ -1,7 +1,7 @@
 """Flip operators one at a time and see whether a test notices: what survives has no test, or is not needed.
 
     python tools/mutate.py --count 20 --seed 1           # anywhere in calib/ and scanner/decoding/
-    python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/tiles.py:40
+    python tools/mutate.py --at calib/plane_segmentation/faces.py:60 --at scanner/decoding/samples.py:40
 
 Works in a temporary copy of the tree. The tests of a file are those in the folder that mirrors its own, or --tests.
 """

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.boards.likelihood import Fit, Levels, Prior, View
 from calib.boards.parameters import PER_POSE, SHARED
-from calib.numerics import MEDIAN_LENGTH, Floats
-from calib.refinement import CUBIC, Cells, Noise, joined, long_waves, noise_of
+from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats
+from calib.refinement import Cells, Noise, joined, long_waves, noise_of
 
 _LEAST_CORNER_PX = 1e-3
 _PRIOR_FREEDOM = 20.0  # degrees of freedom of the prior on a view's noise, around that of all views

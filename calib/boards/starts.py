@@ -27,7 +27,7 @@ from calib.boards.parameters import (
 )
 from calib.closed_form import resected
 from calib.geometry import Motion
-from calib.numerics import Bools, Floats, evenly
+from calib.numerics import Bools, Floats, distinct, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
 _FINALISTS = 3
@@ -60,13 +60,8 @@ def best_first(views: Sequence[View], states: Sequence[State], prior: Prior) -> 
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
     """Those with other focals than better ones before them."""
-    distinct: list[Fit] = []
-    for fit in fits:
-        focals = np.log([fit.state.camera[0], fit.state.projector[0]])
-        others = (np.log([other.state.camera[0], other.state.projector[0]]) for other in distinct)
-        if all(np.abs(focals - other).max() > _DIFFERENT for other in others):
-            distinct.append(fit)
-    return distinct
+    focals = np.log([[fit.state.camera[0], fit.state.projector[0]] for fit in fits]).reshape(-1, 2)
+    return [fits[k] for k in distinct(len(fits), lambda k: np.abs(focals - focals[k]).max(axis=1) <= _DIFFERENT)]
 
 
 def rough_levels(views: Sequence[View]) -> Levels:

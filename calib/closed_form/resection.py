@@ -3,8 +3,8 @@
 import numpy as np
 
 from calib.closed_form.transfer import decompose
-from calib.geometry import Motion, homogeneous, normalisation
-from calib.numerics import Floats
+from calib.geometry import Motion, homogeneous
+from calib.numerics import Floats, normalisation
 
 # Of the largest eigenvalue, and over the smallest one: less, and points on one plane leave the device open.
 _TOLD, _OVER_NOISE = 1e-9, 30.0

@@ -20,6 +20,7 @@ from calib.diagnostics.error_propagation import (
     spread_of_vertex,
     stacked,
 )
+from calib.diagnostics.morans_i import SpatialCorrelation, spatial_correlation
 from calib.diagnostics.next_best_view import NextView, best_next_view
 from calib.diagnostics.notes import FURTHER_CAPTURE, WORTH_A_CAPTURE, notes_on
 from calib.diagnostics.plane_form import PlaneForm, plane_form

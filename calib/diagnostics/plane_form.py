@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr
 
-from calib.numerics import Floats, Ints, biweight, influence_on, robust_covariance
+from calib.numerics import CUBIC, Floats, Ints, biweight, influence_on, monomials, orthonormal, robust_covariance
 from calib.pointcloud import Plane
-from calib.refinement import CUBIC, monomials
 
 _LINEAR = 3
 
@@ -33,7 +31,7 @@ class PlaneForm:
 def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
     """The form of the points that a plane was fitted to, at pixels (N, 2); errors correlate in a `cluster` (N,)."""
     terms = monomials(camera_px)[:, _LINEAR:CUBIC]
-    basis, _ = qr(np.concatenate([plane.jacobian.T, terms.T]).T, mode="economic", check_finite=False)
+    basis = orthonormal(np.concatenate([plane.jacobian.T, terms.T]).T)
     # Plane and form are fitted together: under the points' weights they are not quite orthogonal.
     modes = np.sqrt(len(camera_px)) * basis
     weighted = biweight(plane.residual)[:, None] * modes

@@ -5,11 +5,9 @@ where they change the depth, the same size is assumed.
 """
 
 import numpy as np
-from scipy.linalg import qr
 
-from calib.numerics import Floats, Ints, biweight, biweight_slope
+from calib.numerics import Floats, Ints, biweight, biweight_slope, clustered_scatter, orthonormal_polynomials
 from calib.pointcloud import Sphere
-from calib.refinement import CUBIC, monomials
 
 # Variance of a camera pixel's footprint along rows and along columns: the pixel, and a blur of half a pixel.
 _FOOTPRINT_PX2 = 1 / 12 + 1 / 4
@@ -21,10 +19,8 @@ _ABSORBED = 3  # constant and linear terms, which a calibration absorbs first
 
 def smooth_modes(pixel: Floats) -> Floats:
     """Polynomials up to the cubic over pixels (N, 2), orthonormal in the mean over them, lowest first: (N, ≤ 10)."""
-    # NumPy's own copies row by row, which takes longer than the rest.
-    modes, _ = qr(monomials(pixel)[:, :CUBIC], mode="economic", check_finite=False)
-    scaled: Floats = np.sqrt(len(pixel)) * modes
-    return scaled
+    modes: Floats = np.sqrt(len(pixel)) * orthonormal_polynomials(pixel)
+    return modes
 
 
 def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
@@ -38,9 +34,8 @@ def smooth_error_px(residual_px: Floats, modes: Floats, cluster: Ints) -> float:
     from_median = finite - np.median(finite)
     weight, slope = biweight(from_median), biweight_slope(from_median)
     scores = (weight * finite)[:, None] * modes[:, _ABSORBED:] / max(slope.sum(), 1.0)
-    totals = np.stack([np.bincount(cluster, column) for column in scores.T])
-    count = len(totals)
-    excess = np.sum(totals.sum(axis=1) ** 2) - np.sum(totals**2)
+    count = scores.shape[1]
+    excess = np.sum(scores.sum(axis=0) ** 2) - np.trace(clustered_scatter(scores, cluster))
     return float(np.sqrt(max(excess, 0.0) / max(count - 2, 1)))
 
 

@@ -21,7 +21,6 @@ from calib.geometry.homography import (
     homogeneous,
     homography_between,
     mapped,
-    normalisation,
 )
 from calib.geometry.matches import FACES, NO_FACE, Matches
 from calib.geometry.radial_distortion import project, unproject

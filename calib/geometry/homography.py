@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry.matches import FACES, Matches
-from calib.numerics import Floats, Ints, compiled, in_pieces
+from calib.numerics import Floats, Ints, compiled, in_pieces, normalisation, scaling_about
 
 _FACES = len(FACES)
 # Index of the product x_i x_j among x², xy, y², x, y, 1.
@@ -28,18 +28,6 @@ def homogeneous(points: Floats) -> Floats:
 def dehomogenise(points: Floats) -> Floats:
     """(..., 3) → (..., 2)."""
     return points[..., :2] / points[..., 2:]
-
-
-def normalisation(points: Floats) -> Floats:
-    """Similarity (3, 3) that takes points (N, 2) to mean 0 and mean length √2 (Hartley 1997)."""
-    centre = points.mean(axis=0)
-    return _similarity(centre, float(np.linalg.norm(points - centre, axis=1).mean()))
-
-
-def _similarity(centre: Floats, length: float) -> Floats:
-    """Takes the centre (2,) to 0 and the length to √2."""
-    scale = np.sqrt(2) / length if length > 0 else 1.0
-    return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]])
 
 
 def homography_between(source: Floats, target: Floats) -> Floats:
@@ -135,7 +123,7 @@ def _normalisations(matches: Matches, face: Ints) -> tuple[Ints, Floats, Floats]
     count = totals[:, 0].sum()
     centre = totals[:, 1:].sum(axis=0) / max(count, 1)
     lengths = np.sum(in_pieces(len(matches), lambda at: _lengths(*piece(at), centre)), axis=0) / max(count, 1)
-    scales = (_similarity(centre[:2], lengths[0]), _similarity(centre[2:], lengths[1]))
+    scales = (scaling_about(centre[:2], lengths[0]), scaling_about(centre[2:], lengths[1]))
     return totals[:, 0].astype(np.int64), *scales
 
 

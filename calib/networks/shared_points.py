@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network, turned_by
 from calib.networks.raster import Raster, SeenAt, depths
-from calib.numerics import Bools, Floats, Ints, evenly
+from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
 from calib.refinement import PER_DEVICE
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.contacts import block_inflation
@@ -54,9 +54,8 @@ class SharedPoints:
         weight = np.where(ahead[:, None], 1 / self.variance, 0.0)
         size = np.sqrt(np.sum(weight[..., None] * off**2, axis=(1, 2)))
         limit = ROBUST_SIGMAS * np.sqrt(self.freedom / 2)
-        robust = np.minimum(1.0, limit / np.maximum(size, 1e-12))
-        cost = float(np.sum(robust * size * (2 * size - robust * size))) + _BEHIND * np.count_nonzero(~ahead)
-        weight = weight * robust[:, None]
+        cost = float(np.sum(huber_loss(size, limit))) + _BEHIND * np.count_nonzero(~ahead)
+        weight = weight * huber_weights(size, limit)[:, None]
         left = jacobian + by_depth[..., None] * _slope_of_depth(weight, by_depth, jacobian)[:, None, None]
         rows = (left * np.sqrt(weight)[..., None, None]).reshape(-1, left.shape[-1])
         return cost, rows.T @ (off * np.sqrt(weight)[..., None]).ravel(), rows.T @ rows

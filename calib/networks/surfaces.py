@@ -13,9 +13,9 @@ import numpy as np
 
 from calib.networks.network import Network
 from calib.networks.sights import Sight
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, huber_loss, huber_weights
 from calib.refinement import covariance_of
-from calib.refinement.likelihood import huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.flatness import modes_over
 from calib.rooms.likelihood import Fit
 
@@ -67,9 +67,8 @@ class Surface:
                 rest = off + by_height * (modes @ amplitudes)[:, None]
                 left.append(rest)
                 deviation = np.linalg.norm(rest, axis=1) / np.sqrt(variance)
-                robust = huber_weights(deviation) * good
-                cost += float(np.sum(robust * deviation * (2 * deviation - robust * deviation)))
-                weight = robust / variance
+                cost += float(np.sum(huber_loss(deviation, ROBUST_SIGMAS)))
+                weight = huber_weights(deviation, ROBUST_SIGMAS) * good / variance
                 normal += (modes * (weight * np.sum(by_height**2, axis=1))[:, None]).T @ modes
                 pull += modes.T @ (weight * np.sum(by_height * rest, axis=1))
                 if last < _ROUNDS - 1:

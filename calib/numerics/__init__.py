@@ -1,25 +1,71 @@
-"""Numerics without geometry: array types, compiled loops, chunks and threads, robust statistics, least squares."""
+"""Numerics without geometry: arrays, compiled loops, tiles and threads, samples, robust and nonlinear fits, bases."""
 
-from calib.numerics.array_types import Bools, Floats, Image, Ints
-from calib.numerics.chunks import by_columns, in_pieces
-from calib.numerics.differences import by_pixel
-from calib.numerics.grey_levels import grey
+from calib.numerics.arrays import WHOLE, Bools, Floats, Floats32, Image, Ints, Part, Window, Words, by_columns, grey
 from calib.numerics.jit import compiled, inlined
-from calib.numerics.levenberg_marquardt import NIELSEN, Damping, Minimum, Quadratic, descend, minimise, newton
-from calib.numerics.morans_i import SpatialCorrelation, spatial_correlation
-from calib.numerics.parallel import in_parallel, in_slices, processors, slices_of, use_processors
-from calib.numerics.reweighted import reweighted
-from calib.numerics.robust_statistics import (
+from calib.numerics.least_squares import (
+    NIELSEN,
+    Damping,
+    Minimum,
+    Quadratic,
+    descend,
+    minimise,
+    newton,
+    singular_refused,
+)
+from calib.numerics.polynomials import (
+    CONIC,
+    CUBIC,
+    LEVEL,
+    SLOPE,
+    TERMS,
+    by_pixel,
+    coefficients_of,
+    monomials,
+    normalisation,
+    orthonormal,
+    orthonormal_polynomials,
+    scaling_about,
+)
+from calib.numerics.robust import (
     MEDIAN_LENGTH,
     SIGMA_PER_MEDIAN,
+    HuberFit,
     biweight,
     biweight_slope,
     blocks,
+    clustered_scatter,
+    fit_huber,
+    fit_reweighted,
+    huber_loss,
+    huber_weights,
     influence_on,
     median,
+    medians,
     quantile,
     robust_covariance,
     robust_sigma,
+    robust_sigmas,
 )
-from calib.numerics.sampling import evenly
-from calib.numerics.singular import singular_refused
+from calib.numerics.sampling import (
+    ENOUGH_PIXELS,
+    MANY_PIXELS,
+    SEED,
+    TRIAL_PIXELS,
+    at_random,
+    distinct,
+    evenly,
+    evenly_spread,
+    lines_of,
+)
+from calib.numerics.tiling import (
+    STRIP_ROWS,
+    around,
+    in_parallel,
+    in_pieces,
+    in_slices,
+    in_tiles,
+    processors,
+    slices_of,
+    use_processors,
+    widened,
+)

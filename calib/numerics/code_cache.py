@@ -46,15 +46,15 @@ class MachineCode(caching.FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code compiled for these types, or None."""
         try:
-            found = super().load_overload(sig, target_context)
+            code = super().load_overload(sig, target_context)
         except Exception as error:  # unpickling damaged files may raise anything
             log.debug("%s: machine code is damaged and compiled anew: %r", self.cache_path, error)
             with suppress(OSError):
                 self.flush()
             return None
         # Two processes that write at the same time may have stored one's code under the other's name.
-        fits = found is not None and tuple(found.signature.args) == tuple(sigutils.normalize_signature(sig)[0])
-        return found if fits else None
+        fits = code is not None and tuple(code.signature.args) == tuple(sigutils.normalize_signature(sig)[0])
+        return code if fits else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store compiled code."""
@@ -105,17 +105,17 @@ def root() -> Path:
 
 def _sources(function: Callable[..., object]) -> tuple[Path, ...]:
     """Return the file of a function and those of the compiled functions that it calls, recursively."""
-    found = {Path(inspect.getfile(function)): None}
+    sources = {Path(inspect.getfile(function)): None}
     for name in function.__code__.co_names:
         called = getattr(function.__globals__.get(name), "py_func", None)
         if called is not None and called is not function:
-            found |= dict.fromkeys(_sources(called))
-    return tuple(found)
+            sources |= dict.fromkeys(_sources(called))
+    return tuple(sources)
 
 
 @cache
 def _digest(sources: tuple[Path, ...], module: str, options: str) -> str:
-    parts = (*(each.read_bytes() for each in sources), module.encode(), options.encode(), _machine().encode())
+    parts = (*(source.read_bytes() for source in sources), module.encode(), options.encode(), _machine().encode())
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:24]
 
 

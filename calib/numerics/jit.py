@@ -26,7 +26,7 @@ _ARITHMETIC = ("contract", "nsz", "reassoc")
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays, at its first call, for the types of its arguments.
 
-    Threads run it side by side (`calib.numerics.chunks.in_pieces`); a division by zero gives infinity, as in NumPy.
+    Threads run it side by side (`calib.numerics.tiling.in_pieces`); a division by zero gives infinity, as in NumPy.
     """
     return _compiled(function, inline=False)
 

@@ -14,10 +14,10 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import STILL, Motion
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, huber_weights, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
-from calib.refinement.likelihood import huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.alignment import composed, coupled, inverse, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
@@ -49,7 +49,7 @@ class Residuals:
     def weight(self) -> Floats:
         """Of each, under Huber's loss, (N,)."""
         size = np.abs(self.off) / self.sigma
-        return huber_weights(size) / self.sigma**2
+        return huber_weights(size, ROBUST_SIGMAS) / self.sigma**2
 
 
 @dataclass(frozen=True, eq=False)

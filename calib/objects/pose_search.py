@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion, rotation_about
-from calib.numerics import Floats, compiled
+from calib.numerics import Floats, compiled, distinct
 from calib.objects.view import View
 from calib.rooms.alignment import are_near, is_near
 from calib.rooms.projection import pixel_under, rotated
@@ -67,14 +67,9 @@ def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches
 
 
 def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
-    found: list[Motion] = []
     turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses])
-    left = np.ones(len(poses), np.bool_)
-    while left.any() and len(found) < most:
-        best = int(np.argmax(left))
-        found.append(poses[best])
-        left &= ~are_near(turns, shifts, poses[best], _SAME_TURN, _SAME_GRAINS * grain)
-    return found
+    size = _SAME_GRAINS * grain
+    return [poses[k] for k in distinct(len(poses), lambda k: are_near(turns, shifts, poses[k], _SAME_TURN, size), most)]
 
 
 def near_each_other(one: Motion, other: Motion, grain: float) -> bool:

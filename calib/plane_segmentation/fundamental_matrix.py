@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from calib.geometry import homogeneous
-from calib.numerics import Floats, Ints, Minimum, compiled, in_parallel, minimise, reweighted
+from calib.numerics import Floats, Ints, Minimum, compiled, fit_reweighted, in_parallel, minimise
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoView
 from calib.plane_segmentation.surfels import Surfels
 
@@ -180,7 +180,8 @@ def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView
         return weight
 
     in_px = parallax.x.T / parallax.per_px
-    plane = reweighted(in_px, parallax.value / parallax.per_px, weigh, np.ones(len(parallax.value)), _BALANCING_ROUNDS)
+    start = np.ones(len(parallax.value))
+    plane = fit_reweighted(in_px, parallax.value / parallax.per_px, weigh, start, _BALANCING_ROUNDS)
     base = view.homography(plane)
     return TwoView(view.camera, view.projector, base / np.linalg.norm(base), view.epipole)
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, biweight, robust_covariance
-from calib.numerics.robust_statistics import influence_on
+from calib.numerics import Floats, Ints, biweight, influence_on, robust_covariance
 
 _STEPS = 20
 _CONVERGED = 1e-10

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Calibration
-from calib.numerics import Floats, by_columns, compiled, reweighted, robust_sigma
+from calib.numerics import Floats, by_columns, compiled, fit_reweighted, huber_weights, robust_sigma
 
 _TREND_TERMS = 19
 _TREND_SAMPLE = 5_000
@@ -62,13 +62,12 @@ def _smooth_trend(camera_px: Floats, foot_px: Floats, residual_px: Floats, calib
     one_term_each = np.eye(_TREND_TERMS)
     basis = np.stack([_trend(term, camera_px, foot_px, calibration) for term in one_term_each])
     # On a single plane a homography relates both images, and terms are nearly dependent: use the minimum norm.
-    return reweighted(basis, observed, _huber, _huber(observed - np.median(observed)), _TREND_ITERATIONS)
+    return fit_reweighted(basis, observed, _huber, _huber(observed - np.median(observed)), _TREND_ITERATIONS)
 
 
 def _huber(error: Floats) -> Floats:
     """Huber's weights (N,), 1 up to one and a half robust sigmas."""
-    limit = 1.5 * robust_sigma(error) + 1e-12
-    return limit / np.maximum(limit, np.abs(error))
+    return huber_weights(np.abs(error), 1.5 * robust_sigma(error) + 1e-12)
 
 
 def _trend(coefficients: Floats, camera_px: Floats, foot_px: Floats, calibration: Calibration) -> Floats:

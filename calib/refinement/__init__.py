@@ -5,7 +5,6 @@ from calib.refinement.column_prior import ColumnPrior
 from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
-from calib.refinement.image_polynomial import CUBIC, monomials
 from calib.refinement.known_rig import KnownRig
 from calib.refinement.lens_prior import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, LensPrior
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit, of_any_device

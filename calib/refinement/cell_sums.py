@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Matches, mapped
-from calib.numerics import Floats, Ints, compiled, in_pieces
-from calib.refinement.image_polynomial import monomials
+from calib.numerics import Floats, Ints, compiled, in_pieces, monomials
 
-_DEGREE = 4  # `image_polynomial.DEGREE` as a compile-time constant: twice as fast as a variable
+_DEGREE = 4  # `polynomials.DEGREE` as a compile-time constant: twice as fast as a variable
 
 
 @dataclass(frozen=True)

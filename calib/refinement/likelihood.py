@@ -169,11 +169,6 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
     return Fit(cost, gradient, information, state, tuple(residuals))
 
 
-def huber_weights(deviations: Floats) -> Floats:
-    """Weights (N,) by Huber's loss of deviations from 0 up, in sigmas."""
-    return np.minimum(1.0, ROBUST_SIGMAS / np.maximum(deviations, 1e-12))
-
-
 @compiled
 def misfit(
     predicted: Floats,

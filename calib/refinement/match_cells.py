@@ -12,10 +12,21 @@ from functools import reduce
 import cv2
 import numpy as np
 
-from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped, normalisation
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, Ints, evenly, in_parallel
+from calib.geometry import FACES, Matches, TooFewMatchesError, homography_between, mapped
+from calib.numerics import (
+    CONIC,
+    MEDIAN_LENGTH,
+    TERMS,
+    Bools,
+    Floats,
+    Ints,
+    coefficients_of,
+    evenly,
+    in_parallel,
+    monomials,
+    normalisation,
+)
 from calib.refinement.cell_sums import Raster, Reference, slots, sums_over_cells
-from calib.refinement.image_polynomial import CONIC, TERMS, coefficients_of, monomials
 
 _CELLS_PER_PLANE = 200
 _SAMPLE = 5_000  # the median of so many deviations is known to 1 %

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from calib.numerics import MEDIAN_LENGTH, Floats, median
-from calib.refinement.image_polynomial import CUBIC, monomials
+from calib.numerics import CUBIC, MEDIAN_LENGTH, Floats, median, orthonormal_polynomials
 from calib.refinement.match_cells import Cells
 
 _SIGNIFICANT = 0.99
@@ -66,11 +65,11 @@ def long_waves(cells: Cells, residual: Floats, variance: Floats) -> tuple[Floats
             totals.append(np.nan)
             squares.append(np.nan)
             continue
-        root = 1 / np.sqrt(variance[members])[:, None]
-        waves, _ = np.linalg.qr(monomials(cells.camera_px[members])[:, :CUBIC] * root)
-        amplitudes = waves.T @ (residual[members] * root)
+        root = 1 / np.sqrt(variance[members])
+        waves = orthonormal_polynomials(cells.camera_px[members], root)
+        amplitudes = waves.T @ (residual[members] * root[:, None])
         totals.append(float(np.sum(amplitudes**2)))
-        squares.append(float(np.sum((waves @ amplitudes / root) ** 2)))
+        squares.append(float(np.sum((waves @ amplitudes / root[:, None]) ** 2)))
     return np.array(totals), np.array(squares)
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, huber_weights
 from calib.refinement.alternatives import alternative
-from calib.refinement.likelihood import Fit, Prior, huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS, Fit, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import predict
 
@@ -48,7 +48,7 @@ def picture_scale(captures: Sequence[Cells], fit: Fit, prior: Prior, variances: 
         predicted, jacobian, _ = predict(fit.state, cells.camera_px, cells.plane, i)
         by_aspect = predicted[:, 0] - fit.state.projector[1]
         deviation = np.linalg.norm(residual, axis=1) / np.sqrt(variance)
-        weighted = huber_weights(deviation) / variance * by_aspect
+        weighted = huber_weights(deviation, ROBUST_SIGMAS) / variance * by_aspect
         gradient[size] += weighted @ residual[:, 0]
         information[size, size] += weighted @ by_aspect
         columns = fit.state.columns(i)

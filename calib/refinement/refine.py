@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import Corner
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats, distinct
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import mean_square, oblique_planes, unexplained, without
 from calib.refinement.likelihood import Fit, Knowledge, Prior
@@ -251,8 +251,9 @@ def _levels(fit: Fit) -> list[Floats]:
 
 def _distinct(fits: list[Fit]) -> list[Fit]:
     """Different solutions, best first."""
-    distinct: list[Fit] = []
-    for fit in sorted((fit for fit in fits if np.isfinite(fit.cost)), key=lambda fit: fit.cost):
-        if all(np.max(intrinsic_distance(fit.state, other.state)) > _SAME_SOLUTION for other in distinct):
-            distinct.append(fit)
-    return distinct
+    ordered = sorted((fit for fit in fits if np.isfinite(fit.cost)), key=lambda fit: fit.cost)
+
+    def alike(k: int) -> Bools:
+        return np.array([intrinsic_distance(fit.state, ordered[k].state).max() <= _SAME_SOLUTION for fit in ordered])
+
+    return [ordered[k] for k in distinct(len(ordered), alike)]

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats, by_pixel
-from calib.refinement.image_polynomial import CUBIC, monomials
+from calib.numerics import Floats, by_pixel, orthonormal_polynomials
 from calib.refinement.parameters import CAMERA, PROJECTOR, State, predict
 from calib.refinement.refine import Refinement
 
@@ -50,7 +49,7 @@ def covariance_of_smooth_errors(refinement: Refinement, smooth_px: float, captur
     fields = []
     for plane in np.unique(cells.plane):
         members = np.flatnonzero(cells.plane == plane)
-        modes, _ = np.linalg.qr(monomials(cells.camera_px[members])[:, :CUBIC])
+        modes = orthonormal_polynomials(cells.camera_px[members])
         for axis in (0, 1):
             field = np.zeros((len(cells), 2, modes.shape[1]))
             field[members, axis] = smooth_px * np.sqrt(len(members)) * modes

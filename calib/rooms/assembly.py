@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import STILL, Motion
+from calib.numerics import Bools, distinct
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import composed, inverse, is_near, settled, settled_together
 from calib.rooms.cuts import firmly_connected
@@ -97,13 +98,12 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
 
 def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
     """The best, each unlike the better ones."""
-    kept: list[Assembly] = []
-    for each in sorted(assemblies, key=lambda each: -each.nats):
-        if len(kept) == _BEAM:
-            break
-        if not any(each.like(better, size) for better in kept):
-            kept.append(each)
-    return kept
+    ordered = sorted(assemblies, key=lambda assembly: -assembly.nats)
+
+    def alike(k: int) -> Bools:
+        return np.array([assembly.like(ordered[k], size) for assembly in ordered])
+
+    return [ordered[k] for k in distinct(len(ordered), alike, _BEAM)]
 
 
 def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int], group: Assembly) -> list[Assembly]:

@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Matches, cross, unproject
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly, median
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly, huber_loss, huber_weights, median
 from calib.refinement import SHARED
 from calib.refinement.further_planes import depths
-from calib.refinement.likelihood import ROBUST_SIGMAS, huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.room import PER_PLACE, Room
 
 _DENSE, _MOST = 60_000, 4000  # points of a station, and number of them that search for neighbours
@@ -84,10 +84,8 @@ class Contact:
         """Cost under Huber's loss, half its gradient (27,) and its Gauss–Newton Hessian (27, 27)."""
         distances, by_room, _ = self.distances(room)
         size = np.abs(distances) / np.sqrt(self.variance)
-        robust = huber_weights(size)
-        cost = float(np.sum(robust * size * (2 * size - robust * size)))
-        weighted = by_room * (robust / self.variance)[:, None]
-        return cost, weighted.T @ distances, weighted.T @ by_room
+        weighted = by_room * (huber_weights(size, ROBUST_SIGMAS) / self.variance)[:, None]
+        return float(np.sum(huber_loss(size, ROBUST_SIGMAS))), weighted.T @ distances, weighted.T @ by_room
 
 
 def find_contacts(

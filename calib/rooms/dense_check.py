@@ -12,9 +12,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.geometry import Matches
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, huber_weights, median
 from calib.refinement import SHARED
-from calib.refinement.likelihood import ROBUST_SIGMAS, huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.contacts import SMOOTH, Contact, block_inflation, blocks_of, find_contacts
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.room import PER_PLACE
@@ -67,7 +67,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
         left = distances + by_twist @ twist
         variance = alone * max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(left) / np.sqrt(alone))) ** 2)
         size = np.abs(left) / np.sqrt(variance)
-        weight: Floats = huber_weights(size) / variance
+        weight: Floats = huber_weights(size, ROBUST_SIGMAS) / variance
         normal = (by_twist * weight[:, None]).T @ by_twist
         twist = -np.linalg.lstsq(normal, (by_twist * weight[:, None]).T @ distances, rcond=1e-9)[0].astype(np.float64)
     left = distances + by_twist @ twist

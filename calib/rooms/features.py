@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.numerics import Floats
-from calib.numerics.open3d_module import open3d
+from calib.open3d_module import open3d
 from calib.rooms.surfaces import Surfaces
 
 _VOXELS_ACROSS = 50

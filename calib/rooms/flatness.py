@@ -11,8 +11,7 @@ from typing import Generic
 import numpy as np
 
 from calib.geometry import tangent_basis
-from calib.numerics import Bools, Floats, Ints
-from calib.refinement import CUBIC, monomials
+from calib.numerics import CUBIC, Bools, Floats, Ints, orthonormal_polynomials
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
 
@@ -63,7 +62,7 @@ class _Waves(Generic[AnyLayout]):
         self.by_height = self.jacobian[:, :, -1]
         self.root = np.linalg.norm(self.by_height, axis=1) / np.sqrt(variance)
         self.variance, self.residual = variance, residual
-        self.low, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC] * self.root[:, None])
+        self.low = orthonormal_polynomials(patch.cells.camera_px, self.root)
         self.columns: Ints = patch.columns(fit.layout)
 
     def pull(self, modes: Floats) -> Floats:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import STILL, Motion, nearest_rotation
-from calib.numerics import Bools, Floats, Ints
+from calib.numerics import Bools, Floats, Ints, distinct
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
 from calib.rooms.alignment import are_near, normal_equations, settled
 from calib.rooms.features import feature_poses
@@ -105,14 +105,13 @@ def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:
 
 def _distinct(rotations: Floats, translations: Floats, worth: Floats, size: float, most: int) -> list[int]:
     """Indices of the best of K poses, each unlike the better ones."""
-    kept: list[int] = []
-    for k in np.argsort(-worth, kind="stable"):
-        if len(kept) == most:
-            break
-        pose = Motion(rotations[k], translations[k])
-        if not are_near(rotations[kept], translations[kept], pose, _SAME_ROTATION, size).any():
-            kept.append(int(k))
-    return kept
+    order = np.argsort(-worth, kind="stable")
+    rotations, translations = rotations[order], translations[order]
+
+    def alike(k: int) -> Bools:
+        return are_near(rotations, translations, Motion(rotations[k], translations[k]), _SAME_ROTATION, size)
+
+    return [int(order[k]) for k in distinct(len(order), alike, most)]
 
 
 def _suggested(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:

@@ -91,14 +91,14 @@ def alike(first: Marks, second: Marks) -> tuple[Ints, Ints]:
     if min(len(first), len(second)) < 2:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     product = first.descriptors @ second.descriptors.T
-    there = _distinct(product)
-    back = _distinct(product.T)
+    there = _clearly_nearest(product)
+    back = _clearly_nearest(product.T)
     own = np.flatnonzero(there >= 0)
     mutual: Ints = own[back[there[own]] == own]
     return mutual, there[mutual]
 
 
-def _distinct(product: NDArray[np.float32]) -> Ints:
+def _clearly_nearest(product: NDArray[np.float32]) -> Ints:
     """For each row of products of descriptors the column that is nearest, −1 where another one is almost as near."""
     nearest: Ints = product.argmax(axis=1)
     rows = np.arange(len(product))

@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import normalisation
-from calib.numerics import MEDIAN_LENGTH, Bools, Floats, median
-from calib.refinement import CUBIC, Cells, Noise, long_waves, monomials, noise_of, overdispersion
-from calib.refinement.image_polynomial import TERMS
+from calib.numerics import CUBIC, MEDIAN_LENGTH, TERMS, Bools, Floats, huber_weights, median, monomials, normalisation
+from calib.refinement import Cells, Noise, long_waves, noise_of, overdispersion
 from calib.refinement.match_cells import joined
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.ties import plane_scores
@@ -115,7 +113,7 @@ def _coherence(patches: Sequence[Part[AnyLayout]], fit: Fit[AnyLayout], stations
         across = along[:, 1] * residual[:, 0] - along[:, 0] * residual[:, 1]
         across /= np.linalg.norm(along, axis=1)
         weight = 1 / replace(stations[patch.capture], inflation=1.0, repeats=1).variances(patch.cells)
-        weight *= np.minimum(1.0, _LOUD / np.maximum(np.abs(across) * np.sqrt(weight), 1e-12))
+        weight *= huber_weights(np.abs(across) * np.sqrt(weight), _LOUD)
         terms = monomials(patch.cells.camera_px, scale)
         information[patch.capture] += (terms * weight[:, None]).T @ terms
         pull[patch.capture] += terms.T @ (weight * across)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
-from calib.refinement.likelihood import huber_weights
+from calib.numerics import Floats, Ints, huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 
 _LEAST_SHARE = 1e-3  # share of a parameter's own information below which a direction is undetermined
@@ -31,7 +31,7 @@ class PatchSums:
         """From a patch's `residual` (M, 2) of a fit, under a `variance` (M,) of each coordinate."""
         root = 1 / np.sqrt(variance)[:, None]
         jacobian, residual = patch.predict(fit.layout)[1] * root[:, :, None], residual * root
-        weight = np.sqrt(huber_weights(np.linalg.norm(residual, axis=1)))
+        weight = np.sqrt(huber_weights(np.linalg.norm(residual, axis=1), ROBUST_SIGMAS))
         rows, off = (
             (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[2]),
             (residual * weight[:, None]).ravel(),

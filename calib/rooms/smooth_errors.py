@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, by_pixel
-from calib.refinement import CUBIC, Shifts, monomials
+from calib.numerics import CUBIC, Bools, Floats, by_pixel, orthonormal_polynomials
+from calib.refinement import Shifts
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.noise import Levels
 
@@ -69,7 +69,7 @@ def _hidden_px(patches: Sequence[Part[AnyLayout]], variances: Sequence[Floats], 
 
 def _fields(patch: Part[AnyLayout]) -> Floats:
     """Every polynomial up to the cubic ones over a patch, orthonormal in the mean, along either axis, (M, 2, 2 K)."""
-    modes, _ = np.linalg.qr(monomials(patch.cells.camera_px)[:, :CUBIC])
+    modes = orthonormal_polynomials(patch.cells.camera_px)
     along = np.zeros((len(patch.cells), 2, 2 * modes.shape[1]))
     along[:, 0, : modes.shape[1]] = along[:, 1, modes.shape[1] :] = np.sqrt(len(patch.cells)) * modes
     return along

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import cross, tangent_basis, unproject
-from calib.numerics import Bools, Floats, Ints, by_pixel
+from calib.numerics import Bools, Floats, Ints, by_pixel, huber_loss, huber_weights
 from calib.refinement import CAMERA, SHARED
-from calib.refinement.likelihood import huber_weights
+from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
@@ -69,9 +69,8 @@ class Track:
         """Cost under Huber's loss, half its gradient (36,) and its Gauss–Newton Hessian (36, 36)."""
         off, by_room, _ = self.differences(room)
         size = np.linalg.norm(off, axis=1) / np.sqrt(self.variance)
-        robust = huber_weights(size)
-        cost = float(np.sum(robust * size * (2 * size - robust * size)))
-        weighted = by_room * (robust / self.variance)[:, None, None]
+        cost = float(np.sum(huber_loss(size, ROBUST_SIGMAS)))
+        weighted = by_room * (huber_weights(size, ROBUST_SIGMAS) / self.variance)[:, None, None]
         return cost, np.einsum("nac,na->c", weighted, off), np.einsum("nac,nad->cd", weighted, by_room)
 
     def __getitem__(self, chosen: Bools) -> "Track":

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, huber_weights
 from scanner.errors import InputError
 
 # What a lamp or an exposure that is no whole number of refresh periods does from frame to frame is less.
@@ -123,7 +123,7 @@ def _brightness(first: Floats, second: Floats) -> tuple[float, float]:
         offset = float(mean_y - gain * mean_x)
         off = np.abs(y - gain * x - offset)
         scale = max(SIGMA_PER_MEDIAN * float(np.median(off)), 1e-6)
-        weight = certain * np.minimum(1.0, scale / np.maximum(off, 1e-9))
+        weight = certain * huber_weights(off, scale)
     return gain, offset
 
 

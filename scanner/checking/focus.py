@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, robust_sigma
+from calib.numerics import Bools, Floats, Ints, fit_reweighted, huber_weights, robust_sigma
 from scanner.checking.fringes import Fringe, cell_size
 from scanner.patterns import Axis
 
@@ -27,6 +27,8 @@ _CAMERA_PIXELS = 3.0
 # Model error of a fringe's amplitude: pixels are not exactly squares, and lenses not Gaussians.
 _MODEL_ERROR = 0.03
 _BLOCKS = 4
+_HUBER_SIGMAS = 1.345  # for 95 % efficiency with normal errors
+_ROUNDS = 10
 # Additional to the quick sequence: periods that projectors can draw as sines, and one that hardly any lens blurs. They
 # are not whole numbers, as in the presets.
 _SHORT_PERIODS_PX = (4.3, 6.1, 8.6)
@@ -178,12 +180,10 @@ def separate_lenses(samples: BlurSamples) -> Lenses | None:
 def _split(samples: BlurSamples, chosen: Bools, usual: float) -> Floats:
     """(projector's, camera's) part of the squared blur at a span whose square is `usual`."""
     relative = samples.span[chosen] ** 2 / usual
-    design = np.stack([np.ones(len(relative)), relative], axis=1)
-    target = samples.blur2[chosen]
-    weight = np.ones(len(target))
-    for _ in range(10):  # reweighted to reject cells across edges (Huber)
-        solution, *_ = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)
-        off = np.abs(target - design @ solution)
-        scale = robust_sigma(off) + 1e-9
-        weight = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(off, 1e-12)))
-    return np.asarray(solution, np.float64)
+    terms = np.stack([np.ones(len(relative)), relative])
+    # Cells across edges lose their weight.
+    return fit_reweighted(terms, samples.blur2[chosen], _weigh, np.ones(len(relative)), _ROUNDS)
+
+
+def _weigh(residual: Floats) -> Floats:
+    return huber_weights(np.abs(residual), _HUBER_SIGMAS * (robust_sigma(residual) + 1e-9))

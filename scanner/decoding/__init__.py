@@ -1,6 +1,6 @@
 """Decode structured-light sequences: sequence plan, folding of frames, fringe orders, masks, checks."""
 
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32
 from scanner.decoding.checks.map_checks import MirroredError
 from scanner.decoding.checks.operator_advice import MUCH_FLICKER
 from scanner.decoding.decoder import Decoder, Decoding

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image, median
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Floats32, Image, median
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import AS_GOOD, FEW, HALF
+from scanner.decoding.significance import AS_GOOD, FEW, HALF, NEGLIGIBLE
 
 # Smaller changes invert no bit and are not removed.
 _LEAST_SHARE = 0.03

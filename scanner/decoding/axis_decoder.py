@@ -8,8 +8,7 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import Floats32, Reasons, Words
+from calib.numerics import Bools, Floats32, Image, Words, compiled
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
@@ -23,6 +22,7 @@ from scanner.decoding.mask_reasons import (
     UNCERTAIN,
     Against,
     MaskReason,
+    Reasons,
     note_contrast,
     note_inverted_bits,
     note_light,

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
-from scanner.decoding.arrays import Floats32, Part, Words
+from calib.numerics import Floats32, Image, Part, Words
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.sequence_plan import AxisPlan
 

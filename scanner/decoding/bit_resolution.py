@@ -11,15 +11,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
+from calib.numerics import Image, lines_of
 from scanner.decoding.axis_decoder import least_contrasts
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.significance import FEWEST_PIXELS, NEARLY_ALL
-from scanner.decoding.subsampling import FARTHEST_PX, lines_of
+from scanner.decoding.significance import FARTHEST_PX, FEWEST_PIXELS, NEARLY_ALL
 from scanner.errors import InputError
 
 # Least 90 % quantile of a bit's contrast relative to the coarse bits': half of it is lost midway between two stripes

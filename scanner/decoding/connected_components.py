@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 
-from calib.numerics import Bools
+from calib.numerics import Bools, in_slices, widened
 from scanner.decoding.fringes.edge_shift_correction import CROSS
-from scanner.decoding.tiles import in_strips, widened
 
 SMALLEST_PATCH = 24  # pixels; fewer are taken for outliers that happen to touch
 _ROWS = 512  # at once, of which twice the smallest patch is searched twice
@@ -31,5 +30,5 @@ def small_patches(image: Bools) -> Bools:
         rest.reshape(-1)[places] = small[label]
         result[rows] = rest[inner]
 
-    in_strips(len(image), _ROWS, find)
+    in_slices(len(image), _ROWS, find)
     return result

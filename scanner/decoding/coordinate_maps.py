@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Ints, compiled, in_parallel
-from scanner.decoding.arrays import Floats32, Part, Reasons
+from calib.numerics import Bools, Floats32, Ints, Part, compiled, evenly_spread, in_parallel, in_tiles, widened
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
 from scanner.decoding.axis_signals import signals_in, signals_of
 from scanner.decoding.discontinuities import breaks
@@ -16,9 +15,7 @@ from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
 from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
-from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, count_reasons
-from scanner.decoding.subsampling import evenly_spread
-from scanner.decoding.tiles import in_tiles, widened
+from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, Reasons, count_reasons
 
 # Margin around a tile that its pixels depend on: whole blocks, so that these are the same in every tile.
 _HALO = BLOCK_PX * -(-(REACH_PX + 1) // BLOCK_PX)  # plus one for discontinuities

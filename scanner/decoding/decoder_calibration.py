@@ -7,8 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from calib.numerics import Bools, median
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Bools, Floats32, evenly_spread, median
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.fringes.blur import weakened
@@ -17,8 +16,7 @@ from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_to
 from scanner.decoding.fringes.single_fringe import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
-from scanner.decoding.significance import ENDS, NEARLY_ALL
-from scanner.decoding.subsampling import evenly_spread
+from scanner.decoding.significance import ENDS, NEARLY_ALL, NEGLIGIBLE
 
 
 @dataclass(frozen=True)

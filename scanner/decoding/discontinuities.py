@@ -11,8 +11,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, compiled
 from scanner.decoding.axis_decoder import Coordinate
 from scanner.decoding.codes.edge_interpolation import BEND_OF_SLOPE
 from scanner.decoding.fringes.edge_shift_correction import CROSS, surrounded

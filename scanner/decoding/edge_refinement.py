@@ -5,8 +5,7 @@ from math import sqrt
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Image, Ints, compiled
-from scanner.decoding.arrays import Floats32, Reasons
+from calib.numerics import STRIP_ROWS, Bools, Floats32, Image, Ints, around, compiled, in_slices, lines_of, widened
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
 from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
@@ -14,11 +13,9 @@ from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding.mask_reasons import MaskReason, Reasons
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan
 from scanner.decoding.significance import HALF
-from scanner.decoding.subsampling import lines_of
-from scanner.decoding.tiles import STRIP_ROWS, around, in_strips, widened
 
 # In cells longer than this many camera pixels, a pixel that is not between edges lies in a cut-off cell.
 _LONG_PX = 2.0
@@ -88,7 +85,7 @@ def _mask_breaks(plan: SequencePlan, maps: Maps) -> None:
         ]
         broken[rows] = breaks(there, coordinates, [axis for _, axis in axes], between_edges=True)[own]
 
-    in_strips(len(kept), STRIP_ROWS, find)
+    in_slices(len(kept), STRIP_ROWS, find)
     np.copyto(maps.reason, _ISOLATED, where=kept & broken)
 
 
@@ -109,7 +106,7 @@ def _interpolate(
                 least, _ = least_contrasts(noise, middle)
                 interpolate(code, noise, Lines(words, lit, least, middle, brightest, _lines(of_bits, turned)), *into)
 
-        in_strips(images[0].shape[turned], STRIP_ROWS, along)
+        in_slices(images[0].shape[turned], STRIP_ROWS, along)
     *_, value, variance = images
     value *= np.float32(code.cell)
     value -= np.float32(code.offset + 0.5)

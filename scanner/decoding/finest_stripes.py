@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.arrays import Floats32
+from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Ints, at_random
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import STRAY_PART
@@ -21,7 +20,6 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import HALF
-from scanner.decoding.subsampling import MANY_PIXELS, at_random
 
 _STEPS = 256  # between two pixels, for the integrals of a Fourier series
 

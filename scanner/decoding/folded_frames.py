@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
-from scanner.decoding.arrays import WHOLE, Floats32, Part
+from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, in_slices
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.bits_without_inverse import levels_of_bit, white_of
 from scanner.decoding.light.equalise import gains_of_pairs
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.tiles import STRIP_ROWS, in_strips
 
 # Yields the index and the image of each pattern in a part of the picture.
 Frames = Callable[[Part], Iterator[tuple[int, NDArray[Any]]]]
@@ -58,7 +56,7 @@ class FoldedFrames:
         self.log_exposure: Floats32 | None = None
         self.brightest, self.middle = np.empty(shape, dtype), np.empty(shape, dtype)
         self.peak = np.empty(shape, dtype) if plan.fringes else self.brightest
-        in_strips(shape[0], STRIP_ROWS, self._fold)
+        in_slices(shape[0], STRIP_ROWS, self._fold)
 
     def _fold(self, rows: slice) -> None:
         """Fill in some rows."""

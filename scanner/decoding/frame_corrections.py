@@ -6,9 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from calib.numerics import Image
+from calib.numerics import WHOLE, Image, Part
 from scanner.decoding.ambient_light_change import AmbientLightChange, without_change
-from scanner.decoding.arrays import WHOLE, Part
 from scanner.decoding.light.camera_response import CameraResponse, camera_response
 from scanner.decoding.light.ghost import Ghost, find_ghost, without_ghost
 from scanner.decoding.light.lit_pixels import unclipped

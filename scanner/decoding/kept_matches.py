@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Matches
-from calib.numerics import Bools, Floats, Image, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats, Floats32, Image, compiled
 from scanner.decoding.axis_decoder import mask_outside
 from scanner.decoding.checks.map_checks import check_maps
 from scanner.decoding.codes.code_cells import average_cells

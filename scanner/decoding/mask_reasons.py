@@ -9,9 +9,12 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from calib.numerics import Image, Ints, compiled
-from scanner.decoding.arrays import Floats32, Reasons
+from calib.numerics import Floats32, Image, Ints, compiled
+
+# A mask reason, or flags, for each pixel.
+Reasons = NDArray[np.uint8]
 
 
 class MaskReason(IntEnum):

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.geometry import Calibration, cross_epipolar_lines
-from calib.numerics import Bools, Image
+from calib.numerics import STRIP_ROWS, Bools, Image, in_slices
 from scanner.decoding.axis_decoder import EDGE_PX
 from scanner.decoding.codes.code_cells import CellMatches, average_cells
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
-from scanner.decoding.tiles import STRIP_ROWS, in_strips
 
 # At 6° between epipolar line and stripe, calibration errors count ten times.
 _LEAST_SINE = 0.1
@@ -53,7 +52,7 @@ class OneAxis:
             values[row, column, 1 - self._axis] = crossing
             variance[row, column] /= np.maximum(found.sine, _LEAST_SINE) ** 2
 
-        in_strips(maps.reason.shape[0], STRIP_ROWS, fill)
+        in_slices(maps.reason.shape[0], STRIP_ROWS, fill)
 
     def average_stripes(self, kept: Bools, maps: Maps, brightness: Image) -> CellMatches:
         """Average the pixels as `average_cells` does, with stripes cut into square cells.

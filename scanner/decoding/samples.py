@@ -8,12 +8,10 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Image, Ints
-from scanner.decoding.arrays import Floats32, Part
+from calib.numerics import Bools, Floats, Floats32, Image, Ints, Part, at_random
 from scanner.decoding.light.brightness import Gains
 from scanner.decoding.light.mosaic import BAYER_PX
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.subsampling import at_random
 
 _MOST_PIXELS = 16384  # at random, so that a hundred are left in 1 % of the picture
 TILE_PX, MOST_ALONG = 10, 24  # size of a tile; largest number of tiles along each side of the image

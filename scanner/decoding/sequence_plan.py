@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
-from scanner.decoding.arrays import Floats32, Words
+from calib.numerics import Floats, Floats32, Ints, Words
 from scanner.patterns import Axis, Black, Gray, Pattern, Phase, White, Xor, draw
 
 _MOST_NAMED = 12  # frames in a message

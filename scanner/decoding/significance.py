@@ -28,3 +28,7 @@ MAJORITY = 3
 FEW, HALF, NEARLY_ALL = 0.1, 0.5, 0.9
 # Of two explanations that explain shares of the same contradiction in this ratio, either may be the true one.
 AS_GOOD = 0.8
+# Smaller than all grey levels, amplitudes and powers of light that matter: it keeps a division by them finite.
+NEGLIGIBLE = 1e-6
+# Neighbours on a line may have this many px between them that are unlit or uncertain.
+FARTHEST_PX = 16

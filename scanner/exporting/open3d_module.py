@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from calib.numerics import open3d_module
+from calib import open3d_module
 from scanner.errors import InputError
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.refinement import CUBIC, monomials
+from calib.numerics import CUBIC, orthonormal_polynomials
 from scanner.patterns import Axis, Phase
 from scanner.recordings.averaging import Averaged
 from scanner.recordings.programme import Programme
@@ -79,7 +79,7 @@ def _squares_of_modes(phasors: NDArray[np.complex64]) -> list[float]:
             continue
         off = np.abs(of_part - np.median(of_part))
         kept = off <= _OUTLIER * np.median(off)
-        modes, _ = np.linalg.qr(monomials(at[kept])[:, :CUBIC])
+        modes = orthonormal_polynomials(at[kept])
         amplitudes = modes.T @ of_part[kept]
         rest = of_part[kept] - modes @ amplitudes
         squares.append(float(np.mean(amplitudes**2) - np.mean(rest**2)) / len(rest))

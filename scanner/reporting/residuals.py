@@ -6,8 +6,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from calib.diagnostics import SpatialCorrelation, spatial_correlation
 from calib.geometry import Calibration, Corner, Matches, Size
-from calib.numerics import Floats, Ints, SpatialCorrelation, spatial_correlation
+from calib.numerics import Floats, Ints
 from calib.pointcloud import Cloud, CloudStatistics
 from scanner.quantities import percent
 from scanner.rendering import LONGEST_SIDE

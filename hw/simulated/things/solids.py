@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.numerics import Floats, Ints
-from calib.numerics.open3d_module import open3d
+from calib.open3d_module import open3d
 from hw.errors import DeviceError
 from hw.settings import ThingSettings
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Motion
 from calib.numerics import Bools, Floats, Ints
-from calib.numerics.open3d_module import open3d
+from calib.open3d_module import open3d
 from hw.settings import ThingSettings
 from hw.simulated.device import PlacedDevice
 from hw.simulated.things.solids import Solid

@@ -8,14 +8,13 @@ from math import log, sqrt
 import cv2
 import numpy as np
 
-from calib.numerics import Floats
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Floats, Floats32, clustered_scatter, huber_weights
 from scanner.decoding.between_axes.borders import REACH_PX
 from scanner.decoding.between_axes.edges import Edges, Shown
 from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
 from scanner.decoding.motion.device_motion import SUSPECTED_PX
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
-from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
 
 # Systematic error from fringe ripple and fixed patterns, in captures of real devices at rest.
 _SYSTEMATIC_PX = 0.01
@@ -168,13 +167,12 @@ def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
         chi = np.sqrt(np.maximum(_squares(seen.normal, left), 0.0))
         # Half of all χ² of two degrees of freedom are less than 2 ln 2.
         scale = max(float(np.median(chi)) / sqrt(2 * log(2)), 1.0) if len(chi) else 1.0
-        weight = np.minimum(1.0, seen.huber * scale / np.maximum(chi, 1e-9))
+        weight = huber_weights(chi, seen.huber * scale)
     across, down = (seen.centre_px // _GROUP_PX).astype(np.int64).T
     group = down * (1 + np.max(across, initial=0)) + across
     scores = (weight[:, None, None] * design * left[:, :, None]).sum(axis=1)
-    sums = np.stack([np.bincount(group, column) for column in scores.T], axis=1)
     inverse = np.linalg.inv(information + expected)
-    covariance = inverse @ (sums.T @ sums + scale**2 * information + expected) @ inverse
+    covariance = inverse @ (clustered_scatter(scores, group) + scale**2 * information + expected) @ inverse
     covariance += _SYSTEMATIC_PX**2 * np.eye(COLUMNS)
     gained = float(np.sum(weight * (_squares(seen.normal, seen.pull) - chi**2))) / scale**2
     return Fit(motion, covariance, gained)

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Bools, Floats
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Bools, Floats, Floats32
 from scanner.decoding.between_axes.borders import Places, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
+from scanner.decoding.significance import NEGLIGIBLE
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Image
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32, Image
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.numerics import Floats
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats, Floats32
 from scanner.decoding.between_axes.borders import REACH_PX, part_around, places_of_tiles
 from scanner.decoding.between_axes.coarse_to_fine import motion_of
 from scanner.decoding.between_axes.edges import Edges

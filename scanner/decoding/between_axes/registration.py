@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints, compiled
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
-from scanner.decoding.slopes import LEVEL, SLOPE
+from calib.numerics import LEVEL, SLOPE, Bools, Floats, Floats32, Ints, compiled
+from scanner.decoding.significance import NEGLIGIBLE
 
 TILE_PX = 16  # side of a tile, over which the shift is taken as constant
 _OF_LIGHT, _OF_SHIFT = 2, 2  # unknowns of a tile: g and o, and d

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image
+from calib.numerics import MANY_PIXELS, Bools, Floats, Image, evenly_spread
 from scanner.decoding.significance import FEWEST_PIXELS
-from scanner.decoding.subsampling import MANY_PIXELS, evenly_spread
 
 # A picture with at least this share of the change, and of the rest, was taken during it. With less, a camera that
 # turned before the finest bits would have turned by a part of it during them.

@@ -11,16 +11,14 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Image, Ints, compiled
-from scanner.decoding.arrays import Words
+from calib.numerics import Bools, Image, Ints, Words, compiled, lines_of
 from scanner.decoding.checks.contradictions import LEFT_BY_EXCHANGE, MOST_BROKEN, Anomaly
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
-from scanner.decoding.significance import BRIGHTEST, FEWEST_COUNTED, OUTLYING_SIGMAS
-from scanner.decoding.subsampling import FARTHEST_PX, lines_of
+from scanner.decoding.significance import BRIGHTEST, FARTHEST_PX, FEWEST_COUNTED, OUTLYING_SIGMAS
 from scanner.errors import InputError
 
 # Smaller differences are rounding and compression, in grey levels, or stray light, whose bits are unreliable, as a

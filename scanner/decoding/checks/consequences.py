@@ -12,12 +12,10 @@ import cv2
 import numpy as np
 
 from calib.geometry import Matches
-from calib.numerics import Floats
-from scanner.decoding.arrays import Reasons
+from calib.numerics import Floats, at_random
 from scanner.decoding.checks.contradictions import MOST_BROKEN, Anomaly
-from scanner.decoding.mask_reasons import BROKEN, MaskReason, count_reasons
+from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
-from scanner.decoding.subsampling import at_random
 from scanner.errors import InputError
 
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.

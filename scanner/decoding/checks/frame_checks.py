@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from calib.numerics import Bools
+from calib.numerics import TRIAL_PIXELS, Bools, Floats32, evenly_spread
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
-from scanner.decoding.arrays import Floats32
 from scanner.decoding.checks.contradictions import (
     LEFT_BY_EXCHANGE,
     Anomaly,
@@ -27,7 +26,6 @@ from scanner.decoding.checks.contradictions import (
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
-from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 from scanner.errors import InputError
 
 # Least swing of a lit pixel over all frames: in standard deviations of a difference of two, of which a hundred frames

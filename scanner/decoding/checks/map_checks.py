@@ -10,8 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Ints
-from scanner.decoding.arrays import Floats32
+from calib.numerics import MANY_PIXELS, Bools, Floats32, Ints, lines_of
 from scanner.decoding.axis_decoder import AxisDecoder, Measured
 from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.coordinate_maps import Maps
@@ -20,7 +19,6 @@ from scanner.decoding.fringes.phase_unwrapping import disagreements
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import MANY_PIXELS, lines_of
 from scanner.errors import InputError
 
 # Mean cosine of the phase within a Gray cell; fringes for which it is lower are not checked.

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.numerics import Image
-from scanner.decoding.arrays import Reasons
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason, count_reasons
+from scanner.decoding.mask_reasons import MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import BRIGHTEST, FEW
 
 # Below this ratio, whole surfaces are lost in noise: simulated frames decode 99 % of the lit pixels at 18, nine tenths

@@ -10,13 +10,12 @@ the sigma is raised to match them.
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
+from calib.numerics import Floats, Ints, evenly_spread
 from scanner.decoding.axis_decoder import largest_variance
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import HALF
-from scanner.decoding.subsampling import evenly_spread
 from scanner.errors import InputError
 
 # Size of tiles, with 24 pixels per coefficient of a quadratic surface; candidates along each side of the image; the

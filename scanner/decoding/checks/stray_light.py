@@ -9,14 +9,12 @@ light.
 import numpy as np
 
 from calib.geometry import Matches
-from calib.numerics import Bools, Floats, Image
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats, Floats32, Image, at_random
 from scanner.decoding.checks.consequences import EPIPOLAR_PX, epipolar_matrix, from_epipolar_lines
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.significance import FEWEST_PIXELS
-from scanner.decoding.subsampling import at_random
 
 # Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises by this much.
 _STEPS, _MOST_OUTLIERS = 20, 0.25

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats, Image, Ints, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats, Floats32, Image, Ints, compiled
 
 # Largest mean square radius of a code's pixels, in pixels²: this plus the median number of pixels per cell (a compact
 # patch has a sixth of its number, a stripe of four times its width a third).

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32, Reasons, Words
-from scanner.decoding.mask_reasons import Against
+from calib.numerics import Bools, Floats32, Words, compiled
+from scanner.decoding.mask_reasons import Against, Reasons
 from scanner.decoding.sequence_plan import AxisPlan
 
 _HALF, _ONE, _NOTHING = np.float32(0.5), np.float32(1), np.uint8(0)

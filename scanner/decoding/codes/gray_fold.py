@@ -7,8 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Image
-from scanner.decoding.arrays import Words
+from calib.numerics import Bools, Image, Words
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode
 
 

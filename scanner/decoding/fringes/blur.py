@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import erf
 
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32, evenly_spread
 from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.axis_signals import Signals, signals_of
 from scanner.decoding.folded_frames import FoldedFrames
@@ -17,7 +17,6 @@ from scanner.decoding.light.noise_model import STRAY_PART, NoiseModel
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF, NEARLY_ALL
-from scanner.decoding.subsampling import evenly_spread
 
 # Blurs that are distinguished: the largest leaves hardly any of the stripes.
 _BLURS_CELLS = np.linspace(0.01, 2.0, 200)

@@ -13,8 +13,7 @@ from math import hypot
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Image, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, Image, compiled
 
 CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 

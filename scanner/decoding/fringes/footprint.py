@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from scipy.special import fdtrc
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, in_parallel
-from scanner.decoding.arrays import Floats32
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Floats32, huber_weights, in_parallel
 from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
 from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
 
@@ -104,7 +103,7 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
         covariance = np.linalg.solve(total, weight @ tiles.vector)
         left = tiles.vector - tiles.matrix @ covariance
         off = np.linalg.norm(left, axis=1) / size
-        weight = 1 / np.maximum(1, off / np.median(off))
+        weight = huber_weights(off, float(np.median(off)))
     response = np.linalg.solve(total, (weight[:, None] * left).T)
     uncertain = response @ response.T
     # Difference of the variances, and the covariance: both are zero for an isotropic footprint.

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, compiled
 from scanner.decoding.fringes.edge_shift_correction import Footprint, shading_shift, surrounded
 
 # Radius of the window in which curvature is fitted, and within which a known shift is copied beside an edge.

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats, Floats32
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 

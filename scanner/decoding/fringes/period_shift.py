@@ -8,7 +8,7 @@ had been knocked exactly between them. The two causes cannot be distinguished.
 from itertools import pairwise
 from math import sqrt
 
-from calib.refinement import CUBIC
+from calib.numerics import CUBIC
 from scanner.decoding.motion import MotionFound
 from scanner.decoding.sequence_plan import SequencePlan
 

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, biweight, reweighted
+from calib.numerics import Floats, Floats32, biweight, fit_reweighted
 from calib.refinement import Shift
-from scanner.decoding.arrays import Floats32
 from scanner.decoding.fringes.gamma_ripple import CYCLE, ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS
@@ -216,5 +215,5 @@ def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[flo
     others = [of_both(np.cos, 2 * steps), np.ones_like(relative)]
     others += [wave(k * angle) for angle in angles for k in range(1, steps - 1) for wave in (np.cos, np.sin)]
     terms = np.stack([*telling, *others])
-    found, *chance = reweighted(terms, relative, biweight, np.ones_like(relative), MEDIAN_ROUNDS)[: len(telling)]
+    found, *chance = fit_reweighted(terms, relative, biweight, np.ones_like(relative), MEDIAN_ROUNDS)[: len(telling)]
     return float(found), hypot(_LEAST_RIPPLE, float(np.sqrt(np.mean(np.square(chance)))))

@@ -16,9 +16,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, compiled
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Bools, Floats32, compiled
 from scanner.decoding.sequence_plan import Fringe
+from scanner.decoding.significance import NEGLIGIBLE
 from scanner.patterns import Axis, Phase
 
 # Windows are 3 × 3 blocks.

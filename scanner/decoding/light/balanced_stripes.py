@@ -10,8 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Ints
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, Ints
 from scanner.decoding.light.brightness import LEAST_DIFFERENCE, Gains
 from scanner.decoding.significance import SIGNIFICANT_SIGMAS
 

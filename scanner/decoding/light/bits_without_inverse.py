@@ -12,8 +12,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Image, median
-from scanner.decoding.arrays import Floats32
+from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats32, Image, median
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, SIGNIFICANT_SIGMAS
 

@@ -14,11 +14,10 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median, reweighted
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32, Part
+from calib.numerics import SIGMA_PER_MEDIAN, Floats, Floats32, Image, Part, fit_reweighted, median
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
-from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEGLIGIBLE, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
 
 # Smaller differences invert hardly any bit, and change a phase less than its noise.
 LEAST_DIFFERENCE = 0.015
@@ -320,4 +319,4 @@ def _variety(squares: Floats, means: Floats) -> Floats:
 
 def _least_squares(terms: Floats, target: Floats) -> Floats:
     """Return the minimum-norm coefficients (N,) of a few terms (N, P), which may be dependent."""
-    return reweighted(terms, target, np.ones_like, np.ones(1), 1)
+    return fit_reweighted(terms, target, np.ones_like, np.ones(1), 1)

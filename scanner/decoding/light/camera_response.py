@@ -18,12 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, median
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import SIGMA_PER_MEDIAN, TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, median
 from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, OUTLYING_SIGMAS
-from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
+from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, NEGLIGIBLE, OUTLYING_SIGMAS
 from scanner.patterns import Xor
 
 # Number of levels between which g is linear; weight of its second differences, relative to all pixels, where medium

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.numerics import Bools
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Bools, Floats32, medians
 from scanner.decoding.fringes.single_fringe import is_unchecked
 from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
@@ -19,10 +18,9 @@ from scanner.decoding.light.brightness import (
     starts_of_bands,
 )
 from scanner.decoding.light.lit_pixels import lit_by
-from scanner.decoding.medians import medians
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY
+from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY, NEGLIGIBLE
 
 
 def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], Gains]:

@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32, Image
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.errors import InputError
 from scanner.patterns import Pattern, White

@@ -11,14 +11,12 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Image
-from scanner.decoding.arrays import Floats32
+from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread
 from scanner.decoding.light.late_frame import late_frame
 from scanner.decoding.light.previous_picture import share_of_previous, sums_off, without_previous
 from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import TRIAL_PIXELS, evenly_spread
 
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45

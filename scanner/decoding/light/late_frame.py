@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32
 from scanner.decoding.light.bits_without_inverse import TAILS
 from scanner.decoding.light.brightness import left_by_gains
 from scanner.decoding.light.previous_picture import share_of_previous, sums_off

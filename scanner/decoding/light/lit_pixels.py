@@ -5,10 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, quantile
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, evenly_spread, quantile
 from scanner.decoding.significance import BRIGHTEST
-from scanner.decoding.subsampling import evenly_spread
 
 # Pixels whose swing is less than this share of the brightest ones' are not lit: a Lambertian surface at 75° still is.
 # Outside the picture, stray light and a camera's automatic tone mapping show the patterns as well.

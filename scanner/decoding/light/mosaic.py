@@ -5,11 +5,9 @@ Codes and phases of a pixel do not depend on its brightness. It matters only whe
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Image
-from scanner.decoding.arrays import Floats32
+from calib.numerics import ENOUGH_PIXELS, SIGMA_PER_MEDIAN, Floats32, Image
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF
-from scanner.decoding.subsampling import ENOUGH_PIXELS
 
 BAYER_PX = 2  # to the next pixel of the same colour
 

@@ -11,12 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.medians import medians, robust_sigmas
+from calib.numerics import SEED, Floats32, medians, robust_sigmas
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, MAJORITY
-from scanner.decoding.subsampling import SEED
 
 _QUANTISATION = 1 / 12  # variance of a number that is rounded to integers
 _BINS = 10  # of grey levels, for a straight line

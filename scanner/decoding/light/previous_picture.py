@@ -5,8 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.medians import medians
+from calib.numerics import Floats32, medians
 from scanner.decoding.sequence_plan import SequencePlan
 
 

@@ -13,8 +13,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Image, median
-from scanner.decoding.arrays import Floats32, Words
+from calib.numerics import Bools, Floats32, Image, Words, median
 from scanner.decoding.codes.gray_code import cell_numbers
 from scanner.decoding.codes.gray_fold import GrayFold
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF

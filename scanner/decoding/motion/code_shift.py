@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from calib.numerics import Bools
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, evenly_spread
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -11,7 +10,6 @@ from scanner.decoding.motion.period_slips import CodeShift, Offsets, moved_by_pe
 from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
 from scanner.decoding.significance import AS_GOOD, ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
-from scanner.decoding.subsampling import evenly_spread
 
 _LEAST_PX = 0.5
 

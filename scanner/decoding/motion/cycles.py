@@ -13,8 +13,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Ints, compiled
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, Ints, compiled
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import HALF

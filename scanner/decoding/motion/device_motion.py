@@ -5,12 +5,10 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import STRIP_ROWS, Floats, Floats32
 from calib.refinement import Shifts
-from scanner.decoding.arrays import Floats32
 from scanner.decoding.motion.rigid import PER_DEVICE, shifts_by_motion
 from scanner.decoding.significance import FEW, HALF
-from scanner.decoding.tiles import STRIP_ROWS
 
 # Least size of a motion, which interreflection, ripple and noise do not reach at rest.
 LEAST_PX = 0.02

@@ -12,13 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.numerics import Floats, Ints, median
-from scanner.decoding.arrays import NEGLIGIBLE, Floats32
+from calib.numerics import Floats, Floats32, Ints, huber_weights, median
 from scanner.decoding.motion.fringe_frames import FringeFrames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
-from scanner.decoding.significance import HUBER_SIGMAS
+from scanner.decoding.significance import HUBER_SIGMAS, NEGLIGIBLE
 
 UNKNOWNS = COLUMNS + 1  # of a frame: the motion of both devices, and the share of the frame before
 _OF_LIGHT = 4  # unknowns of a frame's light
@@ -219,7 +218,7 @@ def _root_weights(seen: Floats, mix: Floats) -> Floats:
     """Return the square roots (P,) of the Huber weights of pixels with residuals (n, P), in standard deviations."""
     variance = np.sum(seen**2, axis=0) / max(float(np.trace(mix)), 1.0)
     sigmas = np.sqrt(np.maximum(variance / max(_variance(seen, mix), 1e-12), 1e-9))
-    return np.asarray(np.sqrt(np.minimum(1.0, HUBER_SIGMAS / sigmas)))
+    return np.sqrt(huber_weights(sigmas, HUBER_SIGMAS))
 
 
 def _variance(seen: Floats, mix: Floats) -> float:

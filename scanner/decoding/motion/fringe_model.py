@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, median
-from scanner.decoding.arrays import NEGLIGIBLE
 from scanner.decoding.motion.fringe_frames import FringeFrames
 from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.significance import NEGLIGIBLE
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,13 @@ from functools import reduce
 
 import numpy as np
 
-from calib.numerics import Floats
-from scanner.decoding.arrays import Floats32
+from calib.numerics import LEVEL, SLOPE, Floats, Floats32
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.frame_equations import FrameEquations, of_frames
 from scanner.decoding.motion.fringe_frames import FringeFrames
 from scanner.decoding.motion.fringe_model import FringeModel
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.samples import TILE_PX, TileSample
-from scanner.decoding.slopes import LEVEL, SLOPE
 
 # Noise reduction by the taps along both axes, as a factor of the variance.
 _LESS_NOISE = float(np.sum(LEVEL**2)) ** 2

@@ -12,8 +12,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32
 from scanner.decoding.connected_components import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.light_arithmetic import RESTING, contradictions, frames_of_fine_bits

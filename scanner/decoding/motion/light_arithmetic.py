@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfinv
 
-from calib.numerics import Bools, Floats, median, quantile, reweighted
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats, Floats32, fit_reweighted, median, medians, quantile
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.medians import medians
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, REFITS, SIGNIFICANT_SIGMAS
 
@@ -171,7 +169,7 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats,
         return (size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)).astype(np.float64)
 
     of = terms.astype(np.float64)
-    factors = reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), REFITS)
+    factors = fit_reweighted(of, targets.astype(np.float64), most, first.astype(np.float64), REFITS)
     return factors, (targets - factors.T @ of).astype(np.float32)
 
 

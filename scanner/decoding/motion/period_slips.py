@@ -11,12 +11,9 @@ from math import inf
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.arrays import Floats32
-from scanner.decoding.motion.robust_fit import RobustFit, robust_fit
+from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Ints, evenly_spread, fit_huber
 from scanner.decoding.sequence_plan import AxisPlan
-from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
-from scanner.decoding.subsampling import ENOUGH_PIXELS, evenly_spread
+from scanner.decoding.significance import FEWEST_PIXELS, HUBER_ROUNDS, HUBER_SIGMAS, REJECTED, SIGNIFICANT_SIGMAS
 
 _BLOCKS = (8, 6)  # of the projector's picture along x and y
 # Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
@@ -81,7 +78,7 @@ def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
     fit, moved, sure = _likeliest(rows, offsets, alone)
     sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
     for number, each in enumerate(axes):
-        px = _by_periods(each.period, fit.found[_SLOPES * number], fit.found[number - 2], sigma[number - 2])
+        px = _by_periods(each.period, fit.parameters[_SLOPES * number], fit.parameters[number - 2], sigma[number - 2])
         if moved[number] and px:
             yield CodeShift(each.axis, px, by_periods=True, sure=sure[number])
 
@@ -125,17 +122,17 @@ def _may_move_alone(axis: AxisPlan, other: AxisPlan) -> bool:
     return first < of_other or last > to_other
 
 
-def _likeliest(rows: Floats, offsets: Floats, alone: tuple[bool, bool]) -> tuple[RobustFit, list[bool], list[bool]]:
+def _likeliest(rows: Floats, offsets: Floats, alone: tuple[bool, bool]) -> tuple[HuberFit, list[bool], list[bool]]:
     """Return the best fit to blocks (M, 8) and (M,), which axes moved, and which of these moved for certain.
 
     It is certain if the alternative is impossible, or far less likely. `alone`: whether x or y may have moved alone.
     """
-    both, of_y = robust_fit(rows.T, offsets), rows[:, _SLOPES] != 0
+    both, of_y = fit_huber(rows.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS), rows[:, _SLOPES] != 0
     resting = []
     for blocks in (~of_y, of_y):
         bent = rows.copy()
         bent[blocks, -2:] = 0.0
-        resting.append(robust_fit(bent.T, offsets))
+        resting.append(fit_huber(bent.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS))
     worse = [
         fit.cost(both.scale) - both.cost(both.scale) if possible else inf
         for fit, possible in zip(resting, reversed(alone), strict=True)

@@ -7,8 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats, Floats32, Ints, evenly_spread
 from scanner.decoding.axis_signals import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
@@ -16,7 +15,6 @@ from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import FEWEST_COUNTED, REFITS, SIGNIFICANT_SIGMAS
-from scanner.decoding.subsampling import evenly_spread
 
 # Largest rms distance from a plane, in projector px: tiles on edges or curved surfaces are rejected.
 MOST_ROUGH_PX = 0.7

@@ -5,8 +5,8 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Floats, Ints
-from scanner.decoding.motion.robust_fit import robust_fit
+from calib.numerics import Floats, Ints, fit_huber
+from scanner.decoding.significance import HUBER_ROUNDS, HUBER_SIGMAS
 
 # Parameters of each device: shifts to the right and down, a roll and a change of scale.
 PER_DEVICE = 4
@@ -66,7 +66,8 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) 
     """
     root = np.sqrt(precision)
     expected, at_rest = np.eye(COLUMNS) / PRIOR_PX, np.zeros(COLUMNS)
-    fit = robust_fit(np.concatenate([(design * root[:, None]).T, expected], axis=1), np.append(seen_px * root, at_rest))
+    terms = np.concatenate([(design * root[:, None]).T, expected], axis=1)
+    fit = fit_huber(terms, np.append(seen_px * root, at_rest), HUBER_SIGMAS, HUBER_ROUNDS)
     return Fit(
-        fit.found, fit.covariance(np.append(group, np.max(group, initial=-1) + 1 + np.arange(COLUMNS))), fit.gained
+        fit.parameters, fit.covariance(np.append(group, np.max(group, initial=-1) + 1 + np.arange(COLUMNS))), fit.gained
     )

@@ -5,8 +5,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, median
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Bools, Floats32, median
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
 from scanner.decoding.motion.cycles import in_wrong_cycles

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import optimize
 
 from calib.geometry import mapped
-from calib.numerics import Floats, Ints, robust_sigma
+from calib.numerics import Floats, Ints, orthonormal, robust_sigma
 from scanner.decoding import FinestStripes
 from scanner.reconstruction.keystone.planes import smooth_over
 
@@ -112,7 +112,7 @@ class Beat:
         inside = np.all(np.abs(self.points) < (share, share * self.tall), axis=1)
         if inside.all():
             return self
-        smooth = np.linalg.qr(self.smooth[inside])[0]
+        smooth = orthonormal(self.smooth[inside])
         data = self.data[inside]
         return replace(self, points=self.points[inside], data=data - smooth @ (smooth.T @ data), smooth=smooth)
 

@@ -3,12 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
-from calib.refinement import monomials
+from calib.numerics import CONIC, Bools, Floats, Ints, compiled, in_pieces, monomials, orthonormal
 
 _NEAR_PX = 2
 _NOBODY, _SEVERAL, _MOST_LABELS = -2, -1, 127
-_SECOND_ORDER = 6
 _FEWEST = 100
 
 
@@ -44,8 +42,8 @@ def smooth_over(plane: Ints, points: Floats, chosen: Bools) -> tuple[Floats, Boo
     large = [number for number in np.unique(plane[chosen]) if np.sum(chosen & (plane == number)) >= _FEWEST]
     chosen = chosen & np.isin(plane, large)
     here, where = points[chosen], plane[chosen]
-    columns = np.zeros((len(here), _SECOND_ORDER * len(large)))
+    columns = np.zeros((len(here), CONIC * len(large)))
     for number, label in enumerate(large):
         on = where == label
-        columns[on, _SECOND_ORDER * number : _SECOND_ORDER * (number + 1)] = monomials(here[on])[:, :_SECOND_ORDER]
-    return np.linalg.qr(columns)[0], chosen
+        columns[on, CONIC * number : CONIC * (number + 1)] = monomials(here[on])[:, :CONIC]
+    return orthonormal(columns), chosen

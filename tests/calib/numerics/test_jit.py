@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numba import njit
 
-from calib.numerics.array_types import Floats
-from calib.numerics.chunks import in_pieces
+from calib.numerics import Floats, in_pieces
 from calib.numerics.code_cache import _sources
 from calib.numerics.jit import compiled, when_compiling
 from calib.objects.pose_search import _descend

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.geometry import Motion
-from calib.numerics import Floats
-from calib.refinement import CAMERA, CUBIC, PROJECTOR, SHARED, Cells, Shifts, monomials
+from calib.numerics import CUBIC, Floats, monomials
+from calib.refinement import CAMERA, PROJECTOR, SHARED, Cells, Shifts
 from calib.refinement.parameters import TANGENTIAL
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room

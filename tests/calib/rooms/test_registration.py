@@ -142,7 +142,7 @@ def test_without_open3d_the_message_names_what_to_install(
     def missing(name: str) -> object:
         raise OSError("libGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr("calib.numerics.open3d_module.import_module", missing)
+    monkeypatch.setattr("calib.open3d_module.import_module", missing)
     with pytest.raises(ImportError, match=r"libGL\.so\.1.*apt-get install libgl1 .*libgomp1"):
         feature_poses(surfaces_of(views[0]), surfaces_of(views[1]))
 

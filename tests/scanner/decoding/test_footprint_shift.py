@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from scanner.decoding.arrays import Floats32
+from calib.numerics import Floats32
 from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
 from scanner.decoding.fringes.footprint_shift import correct_curvature_shift, curvature_kernel, noise_gain2
 

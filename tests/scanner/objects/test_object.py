@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.numerics.open3d_module import open3d
+from calib.open3d_module import open3d
 from calib.refusal import RefusalError
 from calib.rooms.alignment import composed, inverse
 from scanner.objects.contents import SolvedObject

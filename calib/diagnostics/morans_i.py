@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.numerics.array_types import Bools, Floats
+from calib.numerics import Bools, Floats
 
 _FEWEST_IN_CELL = 3
 _FEWEST_PAIRS = 20

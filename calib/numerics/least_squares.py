@@ -1,13 +1,15 @@
-"""Nonlinear least squares by Levenberg–Marquardt: one loop for all fits, plain or robust."""
+"""Nonlinear least squares by Levenberg–Marquardt: one loop for all fits, plain or robust; and what its failures say."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
-from calib.numerics.array_types import Floats, Ints
+from calib.numerics.arrays import Floats, Ints
 from calib.numerics.jit import compiled
+from calib.refusal import RefusalError, Wording
 
 _BLOCK = 128
 _TINY = 1e-12
@@ -159,21 +161,34 @@ def _add_up(jacobian: Floats, residual: Floats, weight: Floats, hessian: Floats,
         for first in range(0, matches, _BLOCK):
             block = slice(first, min(first + _BLOCK, matches))
             for p in range(size):
-                row, some = jacobian[p, d, block], 0.0
+                row, size_of_row = jacobian[p, d, block], 0.0
                 for k in range(len(row)):
                     weighted[k] = weight[first + k] * row[k]
-                    some += np.abs(row[k])
-                if some == 0.0:  # of what is known about one plane only
+                    size_of_row += np.abs(row[k])
+                if size_of_row == 0.0:  # of what is known about one plane only
                     continue
                 total = 0.0
                 for k in range(len(row)):
                     total += weighted[k] * residual[d, first + k]
                 gradient[p] += total
                 for q in range(p + 1):
-                    total, other = 0.0, jacobian[q, d, block]
+                    total, column = 0.0, jacobian[q, d, block]
                     for k in range(len(row)):
-                        total += weighted[k] * other[k]
+                        total += weighted[k] * column[k]
                     hessian[p, q] += total
     for p in range(size):
         for q in range(p):
             hessian[q, p] = hessian[p, q]
+
+
+@contextmanager
+def singular_refused(wording: Wording) -> Iterator[None]:
+    """Turn equations without a solution, which follow from matches that are on no three planes, into RefusalError."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise RefusalError(
+            f"The matches determine no corner ({error}): those of a face lie on a line or in a few points, or "
+            f"{wording.unrelated}.",
+            wording.move,
+        ) from error
