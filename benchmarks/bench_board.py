@@ -47,20 +47,20 @@ def real(folder: Path) -> None:
     sizes = recordings[0].camera_size, recordings[0].projector_size
     peers = [corners_of(each.folder, _TARGET.points, (_TARGET.columns, _TARGET.rows)) for each in recordings]
     peer = calibrate(peers, *sizes)
-    ours = [_own_corners(seen.view) for seen in result.seen]
+    ours = [_own_corners(seen.view) for seen in result.captures]
     print(
         f"stereo error by the script's definition, px (its own output: 0.575)\n  done again   {peer.rms[2]:.3f}",
         end="",
     )
     print(f"  (camera {peer.rms[0]:.3f}, projector {peer.rms[1]:.3f})")
-    print(f"  ours, flat boards     {stereo_rms(result.found.calibration, ours):.3f}")
-    print(f"  ours, its corners     {stereo_rms(result.found.calibration, peers):.3f}")
+    print(f"  ours, flat boards     {stereo_rms(result.calibrated.calibration, ours):.3f}")
+    print(f"  ours, its corners     {stereo_rms(result.calibrated.calibration, peers):.3f}")
     print("each board predicted by the others, matches on it, projector px")
     print(f"  {'':14}{'ours':>8}{'promised':>10}{'OpenCV':>8}{'OpenCV, our corners':>21}")
     errors = []
-    for i, prediction in enumerate(result.found.predictions):
+    for i, prediction in enumerate(result.calibrated.predictions):
         rest = [j for j in range(len(peers)) if j != i]
-        cells = result.seen[i].view.cells
+        cells = result.captures[i].view.cells
         row = [prediction.error_px]
         for corners in (peers, ours):
             without = calibrate([corners[j] for j in rest], *sizes)
@@ -74,7 +74,7 @@ def real(folder: Path) -> None:
 
 def _scatter_of_focals(result: FromBoards, peers: list[Corners], sizes: tuple[Size, Size]) -> None:
     """Scatter of the projector's parameters when one board is left out."""
-    moved = np.array([each.moved[[9, 11, 12]] for each in result.found.predictions])
+    moved = np.array([each.moved[[9, 11, 12]] for each in result.calibrated.predictions])
     whole = calibrate(peers, *sizes).projector[0]
     theirs = []
     for i in range(len(peers)):
@@ -211,7 +211,7 @@ def rendered(seeds: int) -> None:
         except (RefusalError, InputError) as refusal:
             print(f"seed {seed}: {refusal}")
             continue
-        error, sigma = errors_of(result.found, room.calibration)
+        error, sigma = errors_of(result.calibrated, room.calibration)
         rows.append((error, sigma))
         print(
             f"  seed {seed}: " + "".join(f"{e:+8.3f} ± {s:.3f}" for e, s in zip(error, sigma, strict=True)), flush=True

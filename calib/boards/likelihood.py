@@ -55,10 +55,10 @@ class Levels:
     corners: Floats
     cells: tuple[Floats, ...]
 
-    def change(self, other: "Levels") -> float:
+    def change(self, before: "Levels") -> float:
         """The largest difference of a variance's logarithm."""
-        pairs = zip((self.corners, *self.cells), (other.corners, *other.cells), strict=True)
-        return max(float(np.abs(np.log(own / others)).max()) for own, others in pairs)
+        pairs = zip((self.corners, *self.cells), (before.corners, *before.cells), strict=True)
+        return max(float(np.abs(np.log(own / earlier)).max()) for own, earlier in pairs)
 
 
 @dataclass(frozen=True)
@@ -129,16 +129,18 @@ def evaluate(views: Sequence[View], state: State, prior: Prior, levels: Levels, 
         columns = state.columns(i)
         predicted, jacobian, depth = predict_corners(state, view.points, i)
         residual = np.empty_like(predicted)
-        seen, depths = np.ascontiguousarray(view.corners_px), np.stack([depth, depth], axis=1)
-        variance = np.full(len(seen), levels.corners[i])
-        cost += misfit(predicted, seen, jacobian, depths, variance, columns, residual, gradient, information)
+        corners_px, depths = np.ascontiguousarray(view.corners_px), np.stack([depth, depth], axis=1)
+        variance = np.full(len(corners_px), levels.corners[i])
+        cost += misfit(predicted, corners_px, jacobian, depths, variance, columns, residual, gradient, information)
         corners.append(residual)
         if not matches:
             continue
         predicted, jacobian, depths = predict_matches(state, view.cells.camera_px, i)
         residual = np.empty_like(predicted)
-        seen = np.ascontiguousarray(view.cells.projector_px)
-        cost += misfit(predicted, seen, jacobian, depths, levels.cells[i], columns, residual, gradient, information)
+        corners_px = np.ascontiguousarray(view.cells.projector_px)
+        cost += misfit(
+            predicted, corners_px, jacobian, depths, levels.cells[i], columns, residual, gradient, information
+        )
         cells.append(residual)
     if not np.isfinite(cost):
         cost = np.inf

@@ -43,8 +43,10 @@ class Transfer:
 
 def share_in_front(inverse_depths: Floats, second_depths: Floats, points: Sequence[Floats]) -> Floats:
     """Like `Transfer.in_front`, from the depth rows (n, 3, 3); only the signs of their products matter."""
-    seen = [(inverse_depths[:, face] @ x.T > 0) & (second_depths[:, face] @ x.T > 0) for face, x in enumerate(points)]
-    share: Floats = np.concatenate(seen, axis=1).mean(axis=1)
+    in_front = [
+        (inverse_depths[:, face] @ x.T > 0) & (second_depths[:, face] @ x.T > 0) for face, x in enumerate(points)
+    ]
+    share: Floats = np.concatenate(in_front, axis=1).mean(axis=1)
     return share
 
 
@@ -110,19 +112,19 @@ def decompose(motion: Floats) -> tuple[Floats, Floats, Floats]:
 
     A Aᵀ = K Kᵀ for A = K R gives K in closed form, row by row from below (Hartley & Zisserman, section 6.2.4).
     """
-    left = motion[:, :, :3]
+    linear = motion[:, :, :3]
     with np.errstate(invalid="ignore", divide="ignore"):
-        motion = motion / (np.cbrt(np.linalg.det(left)))[:, None, None]
-        left = motion[:, :, :3]
-        square = left @ left.transpose(0, 2, 1)
+        motion = motion / (np.cbrt(np.linalg.det(linear)))[:, None, None]
+        linear = motion[:, :, :3]
+        square = linear @ linear.transpose(0, 2, 1)
         scale = np.sqrt(square[:, 2, 2])
         square = square / square[:, 2:, 2:]
         x0, y0 = square[:, 0, 2], square[:, 1, 2]
         fy = np.sqrt(square[:, 1, 1] - y0**2)
         skew = (square[:, 0, 1] - x0 * y0) / fy
         fx = np.sqrt(square[:, 0, 0] - skew**2 - x0**2)
-    zero, one = np.zeros_like(x0), np.ones_like(x0)
-    matrix = np.stack([fx, skew, x0, zero, fy, y0, zero, zero, one], axis=-1).reshape(-1, 3, 3)
+    zero, ones = np.zeros_like(x0), np.ones_like(x0)
+    matrix = np.stack([fx, skew, x0, zero, fy, y0, zero, zero, ones], axis=-1).reshape(-1, 3, 3)
     placed = np.full(motion.shape, np.nan)
     solved = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(motion).all(axis=(1, 2))
     placed[solved] = np.linalg.solve(matrix[solved], motion[solved]) / scale[solved, None, None]

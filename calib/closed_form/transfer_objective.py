@@ -119,7 +119,7 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
     low = np.flatnonzero(np.isfinite(values) & (values <= padded[:-2]) & (values <= padded[2:]))
     promising = low[values[low] <= _PROMISING * values[low].min()]
     minima = [int(i) for i in promising[np.argsort(values[promising])][:_BRACKETS]]
-    found = [(float(values[i]), float(focal_px[i])) for i in minima]
+    candidates = [(float(values[i]), float(focal_px[i])) for i in minima]
     for i in minima:
         bounds = (float(focal_px[max(i - 1, 0)]), float(focal_px[min(i + 1, len(focal_px) - 1)]))
         result = minimize_scalar(
@@ -129,8 +129,8 @@ def bounded_search(objective: Objective, focal_px: Floats, values: Floats) -> fl
             method="bounded",
             options={"xatol": 1e-2},
         )
-        found.append((float(result.fun), float(result.x)))
-    return min(found)[1]
+        candidates.append((float(result.fun), float(result.x)))
+    return min(candidates)[1]
 
 
 def search(objective: Objective, focal_px: Floats) -> PaperSolution | None:

@@ -48,11 +48,11 @@ def size_of_sheet(
         np.rint(part.camera_px).astype(np.int64), max(1, round(calibration.camera.width * _ALIKE_OF_WIDTH))
     )
     plane = fit_plane(intersect(part, calibration).points, cluster)
-    found = _on_plane(points, pixels, plane.normal, plane.offset, calibration)
+    on_plane = _on_plane(points, pixels, plane.normal, plane.offset, calibration)
     fit = LinearFit(plane.influence, np.broadcast_to(plane.normal, (len(part), 3)), plane.covariance, cluster)
     spread = spread_of_fit(fit, part, SystematicErrors.of(calibration, None))
     by_plane = _by_plane(points, pixels, plane, calibration)
-    noise = np.sqrt(found.noise**2 + by_plane @ (spread.scatter + spread.smooth) @ by_plane)
+    noise = np.sqrt(on_plane.noise**2 + by_plane @ (spread.scatter + spread.smooth) @ by_plane)
     by_columns = np.zeros(SHARED)
     if uncertainty is not None:
         for column, sigma in enumerate(np.sqrt(uncertainty.covariance.diagonal())):
@@ -63,7 +63,7 @@ def size_of_sheet(
                 for sign in (1, -1)
             )
             by_columns[column] = (ahead - behind) / (2 * step[column])
-    return SheetSize(found.log_length, float(noise), by_columns)
+    return SheetSize(on_plane.log_length, float(noise), by_columns)
 
 
 def _through(points: Floats, pixels: Floats, matches: Matches, plane: Plane, calibration: Calibration) -> float:
@@ -98,11 +98,11 @@ def _on_plane(points: Floats, pixels: Floats, normal: Floats, offset: float, cal
     """The size on a given plane, with noise by the points' residuals of the similarity."""
     rays = calibration.camera.unproject(pixels)
     met = rays * (offset / (rays @ normal))[:, None]
-    known, found = points - points.mean(axis=0), met - met.mean(axis=0)
-    left, singular, right = np.linalg.svd(known.T @ found, full_matrices=False)
+    known, measured = points - points.mean(axis=0), met - met.mean(axis=0)
+    u, singular, right = np.linalg.svd(known.T @ measured, full_matrices=False)
     size = float(np.sum(known**2))
     scale = float(singular.sum()) / size
-    left_over = found - scale * known @ left @ right
+    left_over = measured - scale * known @ u @ right
     # Four parameters were fitted; both coordinates on the plane have the same variance.
     variance = float(np.sum(left_over**2)) / max(2 * len(points) - 4, 1)
     return SheetSize(float(np.log(scale)), float(np.sqrt(variance / size)) / scale, np.zeros(SHARED))

@@ -153,8 +153,8 @@ def _undistort(distorted: Floats, distortion: Distortion, pinhole: Pinhole, conv
     for i in range(len(x)):
         bent_x, bent_y, a, b, d = distorted_point(x[i], y[i], distortion)
         off = max(abs(bent_x - (u[i] - x_0) * x_scale), abs(bent_y - (v[i] - y_0) * y_scale))
-        found = (off < _INVERTED) & (a * d - b * b > 0.0) & (a + d > 0.0)
-        x[i], y[i] = x[i] if found else np.nan, y[i] if found else np.nan
+        inverted = (off < _INVERTED) & (a * d - b * b > 0.0) & (a + d > 0.0)
+        x[i], y[i] = x[i] if inverted else np.nan, y[i] if inverted else np.nan
 
 
 @compiled

@@ -63,7 +63,7 @@ class Strain:
 
 def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
     """By number of the pair, of all that have a sight."""
-    found: dict[int, list[Floats]] = {}
+    residuals: dict[int, list[Floats]] = {}
     for sight, residual in zip(sights, fit.residuals, strict=True):
         by_height = sight.predict(fit.layout)[1][:, :, -1]
         size = np.linalg.norm(by_height, axis=1)
@@ -71,27 +71,27 @@ def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
         height = np.sum(by_height * residual, axis=1) / size**2
         eye = fit.layout.devices[sight.camera].pose.translation
         relative = height / np.linalg.norm(sight.points(fit.layout) - eye, axis=1)
-        found.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
+        residuals.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
     return {
         capture: Strain(SIGMA_PER_MEDIAN * median(across), median(sigma), SIGMA_PER_MEDIAN * median(relative))
-        for capture, each in found.items()
-        for across, sigma, relative in (np.concatenate(each, axis=1),)
+        for capture, of_capture in residuals.items()
+        for across, sigma, relative in (np.concatenate(of_capture, axis=1),)
     }
 
 
 def standing_alike(names: Sequence[str], sights: Sequence[Sight], network: Network) -> list[tuple[str, str, float]]:
     """Devices that are nearly in one place, with their distance over that of what they see."""
-    seen: dict[int, list[Floats]] = {}
+    rays: dict[int, list[Floats]] = {}
     for sight in sights:
         points = sight.points(network)
         for device in (sight.camera, sight.projector):
             away = np.linalg.norm(points - network.devices[device].pose.translation, axis=1)
-            seen.setdefault(device, []).append(away)
-    found = []
-    for i, j in combinations(sorted(seen), 2):
+            rays.setdefault(device, []).append(away)
+    pairs = []
+    for i, j in combinations(sorted(rays), 2):
         places = [network.devices[number].pose.translation for number in (i, j)]
-        reach = min(float(np.median(np.concatenate(seen[number]))) for number in (i, j))
+        reach = min(float(np.median(np.concatenate(rays[number]))) for number in (i, j))
         apart = float(np.linalg.norm(places[1] - places[0])) / reach
         if apart < _ALIKE:
-            found.append((names[i], names[j], apart))
-    return found
+            pairs.append((names[i], names[j], apart))
+    return pairs

@@ -96,7 +96,7 @@ def estimate_network(
     """
     _refuse_wrong_input(captures, sizes)
     refuse_mirrored(captures, sizes)
-    captures = {pair: each[evenly(np.ones(len(each), np.bool_), _MOST)] for pair, each in captures.items()}
+    captures = {pair: matches[evenly(np.ones(len(matches), np.bool_), _MOST)] for pair, matches in captures.items()}
     cameras = frozenset(camera for camera, _ in captures)
     knowledge = NetworkKnowledge(sizes, cameras, squareness_deg, lenses or {}, points or {})
     seed, start = _seed(captures, knowledge)
@@ -139,7 +139,7 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
     # With one camera, or one projector, nothing tells that a poor start ended in a wrong minimum.
     several = min(len({pair[role] for pair in captures}) for role in (0, 1)) > 1
     for method in _METHODS if several else _METHODS[:1]:
-        found: list[tuple[float, PairName, SelfCalibration]] = []
+        calibrations: list[tuple[float, PairName, SelfCalibration]] = []
         for pair, matches in cornered.items():
             try:
                 calibrated = _calibrated(pair, matches, knowledge, method)
@@ -148,9 +148,9 @@ def _seed(captures: Mapping[PairName, Matches], knowledge: NetworkKnowledge) -> 
                 continue
             focal_px = calibrated.calibration.sigma.camera.focal_px
             sigma = 1 / len(matches) if focal_px is None else focal_px[0] / calibrated.calibration.camera.focal_px[0]
-            found.append((sigma, pair, calibrated))
-        if found:
-            _, pair, calibrated = min(found, key=lambda each: each[0])
+            calibrations.append((sigma, pair, calibrated))
+        if calibrations:
+            _, pair, calibrated = min(calibrations, key=lambda entry: entry[0])
             return pair, calibrated
     raise refusals[0]
 
@@ -178,9 +178,9 @@ def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
         variances = [sight.cells.sigma_px**2 for sight in sights]
         free, joints = grown.free(network), grown.joints(network)
         fit = minimise(sights, network, prior, variances, free, joints=joints, tolerance=ROUGH)
-        network, left = _in_front(fit.layout, sights)
-        if len(left) < len(sights):
-            sights = left
+        network, kept = _in_front(fit.layout, sights)
+        if len(kept) < len(sights):
+            sights = kept
             continue
         scores, freedom = tie_scores(sights, fit, variances, free)
         per_freedom = np.where(freedom > 0, scores / np.maximum(freedom, 1), 0.0)
@@ -195,10 +195,12 @@ def _without_wrong_ties(grown: Grown) -> tuple[tuple[Sight, ...], Fit[Network]]:
 
 def _in_front(network: Network, sights: tuple[Sight, ...]) -> tuple[Network, tuple[Sight, ...]]:
     """Sights that are before both devices, all but strays, and the planes that have one."""
-    kept = [each for each in sights if np.mean((each.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
-    seen = sorted({sight.plane for sight in kept})
-    planes = tuple(network.planes[plane] for plane in seen)
-    return replace(network, planes=planes), tuple(replace(each, plane=seen.index(each.plane)) for each in kept)
+    kept = [sight for sight in sights if np.mean((sight.predict(network)[2] > 0).all(axis=1)) >= _IN_FRONT]
+    planes_kept = sorted({sight.plane for sight in kept})
+    planes = tuple(network.planes[plane] for plane in planes_kept)
+    return replace(network, planes=planes), tuple(
+        replace(sight, plane=planes_kept.index(sight.plane)) for sight in kept
+    )
 
 
 def _estimated(grown: Grown, shifts: Mapping[PairName, Shifts]) -> NetworkEstimate:

@@ -28,7 +28,7 @@ def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
         own = labels[known][inside]
         np.minimum.at(low, flat, own)
         np.maximum.at(high, flat, own)
-    found = high.reshape(shape)
+    label = high.reshape(shape)
     padded = np.pad(np.where(high > low, -2, high).reshape(shape), 1, constant_values=NO_FACE)
     around = [
         padded[1 + y : 1 + y + shape[0], 1 + x : 1 + x + shape[1]]
@@ -36,14 +36,14 @@ def label_map(raster: Raster, labelled: Iterable[tuple[Floats, Ints]]) -> Ints:
         for x in (-1, 0, 1)
         if (x, y) != (0, 0)
     ]
-    same, none = (sum((each == value).astype(np.int8) for each in around) for value in (found, NO_FACE))
-    told = (padded[1:-1, 1:-1] >= 0) & (same >= _SURROUNDED) & (same + none == len(around))
-    return np.where(told, found, NO_FACE).astype(np.int32)
+    same, none = (sum((neighbour == value).astype(np.int8) for neighbour in around) for value in (label, NO_FACE))
+    certain = (padded[1:-1, 1:-1] >= 0) & (same >= _SURROUNDED) & (same + none == len(around))
+    return np.where(certain, label, NO_FACE).astype(np.int32)
 
 
-def read(raster: Raster, told: Ints, pixels: Floats) -> Ints:
+def read(raster: Raster, certain: Ints, pixels: Floats) -> Ints:
     """Labels (N,) of pixels (N, 2) from those of cells (h, w)."""
     flat, inside = raster.numbers(pixels)
     labels = np.full(len(pixels), NO_FACE, np.int32)
-    labels[inside] = told.ravel()[flat]
+    labels[inside] = certain.ravel()[flat]
     return labels

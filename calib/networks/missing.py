@@ -31,28 +31,28 @@ def not_connected(grown: Grown) -> RefusalError:
 
 def _overlap(grown: Grown, bridges: Sequence[tuple[str, str]]) -> tuple[str, str]:
     """Of the pair of a placed and a loose device with most in common: what it lacks, and what to do."""
-    found = []
+    candidates = []
     for pair in bridges:
         known, new = pair if pair[0] in grown.names else pair[::-1]
-        partners = [name for other in grown.labelled if known in other for name in other if name != known]
+        partners = [name for pair in grown.labelled if known in pair for name in pair if name != known]
         by_new, by_others = (
-            np.any([np.isfinite(grown.overlaps.seen[known, each].pixels[..., 0]) for each in names], axis=0)
+            np.any([np.isfinite(grown.overlaps.seen[known, name].pixels[..., 0]) for name in names], axis=0)
             for names in ([new], partners)
         )
-        found.append((np.count_nonzero(by_new & by_others), known, new, partners[0], by_new, by_others))
-    count, known, new, partner, by_new, by_others = max(found, key=lambda each: each[0])
+        candidates.append((np.count_nonzero(by_new & by_others), known, new, partners[0], by_new, by_others))
+    count, known, new, partner, by_new, by_others = max(candidates, key=lambda candidate: candidate[0])
     size, centres = grown.knowledge.sizes[known], grown.overlaps.rasters[known].centres
-    seen, lit = ("sees", "see") if known not in grown.knowledge.cameras else ("lights", "light")
+    verb, lit = ("sees", "see") if known not in grown.knowledge.cameras else ("lights", "light")
     if count < _FEWEST:
         here, there = _part(size, centres, by_new), _part(size, centres, by_others)
         return (
-            f"In the picture of {known}, {new} {seen} {here} and {partner} {there}: nothing that both {lit}.",
-            f"Let {partner} {lit} what {new} {seen} there, or {new} what {partner} {seen}.",
+            f"In the picture of {known}, {new} {verb} {here} and {partner} {there}: nothing that both {lit}.",
+            f"Let {partner} {lit} what {new} {verb} there, or {new} what {partner} {verb}.",
         )
     return (
         f"What {new} and {partner} both {lit} in the picture of {known}, {_part(size, centres, by_new & by_others)}, "
         f"is too little to place {new}.",
-        f"Let {new} {lit} more of what {partner} {seen}, on more than one wall.",
+        f"Let {new} {lit} more of what {partner} {verb}, on more than one wall.",
     )
 
 

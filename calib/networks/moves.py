@@ -26,12 +26,12 @@ class SameLens:
     def columns(self, network: Network) -> Ints:
         """Those of both lenses, (16,)."""
         every = np.arange(network.size, dtype=np.int32)
-        return np.concatenate([every[network.device_columns(each)][:PER_DEVICE] for each in (self.one, self.other)])
+        return np.concatenate([every[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)])
 
     def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
         """Of the difference of both lenses: cost, half its gradient (16,) and half its Hessian (16, 16)."""
-        one, other = (network.devices[each].lens for each in (self.one, self.other))
-        off = np.array([np.log(other[0] / one[0]), *(other - one)[1:]]) / _SAME
+        first, second = (network.devices[device].lens for device in (self.one, self.other))
+        off = np.array([np.log(second[0] / first[0]), *(second - first)[1:]]) / _SAME
         slope = np.concatenate([-np.diag(1 / _SAME), np.diag(1 / _SAME)])
         return float(off @ off), slope @ off, slope @ slope.T
 
@@ -40,15 +40,15 @@ def likeliest_move(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> 
     """The cost, under the scatter of matches, if one camera was moved for one of its captures, and which; of the
     likeliest. Infinite if none has two.
     """
-    found = [(np.inf, "")]
+    candidates = [(np.inf, "")]
     for capture, (name, _) in enumerate(grown.labelled):
         number, elsewhere = grown.names.index(name), len(grown.names)
         own = {sight.capture for sight in sights if sight.camera == number}
         if capture not in own or len(own) == 1:
             continue
-        split = [replace(each, camera=elsewhere) if each.capture == capture else each for each in sights]
+        split = [replace(sight, camera=elsewhere) if sight.capture == capture else sight for sight in sights]
         network = replace(fit.layout, devices=(*fit.layout.devices, fit.layout.devices[number]))
         more = replace(grown, names=(*grown.names, name))
         weights = replace(Weights.of_noise(split), joints=(SameLens(number, elsewhere),))
-        found.append((weights.fitted(more, split, network, more.free(network), ROUGH).cost, name))
-    return min(found)
+        candidates.append((weights.fitted(more, split, network, more.free(network), ROUGH).cost, name))
+    return min(candidates)

@@ -81,19 +81,19 @@ def find_warps(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tupl
     whole = weights.fitted(grown, sights, whole.layout, every, ROUGH)
     # From walls that waves bent to fit a warp, a descent may end before it is down.
     starts = none.layout, fit.layout
-    none = min((weights.fitted(grown, sights, each, free, ROUGH) for each in starts), key=lambda each: each.cost)
+    none = min((weights.fitted(grown, sights, start, free, ROUGH) for start in starts), key=lambda start: start.cost)
     if none.cost - whole.cost < _BY_CHANCE:
         return Warps(), none, weights
-    found = []
+    candidates = []
     for number, name in enumerate(grown.names):
         start, columns = _without_warps(whole.layout, but=number), _freed(fit.layout, free, (number,))
         alone = weights.fitted(grown, sights, start, columns, ROUGH)
-        found.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
-    found.sort(key=lambda each: -each.gain)
-    several = none.cost - whole.cost - found[0].gain > float(chdtri(PER_WARP * (len(devices) - 1), _CHANCE))
-    if several or found[0].gain < _BY_CHANCE:
+        candidates.append(Warp(name, none.cost - alone.cost, alone.layout.devices[number].warp))
+    candidates.sort(key=lambda candidate: -candidate.gain)
+    several = none.cost - whole.cost - candidates[0].gain > float(chdtri(PER_WARP * (len(devices) - 1), _CHANCE))
+    if several or candidates[0].gain < _BY_CHANCE:
         return Warps(several=several), none, weights
-    likely = tuple(each for each in found if each.gain > found[0].gain - _AS_LIKELY)
+    likely = tuple(candidate for candidate in candidates if candidate.gain > candidates[0].gain - _AS_LIKELY)
     return Warps(likely), none, weights
 
 
@@ -101,21 +101,26 @@ def weighed(sights: Sequence[Sight], fit: Fit[Network], free: Bools, names: Sequ
     """Warps of one parameter of one picture, by their evidence: those that are certain, and what all of them that the
     captures do not exclude add to the covariance (size, size).
     """
-    others = []
+    alternatives = []
     for number, name in enumerate(names):
         start = fit.layout.device_columns(number).start + WARP.start
         for k, (probability, spread) in enumerate(zip(_PROBABILITY, WARP_SIGMA.tolist(), strict=True)):
-            others.append((name, k, alternative(fit.information, fit.gradient, free, start + k, probability, spread)))
-    others.sort(key=lambda each: -each[2].odds)
-    total = 1 + sum(other.odds for _, _, other in others)
-    covariance = sum((other.added(other.odds / total) for _, _, other in others), np.zeros_like(fit.information))
+            alternatives.append(
+                (name, k, alternative(fit.information, fit.gradient, free, start + k, probability, spread))
+            )
+    alternatives.sort(key=lambda alternative: -alternative[2].odds)
+    total = 1 + sum(alternative.odds for _, _, alternative in alternatives)
+    covariance = sum(
+        (alternative.added(alternative.odds / total) for _, _, alternative in alternatives),
+        np.zeros_like(fit.information),
+    )
     if total < _CERTAIN or _strained(sights, fit):
         return Warps(), covariance
     likely: dict[str, Warp] = {}
-    for name, k, other in others:
-        if other.odds * np.exp(_AS_LIKELY / 2) > others[0][2].odds:
-            warp = other.value * np.eye(PER_WARP)[k]
-            likely.setdefault(name, Warp(name, (other.value / other.sigma) ** 2, warp))
+    for name, k, moved in alternatives:
+        if moved.odds * np.exp(_AS_LIKELY / 2) > alternatives[0][2].odds:
+            warp = moved.value * np.eye(PER_WARP)[k]
+            likely.setdefault(name, Warp(name, (moved.value / moved.sigma) ** 2, warp))
     return Warps(tuple(likely.values())), covariance
 
 
@@ -132,7 +137,7 @@ def or_moved(warps: Warps, grown: Grown, sights: Sequence[Sight], fit: Fit[Netwo
 
 
 def _strained(sights: Sequence[Sight], fit: Fit[Network]) -> bool:
-    return any(each.across_px > _STRAINED * each.noise_px for each in strains(sights, fit).values())
+    return any(strain.across_px > _STRAINED * strain.noise_px for strain in strains(sights, fit).values())
 
 
 def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:
@@ -145,6 +150,7 @@ def _freed(network: Network, free: Bools, devices: Collection[int]) -> Bools:
 
 def _without_warps(network: Network, but: int | None = None) -> Network:
     devices = (
-        each if number == but else replace(each, warp=np.zeros(PER_WARP)) for number, each in enumerate(network.devices)
+        device if number == but else replace(device, warp=np.zeros(PER_WARP))
+        for number, device in enumerate(network.devices)
     )
     return replace(network, devices=tuple(devices))

@@ -42,8 +42,10 @@ class Weights:
         if not self.surfaces:
             levels = measured(sights, fit, self.variances, free, [1] * len(grown.labelled), one_rig=False)
             variances = levels.variances(sights)
-            each = zip(sights, variances, strict=True)
-            if self.rough or all(np.median(variance / s.cells.sigma_px**2) <= _BENT for s, variance in each):
+            sights_and_variances = zip(sights, variances, strict=True)
+            if self.rough or all(
+                np.median(variance / s.cells.sigma_px**2) <= _BENT for s, variance in sights_and_variances
+            ):
                 return levels, Weights(variances, joints)
             variances = [(_START * sight.cells.sigma_px) ** 2 for sight in sights]
             return levels, Weights(variances, joints, surfaces_of(sights, fit, variances))
@@ -54,18 +56,18 @@ class Weights:
     ) -> tuple[Levels, "Weights"]:
         """By what the heights of planes leave of the residuals; with the likeliest steepness of these."""
         solved = [surface.solved(fit.layout) for surface in self.surfaces]
-        steepness, told = likeliest_steepness(self.surfaces, solved, fit, free)
-        left = [
-            (sight, each)
+        steepness, determined = likeliest_steepness(self.surfaces, solved, fit, free)
+        remaining = [
+            (sight, residual)
             for surface, heights in zip(self.surfaces, solved, strict=True)
-            for sight, each in zip(surface.sights, heights.left, strict=True)
+            for sight, residual in zip(surface.sights, heights.left, strict=True)
         ]
-        absorbed = (np.count_nonzero(free) + told) / len(sights)
+        absorbed = (np.count_nonzero(free) + determined) / len(sights)
         stations = []
         for capture in range(len(grown.labelled)):
-            own = [(sight.cells, each) for sight, each in left if sight.capture == capture]
-            seen, residuals = [cells for cells, _ in own], [each for _, each in own]
-            stations.append(of_station(seen, residuals, absorbed)[0] if own else UNKNOWN)
+            own = [(sight.cells, residual) for sight, residual in remaining if sight.capture == capture]
+            sighted, residuals = [cells for cells, _ in own], [residual for _, residual in own]
+            stations.append(of_station(sighted, residuals, absorbed)[0] if own else UNKNOWN)
         levels = Levels(tuple(stations), np.ones(len(fit.layout.planes)), 1.0)
         surfaces = [
             replace(surface, steepness=steep, variances=tuple(levels.variances(surface.sights)))

@@ -29,13 +29,13 @@ def resting_depth(depths: Sequence[NDArray[np.float32]], noise: Sequence[float])
     `noise`: standard deviation of a depth z is `noise` · z². With fewer than FEWEST stations, all must agree.
     """
     stack = np.stack(depths)
-    seen = np.count_nonzero(np.isfinite(stack), axis=0)
+    counts = np.count_nonzero(np.isfinite(stack), axis=0)
     order = np.sort(stack, axis=0)  # NaN last
-    index = np.floor(_QUANTILE * np.maximum(seen - 1, 0)).astype(np.int64)
+    index = np.floor(_QUANTILE * np.maximum(counts - 1, 0)).astype(np.int64)
     far = np.take_along_axis(order, index[None], axis=0)[0]
     near = within(stack, far, float(np.median(noise)))
     agreeing = np.count_nonzero(near, axis=0)
-    rests = (agreeing >= np.maximum(_SHARE * seen, min(FEWEST - 1, len(depths)))) & (seen >= _SHARE * len(depths))
+    rests = (agreeing >= np.maximum(_SHARE * counts, min(FEWEST - 1, len(depths)))) & (counts >= _SHARE * len(depths))
     square = np.ones((_OPENED, _OPENED), np.uint8)
     opened = cv2.morphologyEx(rests.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
     mean = np.sum(np.where(near, stack, 0), axis=0) / np.maximum(agreeing, 1)
@@ -47,36 +47,36 @@ def within(
 ) -> NDArray[np.bool_]:
     """Whether a depth is that of the background, and not of something in front of it."""
     with np.errstate(invalid="ignore"):
-        found: NDArray[np.bool_] = np.abs(depth - rest) < loosely * rest * (_WITHIN + _SIGMAS * noise * rest)
-    return found
+        at_rest: NDArray[np.bool_] = np.abs(depth - rest) < loosely * rest * (_WITHIN + _SIGMAS * noise * rest)
+    return at_rest
 
 
 def resting_planes(resting: Sequence[NDArray[np.float32]], noise: float) -> list[Floats]:
     """Planes n (3,), n · X = 1, with a large share of the `resting` points (N, 3) of all stations, by RANSAC."""
     rng = np.random.default_rng(0)
-    left = np.concatenate([rng.permutation(points)[:_POINTS] for points in resting]).astype(np.float64)
+    remaining = np.concatenate([rng.permutation(points)[:_POINTS] for points in resting]).astype(np.float64)
     planes: list[Floats] = []
-    least = _OF_PLANE * len(left)
-    while len(planes) < _PLANES and len(left) >= max(least, 3):
-        chosen = left[rng.integers(0, len(left), (_TRIALS, 3))]
+    least = _OF_PLANE * len(remaining)
+    while len(planes) < _PLANES and len(remaining) >= max(least, 3):
+        chosen = remaining[rng.integers(0, len(remaining), (_TRIALS, 3))]
         sound = np.abs(np.linalg.det(chosen)) > 0
         trials = np.linalg.solve(chosen[sound], np.ones((np.count_nonzero(sound), 3, 1)))[..., 0]
-        on_it = _on(left, trials, noise) if len(trials) else np.zeros((0, len(left)), np.bool_)
-        best = on_it[np.argmax(np.count_nonzero(on_it, axis=1))] if len(on_it) else np.zeros(len(left), np.bool_)
+        on_it = _on(remaining, trials, noise) if len(trials) else np.zeros((0, len(remaining)), np.bool_)
+        best = on_it[np.argmax(np.count_nonzero(on_it, axis=1))] if len(on_it) else np.zeros(len(remaining), np.bool_)
         if np.count_nonzero(best) < least:
             break
-        plane = np.linalg.lstsq(left[best], np.ones(np.count_nonzero(best)), rcond=None)[0]
+        plane = np.linalg.lstsq(remaining[best], np.ones(np.count_nonzero(best)), rcond=None)[0]
         planes.append(plane)
-        left = left[~_on(left, plane[None], noise)[0]]
+        remaining = remaining[~_on(remaining, plane[None], noise)[0]]
     return planes
 
 
 def in_planes(points: NDArray[np.float32], planes: Sequence[Floats], noise: float) -> NDArray[np.bool_]:
     """Which points (H, W, 3), NaN for none, lie in one of the planes, (H, W)."""
-    found = np.zeros(points.shape[:2], np.bool_)
+    on_planes = np.zeros(points.shape[:2], np.bool_)
     for plane in planes:
-        found |= _on(points.reshape(-1, 3), plane[None], noise)[0].reshape(found.shape)
-    return found
+        on_planes |= _on(points.reshape(-1, 3), plane[None], noise)[0].reshape(on_planes.shape)
+    return on_planes
 
 
 def _on(points: NDArray[np.floating], planes: Floats, noise: float) -> NDArray[np.bool_]:

@@ -73,8 +73,8 @@ class View:
     @cached_property
     def _extent(self) -> tuple[Floats, Floats]:
         """The patches' least pixel (2,), and how far they spread (2,)."""
-        seen = self.pixels(self.patches)
-        return seen.min(axis=0), np.ptp(seen, axis=0) + 1
+        pixels = self.pixels(self.patches)
+        return pixels.min(axis=0), np.ptp(pixels, axis=0) + 1
 
     def parts(self, pixels: Floats) -> Ints:
         """Which of PARTS parts of the picture pixels (N, 2) are in, (N,)."""
@@ -96,7 +96,7 @@ class View:
 
     def facing(self, flat: Ints) -> Floats:
         """Cosine of the slant (N,)."""
-        points, normals = (each.reshape(-1, 3)[flat].astype(np.float64) for each in (self.points, self.normals))
+        points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in (self.points, self.normals))
         cosine: Floats = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)
         return cosine
 

@@ -40,9 +40,9 @@ def fit_cells(camera_px: Floats, projector_px: Floats, order: Ints, start: Ints,
     )
 
     def fit(at: slice) -> None:
-        found = (getattr(fits, field.name)[at] for field in fields(fits))
+        values = (getattr(fits, field.name)[at] for field in fields(fits))
         _fit_cells(
-            camera_px, projector_px, order, start[at], there[at], np.ascontiguousarray(picks[:, :, at]), gate, *found
+            camera_px, projector_px, order, start[at], there[at], np.ascontiguousarray(picks[:, :, at]), gate, *values
         )
 
     in_pieces(cells, fit, width=MOST_PER_CELL)

@@ -80,7 +80,7 @@ def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, fl
     segments = segments.about(point)
     view, planes, label = segments.view, segments.planes, segments.label
     share = np.bincount(label[label >= 0], minlength=len(planes)) / len(label)
-    found, off_square, oblong_score = [], 0.0, -np.inf
+    hypotheses, off_square, oblong_score = [], 0.0, -np.inf
     for chosen in combinations(range(min(len(planes), _CANDIDATES)), 3):
         index = list(chosen)
         trials = _trials(view, planes[index], [x[i] for i in index], planes[share > _REGULAR_SHARE])
@@ -91,13 +91,13 @@ def corner_triples(segments: Segments, camera_px: Floats, point: tuple[float, fl
         if fit.off_square < _MOST_OFF_SQUARE:
             sigma = max(_direction_sigma_deg(fit, planes[i], segments.covariance[i]) for i in index)
             inverse = (planes - fit.at_infinity) * np.array([fit.focal, fit.focal, 1.0])
-            found.append(Triple(chosen, fit.off_square, sigma, fit.likelihood + large, inverse))
+            hypotheses.append(Triple(chosen, fit.off_square, sigma, fit.likelihood + large, inverse))
         if oblong.likelihood + large > oblong_score:
             off_square, oblong_score = oblong.off_square, oblong.likelihood + large
-    found.sort(key=lambda triple: -triple.score)
+    hypotheses.sort(key=lambda triple: -triple.score)
     # Densities of the two terms' priors at their peaks: a wider prior has a lower density.
     wider = 2 * np.log(_OBLONG_SIGMA / _SQUARE_SIGMA)
-    return Triples(found, off_square, float(oblong_score - wider - found[0].score) if found else -np.inf)
+    return Triples(hypotheses, off_square, float(oblong_score - wider - hypotheses[0].score) if hypotheses else -np.inf)
 
 
 def outermost(triples: list[Triple], segments: Segments) -> Triple:
@@ -111,15 +111,15 @@ def outermost(triples: list[Triple], segments: Segments) -> Triple:
     inverse_distance = np.linalg.norm(best.inverse, axis=1)
     unit = best.inverse / inverse_distance[:, None]
 
-    def stands_for(other: int, own: int) -> bool:
-        parallel = unit[other] @ unit[own] > np.cos(np.radians(_PARALLEL_DEG))
-        farther = inverse_distance[other] <= inverse_distance[own]
-        return bool(parallel and farther and size[other] >= _LEAST_OF_NEARER * size[own])
+    def stands_for(plane: int, own: int) -> bool:
+        parallel = unit[plane] @ unit[own] > np.cos(np.radians(_PARALLEL_DEG))
+        farther = inverse_distance[plane] <= inverse_distance[own]
+        return bool(parallel and farther and size[plane] >= _LEAST_OF_NEARER * size[own])
 
     standing_for = [
         triple
         for triple in triples
-        if all(any(stands_for(other, own) for other in triple.planes) for own in best.planes)
+        if all(any(stands_for(plane, own) for plane in triple.planes) for own in best.planes)
     ]
     return min(standing_for, key=lambda triple: float(np.prod(inverse_distance[list(triple.planes)])))
 
@@ -162,7 +162,7 @@ class _Trials:
         return _Fit(float(self.focal[best]), self.at_infinity[best], float(off_square[best]), float(likelihood[best]))
 
 
-def _trials(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _Trials | None:
+def _trials(view: TwoView, planes: Floats, x: list[Floats], further: Floats) -> _Trials | None:
     """Evaluate all focals and both corners for three planes (3, 3) with image points x; None if none is a corner.
 
     `others` (n, 3): planes of the same scene.
@@ -187,7 +187,7 @@ def _trials(view: TwoView, planes: Floats, x: list[Floats], others: Floats) -> _
         cost = np.sum((projector[:, :2, 2] / _CENTRE_SIGMA) ** 2, axis=1)
         for length in (focal, projector[:, 0, 0]):
             cost += ((np.log(length) - _LOG_FOCAL) / _LOG_FOCAL_SIGMA) ** 2
-        likelihood = _regularity(at_infinity, focal, others) - cost / 2
+        likelihood = _regularity(at_infinity, focal, further) - cost / 2
     possible = np.isfinite(likelihood) & np.isfinite(shape).all(axis=1) & (positive > _LEAST_IN_FRONT)
     if not possible.any():
         return None

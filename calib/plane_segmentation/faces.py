@@ -126,12 +126,12 @@ def _oblong(segments: Segments, triples: Triples) -> RefusalError:
 
 def _no_corner(segments: Segments, triples: Triples) -> RefusalError:
     advice = "Capture the corner of a room, or three faces of a box, with all three faces large in the picture."
-    found, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
+    count, uneven = f"{len(segments.planes)} planes were found", _unevenness(segments)
     if not triples.square:
-        return RefusalError(f"{found}{uneven}, but no three of them are perpendicular to each other.", advice)
+        return RefusalError(f"{count}{uneven}, but no three of them are perpendicular to each other.", advice)
     sigma = min(triple.direction_sigma_deg for triple in triples.square)
     return RefusalError(
-        f"{found}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
+        f"{count}{uneven}; three could be perpendicular, but are too small or too uneven to tell (by {sigma:.1f}°).",
         advice,
     )
 

@@ -68,7 +68,7 @@ def _near(surfels: Surfels, label: Ints, planes: int) -> tuple[Ints, Ints]:
     on_plane = label >= 0
     image[label[on_plane], surfels.cell[on_plane]] = 1
     kernel = np.ones((3, 3), np.uint8)
-    dilated = np.stack([cv2.dilate(one.reshape(grid.rows, grid.columns), kernel).ravel() for one in image])
+    dilated = np.stack([cv2.dilate(channel.reshape(grid.rows, grid.columns), kernel).ravel() for channel in image])
     _, first, near = np.unique((1 << np.arange(planes)) @ dilated, return_index=True, return_inverse=True)
     sets = np.where(dilated[:, first].T > 0, np.arange(planes, dtype=np.int32), np.int32(planes))
     return np.sort(sets, axis=1), near.astype(np.int32)
@@ -113,17 +113,17 @@ def _label(
     """
     none, per_unit, end = len(homographies), 1.0 / (projector[2] * projector[2]), 0
     x, y, u, v, per_variance, best, second = np.empty((7, _BLOCK))
-    found = np.empty(_BLOCK, np.int32)
+    labels = np.empty(_BLOCK, np.int32)
     while end < len(plane):
         start, run = end, near[end]
         while end < min(start + _BLOCK, len(plane)) and near[end] == run:
             end += 1
-        seen, lit, sigma, own = camera_px[start:end], projector_px[start:end], sigma_px[start:end], plane[start:end]
-        _rescale(seen, camera, x, y)
+        pixels, lit, sigma, own = camera_px[start:end], projector_px[start:end], sigma_px[start:end], plane[start:end]
+        _rescale(pixels, camera, x, y)
         _rescale(lit, projector, u, v)
         for i in range(len(own)):
             per_variance[i] = per_unit / (sigma[i] * sigma[i] + model_px * model_px)
-        best[:], second[:], found[:] = np.inf, np.inf, none
+        best[:], second[:], labels[:] = np.inf, np.inf, none
         for candidate in candidates[run]:
             if candidate == none:
                 break
@@ -134,14 +134,14 @@ def _label(
                 off_y = (h10 * x[i] + h11 * y[i] + h12) * per_third - v[i]
                 error = (off_x * off_x + off_y * off_y) * per_variance[i]
                 # Everything is read before a choice: reads that depend on one are not vectorised.
-                least, next_least, last = best[i], second[i], found[i]
+                least, next_least, last = best[i], second[i], labels[i]
                 nearer = error < least
-                other = least if nearer else error
-                second[i] = other if other < next_least else next_least
-                best[i], found[i] = (error, candidate) if nearer else (least, last)
+                runner_up = least if nearer else error
+                second[i] = runner_up if runner_up < next_least else next_least
+                best[i], labels[i] = (error, candidate) if nearer else (least, last)
         for i in range(len(own)):
             clear = (best[i] <= _GATE * _GATE) & (second[i] >= best[i] + _CLEARER_BY)
-            own[i] = found[i] if clear else none
+            own[i] = labels[i] if clear else none
         for candidate in candidates[run]:
             if candidate == none:
                 break

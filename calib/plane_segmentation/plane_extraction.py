@@ -29,13 +29,13 @@ def find_planes(surfels: Surfels, evidence: Evidence, rng: np.random.Generator) 
     while len(planes) < _MOST_PLANES and np.any(free & usable):
         pool = np.flatnonzero(free & usable)
         picked = pool[rng.permutation(len(pool))[:_SEEDS]]
-        left = np.flatnonzero(free)
-        plane, inlier = grow(evidence.rows.take(left, axis=1), seeds[picked], covariance[picked], _GATE)
+        remaining = np.flatnonzero(free)
+        plane, inlier = grow(evidence.rows.take(remaining, axis=1), seeds[picked], covariance[picked], _GATE)
         if np.count_nonzero(inlier) < fewest:
             usable[picked] = False
             continue
         planes.append(plane)
-        free[left[inlier]] = False
+        free[remaining[inlier]] = False
     if not planes:
         return np.empty((0, 3)), np.full(len(surfels), NO_PLANE, np.int32)
     return _assign(surfels, evidence, np.stack(planes))

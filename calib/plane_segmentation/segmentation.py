@@ -57,13 +57,13 @@ def segmentations(
     plane as uneven.
     """
     view = first_geometry(surfels, largest_plane(surfels, camera_size, projector_size, rng), rng)
-    found: list[Segments] = []
+    candidates: list[Segments] = []
     models_px = iter(_FIRST_MODELS_PX)
     for model_px in models_px:
-        found.append(_segment_within(surfels, view, model_px, rng))
-        if found[-1].spill < _MOST_SPILL:
+        candidates.append(_segment_within(surfels, view, model_px, rng))
+        if candidates[-1].spill < _MOST_SPILL:
             break
-    last = min(found, key=lambda segments: segments.spill)
+    last = min(candidates, key=lambda segments: segments.spill)
     yield last
     for model_px in models_px:
         if last.uneven < _MUCH_UNEVEN:

@@ -94,18 +94,18 @@ def find_sparse_planes(matches: Matches, size: tuple[int, int]) -> tuple[Ints, i
 
 
 def _one_after_the_other(matches: Matches, limit_px: float) -> list[Floats]:
-    left = np.arange(len(matches))
+    remaining = np.arange(len(matches))
     least = _least(len(matches))
     planes: list[Floats] = []
-    while len(left) >= least and len(planes) < _MOST_PLANES:
-        found = _homography(matches[left], limit_px)
-        if found is None:
+    while len(remaining) >= least and len(planes) < _MOST_PLANES:
+        homography = _homography(matches[remaining], limit_px)
+        if homography is None:
             break
-        on = _off(found, matches[left]) <= limit_px
+        on = _off(homography, matches[remaining]) <= limit_px
         if on.sum() < least:
             break
-        planes.append(found)
-        left = left[~on]
+        planes.append(homography)
+        remaining = remaining[~on]
     return planes
 
 
@@ -126,7 +126,7 @@ def _assign_to_planes(matches: Matches, planes: list[Floats], limit_px: float) -
 
 def _best_planes(matches: Matches, planes: list[Floats], around: Ints, limit_px: float) -> tuple[Floats, Ints, Floats]:
     """Return transfer errors (n, N) of all planes, the best plane (N,) for a match and its neighbours, its errors."""
-    off = np.stack([_off(each, matches) for each in planes])
+    off = np.stack([_off(plane, matches) for plane in planes])
     best = np.argmin(np.minimum(off, limit_px)[:, around].mean(axis=2), axis=0).astype(np.int32)
     return off, best, off[best, np.arange(len(matches))]
 
@@ -164,10 +164,10 @@ def _least(count: int) -> int:
 
 
 def _homography(matches: Matches, limit_px: float) -> Floats | None:
-    found, _ = cv2.findHomography(
+    homography, _ = cv2.findHomography(
         matches.camera_px, matches.projector_px, cv2.USAC_MAGSAC, limit_px, None, _RANSAC_STEPS, _CONFIDENCE
     )
-    return None if found is None else np.asarray(found, np.float64)
+    return None if homography is None else np.asarray(homography, np.float64)
 
 
 def _off(homography: Floats, matches: Matches) -> Floats:

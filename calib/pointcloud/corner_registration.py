@@ -75,22 +75,24 @@ def find_order(views: Sequence[View], angles_nats: float = 0.0) -> Order:
     patches = [_patches(view) for view in views]
     pixel = _WALL_PIXEL * float(np.median([view.distance for view in views]))
     walls = [_pictures_of_walls(view, pixel) for view in views]
-    costs, seen = {}, {}
+    costs, overlaps = {}, {}
     for i, j in combinations(range(len(views)), 2):
         for turn in _TURNS:
             both = _seen_by(views[i], patches[j], turn), _seen_by(views[j], patches[i], -turn)
-            seen[i, j, turn] = both
+            overlaps[i, j, turn] = both
             costs[i, j, turn] = (
-                _NATS_PER_PATCH * sum(each.refuted for each in both)
+                _NATS_PER_PATCH * sum(overlap.refuted for overlap in both)
                 + _cost_of_paint(walls[i], walls[j], turn)
                 + _cost_of_tilt(views[i], views[j], turn)
                 + (angles_nats if turn else 0.0)
             )
 
     (best, least), (_, next_least), *_ = _cheapest(costs, len(views))
-    chosen = [each for i, j in combinations(range(len(views)), 2) for each in seen[i, j, (best[j] - best[i]) % 3]]
-    refuted = sum(each.refuted_off_walls for each in chosen)
-    confirmed = sum(each.confirmed_off_walls for each in chosen)
+    chosen = [
+        overlap for i, j in combinations(range(len(views)), 2) for overlap in overlaps[i, j, (best[j] - best[i]) % 3]
+    ]
+    refuted = sum(overlap.refuted_off_walls for overlap in chosen)
+    confirmed = sum(overlap.confirmed_off_walls for overlap in chosen)
     return Order(_upright(views, best), next_least - least, refuted / max(1, refuted + confirmed))
 
 

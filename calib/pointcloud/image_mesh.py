@@ -33,7 +33,7 @@ class SeenPoints:
     focal_px: float
 
 
-def image_triangles(seen: SeenPoints, index: Ints) -> Ints:
+def image_triangles(points: SeenPoints, index: Ints) -> Ints:
     """Triangles (T, 3) of point indices, counter-clockwise as seen by the camera.
 
     `index` (H, W): the point of each pixel, as in `pixel_index`. In a dense grid, each square of four neighbours gives
@@ -41,13 +41,13 @@ def image_triangles(seen: SeenPoints, index: Ints) -> Ints:
     than the camera's, are joined by a Delaunay triangulation of the image.
     """
     surface = _Surface(
-        seen.pixel.astype(np.float32, order="C"),
-        seen.points.astype(np.float32, order="C"),
-        seen.normals.astype(np.float32, order="C"),
-        (seen.points[:, 2] / seen.focal_px).astype(np.float32),
+        points.pixel.astype(np.float32, order="C"),
+        points.points.astype(np.float32, order="C"),
+        points.normals.astype(np.float32, order="C"),
+        (points.points[:, 2] / points.focal_px).astype(np.float32),
     )
     triangles = _grid_triangles(surface, index)
-    return triangles if len(triangles) >= len(seen.pixel) else _scattered_triangles(surface)
+    return triangles if len(triangles) >= len(points.pixel) else _scattered_triangles(surface)
 
 
 class _Surface(NamedTuple):

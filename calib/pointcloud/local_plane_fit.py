@@ -85,11 +85,11 @@ def _fit_tile(
 
 
 @compiled
-def _see(row: Floats32, left: int, focal_px: float, terms: Floats) -> None:
+def _see(row: Floats32, first_column: int, focal_px: float, terms: Floats) -> None:
     """Compute 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero for missing points."""
     # Parts are taken out of the arrays before the loop: offsets inside it kept the compiler from vectorising.
-    begin, end = max(0, -left), min(terms.shape[1], len(row) - left)
-    points, (ones, x, y, w) = row[left + begin : left + end], terms[:, begin:end]
+    begin, end = max(0, -first_column), min(terms.shape[1], len(row) - first_column)
+    points, (ones, x, y, w) = row[first_column + begin : first_column + end], terms[:, begin:end]
     for i in range(len(points)):
         inverse = 1.0 / np.float64(points[i, 2])
         there = np.abs(inverse) < np.inf

@@ -73,8 +73,8 @@ def build_cloud(matches: Matches, texture: Image | None, calibration: Calibratio
     """
     height, width = calibration.camera.height, calibration.camera.width
     if texture is not None and texture.shape[:2] != (height, width):
-        found = f"{texture.shape[1]} × {texture.shape[0]}"
-        raise ValueError(f"the texture must have the camera's size {width} × {height}, found {found}")
+        size = f"{texture.shape[1]} × {texture.shape[0]}"
+        raise ValueError(f"the texture must have the camera's size {width} × {height}, found {size}")
     organised = organise(matches, calibration)
     points = organised.points
     on_surface = (

@@ -32,11 +32,11 @@ def _enter(points: Floats, distance: Floats, size: float, slots: Ints) -> None:
         mixed = ((int(x) * _PRIMES[0]) ^ (int(y) * _PRIMES[1]) ^ (int(z) * _PRIMES[2])) * _GOLDEN
         slot, tag = (mixed >> _INDEX_BITS) & last, mixed & _TAG
         while slots[slot] != 0:
-            other = (slots[slot] & _INDEX) - 1
+            member = (slots[slot] & _INDEX) - 1
             if slots[slot] >> _INDEX_BITS == tag and (
-                x == np.floor(points[other, 0] / size)
-                and y == np.floor(points[other, 1] / size)
-                and z == np.floor(points[other, 2] / size)
+                x == np.floor(points[member, 0] / size)
+                and y == np.floor(points[member, 1] / size)
+                and z == np.floor(points[member, 2] / size)
             ):
                 break
             slot = (slot + 1) & last

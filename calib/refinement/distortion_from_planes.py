@@ -41,10 +41,10 @@ def straighten(
     start = np.concatenate([_homographies(faces, camera, projector).ravel(), np.zeros(2)])
     prior_sigma = np.append(np.full(len(start) - 2, np.inf), [_SIGMA, _SIGMA])
     misfit = partial(_misfit, faces, camera, projector)
-    found = minimise(
+    fit = minimise(
         misfit, start, prior_sigma, robust=False, damping=_DAMPING, converged=_CONVERGED, least_gain=0.0, steps=_STEPS
     )
-    camera[3], projector[3] = found.parameters[-2:]
+    camera[3], projector[3] = fit.parameters[-2:]
     ideal = [
         unproject(device, pixels)[0][:, :2] * device[0] + device[1:3]
         for device, pixels in ((camera, faces.camera_px), (projector, faces.projector_px))

@@ -74,8 +74,8 @@ def relax(
         return evaluate(captures, fit.state.moved(step), prior, variances)
 
     def enough(cost: float, decrement: float) -> bool:
-        left = cost - decrement
-        hopeless = left > ceiling and decrement < (_SLOW_IF_FAR if left > _FAR * ceiling else _SLOW) * cost
+        remaining = cost - decrement
+        hopeless = remaining > ceiling and decrement < (_SLOW_IF_FAR if remaining > _FAR * ceiling else _SLOW) * cost
         return hopeless or decrement < tolerance * (1 + 0.01 * cost)
 
     fit = evaluate(captures, state, prior, variances)

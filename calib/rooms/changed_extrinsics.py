@@ -46,18 +46,18 @@ def changed_extrinsics(estimate: RoomEstimate) -> tuple[TurnedRig, ...]:
     covariance = covariance_of(information, np.isfinite(variance) & (variance > 0))
     step = -covariance @ gradient
     scores = [_of_station(k, patches, sums, covariance, step) for k in stations]
-    px = [_moved_px(found, k, patches, flat) for found, k in zip(scores, stations, strict=True)]
+    px = [_moved_px(score, k, patches, flat) for score, k in zip(scores, stations, strict=True)]
     usual_px = sorted(px)[(len(px) - 1) // 2]
     return tuple(
-        TurnedRig(k, float(np.degrees(np.linalg.norm(found.step[:3]))), own_px)
-        for k, found, own_px in zip(stations, scores, px, strict=True)
-        if found.value > _SURE and own_px > max(_LEAST_PX, _TIMES_USUAL * usual_px)
+        TurnedRig(k, float(np.degrees(np.linalg.norm(score.step[:3]))), own_px)
+        for k, score, own_px in zip(stations, scores, px, strict=True)
+        if score.value > _SURE and own_px > max(_LEAST_PX, _TIMES_USUAL * usual_px)
     )
 
 
 def _flat(estimate: RoomEstimate) -> list[Floats]:
     """Variances of cells that err by noise alone: what does not fit must not be given less weight for that."""
-    noise = [replace(each, inflation=1.0) for each in estimate.levels.stations]
+    noise = [replace(station_levels, inflation=1.0) for station_levels in estimate.levels.stations]
     return [noise[patch.station].variances(patch.cells) for patch in estimate.patches]
 
 
@@ -65,18 +65,20 @@ def _of_station(
     station: int, patches: Sequence[Patch], sums: Sequence[PatchSums], covariance: Floats, step: Floats
 ) -> Score:
     """Of a motion between its camera and its projector that is its own."""
-    own = [each for patch, each in zip(patches, sums, strict=True) if patch.station == station]
+    own = [patch_sums for patch, patch_sums in zip(patches, sums, strict=True) if patch.station == station]
     across = np.zeros((_MOTION.stop - _MOTION.start, len(step)))
-    for each in own:
-        across[:, each.columns] += each.information[_MOTION] @ each.by_room
-    slope = np.sum([each.slope[_MOTION] for each in own], axis=0)
-    information = np.sum([each.information[_MOTION, _MOTION] for each in own], axis=0)
+    for patch_sums in own:
+        across[:, patch_sums.columns] += patch_sums.information[_MOTION] @ patch_sums.by_room
+    slope = np.sum([patch_sums.slope[_MOTION] for patch_sums in own], axis=0)
+    information = np.sum([patch_sums.information[_MOTION, _MOTION] for patch_sums in own], axis=0)
     return score(slope, information, across, covariance, step)
 
 
-def _moved_px(found: Score, station: int, patches: Sequence[Patch], variances: Sequence[Floats]) -> float:
+def _moved_px(score: Score, station: int, patches: Sequence[Patch], variances: Sequence[Floats]) -> float:
     """What a score is as a deviation of every cell's coordinates."""
     weight = sum(
-        2 * float(np.sum(1 / each)) for patch, each in zip(patches, variances, strict=True) if patch.station == station
+        2 * float(np.sum(1 / patch_variances))
+        for patch, patch_variances in zip(patches, variances, strict=True)
+        if patch.station == station
     )
-    return float(np.sqrt(found.value / weight))
+    return float(np.sqrt(score.value / weight))

@@ -16,8 +16,8 @@ def logarithmic(picture: Image) -> NDArray[np.uint8]:
     bright = max(float(np.percentile(grey, 99.5)), 1.0)
     light = np.log(np.clip(grey / bright, 0.0, 1.0) + _DARKEST)
     low, high = np.log(_DARKEST), np.log(1 + _DARKEST)
-    found: NDArray[np.uint8] = np.rint(255 * (light - low) / (high - low)).astype(np.uint8)
-    return found
+    levels: NDArray[np.uint8] = np.rint(255 * (light - low) / (high - low)).astype(np.uint8)
+    return levels
 
 
 def drawn(
@@ -29,7 +29,7 @@ def drawn(
     at = np.where(np.isfinite(pixels), pixels, -1e4).astype(np.float32)
     column, row = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
     drawing = cv2.remap(light, column, row, cv2.INTER_LINEAR)
-    seen = cv2.remap(on_plane.astype(np.uint8), column, row, cv2.INTER_NEAREST)
-    seen = cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    inside = cv2.erode(seen, np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8), borderValue=0)
+    visible = cv2.remap(on_plane.astype(np.uint8), column, row, cv2.INTER_NEAREST)
+    visible = cv2.morphologyEx(visible, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    inside = cv2.erode(visible, np.ones((2 * _BORDER_PX + 1,) * 2, np.uint8), borderValue=0)
     return drawing.astype(np.uint8), (255 * inside).astype(np.uint8)

@@ -35,10 +35,10 @@ def angle_deg(estimate: RoomEstimate, first: int, second: int) -> Measured:
     a, b = (estimate.room.planes[plane].normal for plane in (first, second))
     cosine, sine = float(a @ b), float(np.linalg.norm(np.cross(a, b)))
     gradient = np.zeros(estimate.room.size)
-    for plane, own, other in ((first, a, b), (second, b, a)):
+    for plane, own, opposite in ((first, a, b), (second, b, a)):
         start = estimate.room.plane_columns(plane).start
         # Parallel planes open in any direction that they move; choose one.
-        slope = tangent_basis(own).T @ other / sine if sine > _PARALLEL else np.array([1.0, 0.0])
+        slope = tangent_basis(own).T @ opposite / sine if sine > _PARALLEL else np.array([1.0, 0.0])
         gradient[start : start + 2] = slope
     angle = np.pi - np.arctan2(sine, cosine)
     return Measured(float(np.degrees(angle)), float(np.degrees(_sigma(estimate, gradient))))
@@ -50,16 +50,16 @@ def gap(estimate: RoomEstimate, first: int, second: int) -> Measured:
     It is taken midway between the middles of their visible parts, because planes are never exactly parallel.
     """
     room = estimate.room
-    one, other = room.planes[first], room.planes[second]
+    plane, opposite = room.planes[first], room.planes[second]
     middle = (centre_of(estimate, first) + centre_of(estimate, second)) / 2
-    above = float(one.normal @ middle - one.offset)
-    foot = middle - above * one.normal
-    signed = float(other.normal @ foot - other.offset)
+    above = float(plane.normal @ middle - plane.offset)
+    foot = middle - above * plane.normal
+    signed = float(opposite.normal @ foot - opposite.offset)
     gradient = np.zeros(room.size)
-    columns, basis = room.plane_columns(first), tangent_basis(one.normal)
-    facing = float(other.normal @ one.normal)
-    gradient[columns] = [*-(facing * basis.T @ middle + above * basis.T @ other.normal), facing]
-    gradient[room.plane_columns(second)] = [*tangent_basis(other.normal).T @ foot, -1.0]
+    columns, basis = room.plane_columns(first), tangent_basis(plane.normal)
+    facing = float(opposite.normal @ plane.normal)
+    gradient[columns] = [*-(facing * basis.T @ middle + above * basis.T @ opposite.normal), facing]
+    gradient[room.plane_columns(second)] = [*tangent_basis(opposite.normal).T @ foot, -1.0]
     return Measured(abs(signed), _sigma(estimate, gradient))
 
 

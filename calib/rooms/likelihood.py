@@ -125,13 +125,13 @@ def evaluate(
     residuals = []
     for part, variance in zip(parts, variances, strict=True):
         predicted, jacobian, depths = part.predict(layout)
-        residual, seen = np.empty_like(predicted), np.ascontiguousarray(part.cells.projector_px)
+        residual, projector_px = np.empty_like(predicted), np.ascontiguousarray(part.cells.projector_px)
         own_columns = np.arange(jacobian.shape[2], dtype=np.int32)
         slope, curvature = np.zeros(len(own_columns)), np.zeros((len(own_columns), len(own_columns)))
-        own = misfit(predicted, seen, jacobian, depths, variance, own_columns, residual, slope, curvature)
+        own = misfit(predicted, projector_px, jacobian, depths, variance, own_columns, residual, slope, curvature)
         residuals.append(residual)
         if not np.isfinite(own):
-            cost += _BEHIND * len(seen)
+            cost += _BEHIND * len(projector_px)
             continue
         cost += own
         columns, by_layout = part.columns(layout), part.carried(layout)

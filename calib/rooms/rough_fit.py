@@ -25,14 +25,14 @@ Rough = tuple[tuple[Patch, ...], RoomPrior, Fit[Room], list[Floats]]
 def fit_roughly(patches: tuple[Patch, ...], room: Room, prior: RoomPrior) -> Rough:
     """From far off, at noise levels that follow the residuals down; without patches that end behind a device."""
 
-    free, left = prior.free(seen(room, patches)), patches
+    free, kept = prior.free(seen(room, patches)), patches
     for _ in range(_ROUNDS):
-        patches = left
+        patches = kept
         levels = _levels(patches, room, prior)
         variances = [np.full(len(patch.cells), level) for patch, level in zip(patches, levels, strict=True)]
         fit = minimise(patches, room, prior, variances, free)
-        room, left = fit.layout, in_front(fit.layout, patches)
-        if len(left) == len(patches) and np.mean(_levels(left, room, prior)) > _SETTLED * np.mean(levels):
+        room, kept = fit.layout, in_front(fit.layout, patches)
+        if len(kept) == len(patches) and np.mean(_levels(kept, room, prior)) > _SETTLED * np.mean(levels):
             break
     return patches, prior, fit, variances
 

@@ -49,7 +49,7 @@ def relative_noise(points: NDArray[np.float32], normals: NDArray[np.float32]) ->
     middle, left, right = points[:, 1:-1], points[:, :-2], points[:, 2:]
     with np.errstate(invalid="ignore", divide="ignore"):
         slant = np.sum(normals[:, 1:-1] * middle, axis=2)
-        inverse = [np.float32(1.0) / each[..., 2] for each in (left, middle, right)]
+        inverse = [np.float32(1.0) / points_of_side[..., 2] for points_of_side in (left, middle, right)]
         # Inverse depth is linear on a plane. The second difference of three equal variances has six times the variance.
         bend = (inverse[0] - 2 * inverse[1] + inverse[2])[slant < 0]
     bend = bend[np.isfinite(bend)]
@@ -64,10 +64,10 @@ def find_segments(
     `points`, `normals` (H, W, 3) in the camera's frame, normals towards the camera; `noise` as of `relative_noise`.
     """
     cells = _cells(points, normals, noise)
-    found = _planes_of(cells)
-    labels = _assigned(points, normals, noise, found)
+    planes = _planes_of(cells)
+    labels = _assigned(points, normals, noise, planes)
     fitted = []
-    for label in range(len(found)):
+    for label in range(len(planes)):
         own = np.flatnonzero(labels.ravel() == label)
         some = points.reshape(-1, 3)[own[:: max(1, len(own) // _FITTED)]].astype(np.float64)
         fitted.append(plane_through(some, 1 / (noise * some[:, 2] ** 2 + _BENT / _SIGMAS * some[:, 2]) ** 2))
@@ -112,9 +112,9 @@ def _planes_of(cells: _Cells) -> list[RoomPlane]:
     rng = np.random.default_rng(0)
     free = np.ones(len(cells.area), np.bool_)
     fewest = max(8, _LEAST_SHARE * len(free))
-    found: list[RoomPlane] = []
+    planes: list[RoomPlane] = []
     failures = 0
-    while len(found) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
+    while len(planes) < _MOST_PLANES and failures < 3 and np.count_nonzero(free) >= fewest:
         best, most = None, 0
         pool = np.flatnonzero(free)
         for seed in rng.choice(pool, min(_SEEDS, len(pool)), replace=False):
@@ -125,10 +125,10 @@ def _planes_of(cells: _Cells) -> list[RoomPlane]:
         if best is None or most < fewest:
             failures += 1
             continue
-        found.append(plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
-        free &= ~cells.on(found[-1])
+        planes.append(plane_through(cells.centre[best], 1 / cells.tolerance[best] ** 2))
+        free &= ~cells.on(planes[-1])
         free &= ~best
-    return found
+    return planes
 
 
 def _grown(cells: _Cells, free: Bools, seed: int) -> Bools:

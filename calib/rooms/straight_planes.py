@@ -37,19 +37,19 @@ def split_planes(view: StationView, matches: Matches, calibration: Calibration) 
     fewest = max(_LEAST_MATCHES, int(_LEAST_SHARE * np.count_nonzero(plane != NO_PLANE)))
     count = 0
     for label in range(len(view.planes)):
-        left = np.flatnonzero(plane == label)
-        least = min(fewest, max(_LEAST_MATCHES, len(left) // 2))  # the segment may be small
+        remaining = np.flatnonzero(plane == label)
+        least = min(fewest, max(_LEAST_MATCHES, len(remaining) // 2))  # the segment may be small
         for _ in range(_MOST_PIECES):
-            if len(left) < least:
+            if len(remaining) < least:
                 break
             try:
-                on = follow_one_plane(ideal[left], _LEAST_OFF_PX)
+                on = follow_one_plane(ideal[remaining], _LEAST_OFF_PX)
             except TooFewMatchesError:
                 break
             if np.count_nonzero(on) >= least:
-                straight[left[on]] = count
+                straight[remaining[on]] = count
                 count += 1
-            left, least = left[~on], fewest
+            remaining, least = remaining[~on], fewest
     labels = np.full(height * width, NO_PLANE, np.int32)
     there = inside & (straight != NO_PLANE)
     labels[pixel[there]] = straight[there]
@@ -61,9 +61,9 @@ def _undistorted(matches: Matches, calibration: Calibration) -> tuple[Matches, B
     """The same matches in devices of the same focal lengths without distortion, and which of them (N,) have a place."""
     camera_px, projector_px = (
         Intrinsics(device.width, device.height, device.focal_px, device.principal_point_px).project(
-            device.unproject(seen.astype(np.float64))
+            device.unproject(pixels.astype(np.float64))
         )
-        for device, seen in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px))
+        for device, pixels in ((calibration.camera, matches.camera_px), (calibration.projector, matches.projector_px))
     )
     known: Bools = np.asarray(np.isfinite(np.hstack([camera_px, projector_px])).all(axis=1), np.bool_)
     camera_px[~known], projector_px[~known] = 0.0, 0.0

@@ -116,10 +116,10 @@ def spread(
     """
     flat, towards = points.reshape(-1, 3), normals.reshape(-1, 3)
     there = np.flatnonzero(np.isfinite(flat[:, 2]))
-    seen = flat[there].astype(np.float64)
-    slant = np.abs(np.sum(seen * towards[there], axis=1)) / np.linalg.norm(seen, axis=1)
+    visible = flat[there].astype(np.float64)
+    slant = np.abs(np.sum(visible * towards[there], axis=1)) / np.linalg.norm(visible, axis=1)
     kept = beyond | (slant > steepest)
-    there, depth = there[kept], seen[kept, 2]
+    there, depth = there[kept], visible[kept, 2]
     area = np.cumsum(depth**2 / np.maximum(slant[kept], steepest))
     rng = np.random.default_rng(0)
     places = (np.arange(count) + rng.random(count)) / count * area[-1]

@@ -57,12 +57,12 @@ def plane_scores(
 def _score(patches: Sequence[PatchSums], covariance: Floats, step: Floats) -> tuple[float, float]:
     """Scores of separate planes for the patches."""
     across = np.zeros((len(patches) * PER_PLANE, len(step)))
-    for rows, each in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
-        rows[:, each.columns] = each.information[PLANE] @ each.by_room
-    slope = np.concatenate([each.slope[PLANE] for each in patches])
-    information = block_diag(*[each.information[PLANE, PLANE] for each in patches])
-    found = score(slope, information, across, covariance, step)
-    return found.value, found.freedom
+    for rows, patch in zip(across.reshape(len(patches), PER_PLANE, -1), patches, strict=True):
+        rows[:, patch.columns] = patch.information[PLANE] @ patch.by_room
+    slope = np.concatenate([patch_sums.slope[PLANE] for patch_sums in patches])
+    information = block_diag(*[patch_sums.information[PLANE, PLANE] for patch_sums in patches])
+    tie_score = score(slope, information, across, covariance, step)
+    return tie_score.value, tie_score.freedom
 
 
 def untied(layout: AnyLayout, parts: Sequence[AnyPart], number: int) -> tuple[AnyLayout, tuple[AnyPart, ...]]:

@@ -48,20 +48,20 @@ class Missing:
 
 @dataclass(frozen=True)
 class FromBoards:
-    """The result of calibrating from captures of a board. `found` has the calibration; `missing` lists captures without
-    the board.
-    """
+    """The result of calibrating from captures of a board."""
 
     target: Target
-    seen: tuple[BoardCapture, ...]
+    captures: tuple[BoardCapture, ...]
+    """Those that show the board."""
     missing: tuple[Missing, ...]
-    found: BoardCalibration
+    """Those without it, and why."""
+    calibrated: BoardCalibration
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know, in sentences."""
-        missing = (f"{each.name} is not used: {each.why}." for each in self.missing)
-        return (*missing, *self.found.notes, *_on_scale(self))
+        missing = (f"{capture.name} is not used: {capture.why}." for capture in self.missing)
+        return (*missing, *self.calibrated.notes, *_on_scale(self))
 
 
 def calibrate_captures(
@@ -88,31 +88,31 @@ def calibrate_board_captures(
     config: Config | None = None,
 ) -> FromBoards:
     """Calibrate from captures that were looked at. Raises InputError if none has the board, RefusalError."""
-    seen = [each for each in looked if isinstance(each, BoardCapture)]
-    missing = [each for each in looked if isinstance(each, Missing)]
-    if not seen:
-        reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
+    captures = [look for look in looked if isinstance(look, BoardCapture)]
+    missing = [look for look in looked if isinstance(look, Missing)]
+    if not captures:
+        reasons = "".join(f"\n  {capture.name}: {capture.why}" for capture in missing)
         raise InputError(f"--board {target}: no capture shows such a board:{reasons}")
-    if missing and len(seen) < FEWEST_VIEWS:
-        reasons = "".join(f"\n  {each.name}: {each.why}" for each in missing)
-        raise InputError(f"expected the board in at least three captures, found it in {len(seen)}:{reasons}")
+    if missing and len(captures) < FEWEST_VIEWS:
+        reasons = "".join(f"\n  {capture.name}: {capture.why}" for capture in missing)
+        raise InputError(f"expected the board in at least three captures, found it in {len(captures)}:{reasons}")
     with progress.step("Calibrating"):
-        found = calibrate_boards(
-            [each.view for each in seen],
+        calibrated = calibrate_boards(
+            [capture.view for capture in captures],
             camera_size,
             projector_size,
             Board(target.reach, target.turns, UNIT),
             lenses=lenses_of(config or Config(), camera_size, projector_size),
         )
-    return FromBoards(target, tuple(seen), tuple(missing), found)
+    return FromBoards(target, tuple(captures), tuple(missing), calibrated)
 
 
 def _names(recordings: Sequence[Recording]) -> list[str]:
     """Return the shortest distinct names of the folders."""
     parts = [recording.folder.resolve().parts for recording in recordings]
-    longest = max(len(each) for each in parts)
-    names = (["/".join(each[-length:]) for each in parts] for length in range(1, longest + 1))
-    return next(each for each in names if len(set(each)) == len(each))
+    longest = max(len(part) for part in parts)
+    names = (["/".join(part[-length:]) for part in parts] for length in range(1, longest + 1))
+    return next(candidate for candidate in names if len(set(candidate)) == len(candidate))
 
 
 def _find_in(recording: Recording, name: str, target: Target, progress: Progress) -> BoardCapture | Missing:
@@ -153,8 +153,8 @@ def view_of(name: str, detected: Detected, matches: Matches, target: Target, siz
 
 def _on_scale(result: FromBoards) -> list[str]:
     """Note on the lengths that follow from the square's size, and whether they are plausible."""
-    distances = [float(np.linalg.norm(board.middle)) for board in result.found.estimate.state.boards]
-    nearest, farthest, baseline = min(distances), max(distances), result.found.calibration.baseline
+    distances = [float(np.linalg.norm(board.middle)) for board in result.calibrated.estimate.state.boards]
+    nearest, farthest, baseline = min(distances), max(distances), result.calibrated.calibration.baseline
     side, number = 2 * result.target.reach, shown_unit(UNIT).number
     note = (
         f"All lengths scale with the square: with {result.target.square:g} {UNIT}, the board is {number(side)} {UNIT} "

@@ -21,9 +21,9 @@ def read_folders(folders: Sequence[Path]) -> list[Recording]:
         if place in places[:i]:
             raise InputError(f"{recordings[i].folder}: given twice; a board counted twice would make sigmas too small")
     first, why = recordings[0], ": captures that are calibrated together come from one unchanged rig"
-    for other in recordings[1:]:
-        sizes, expected = ((each.camera_size, each.projector_size) for each in (other, first))
-        refuse_other_sizes(other.folder, sizes, expected, f"that of {first.folder}", why)
+    for later in recordings[1:]:
+        sizes, expected = ((capture.camera_size, capture.projector_size) for capture in (later, first))
+        refuse_other_sizes(later.folder, sizes, expected, f"that of {first.folder}", why)
     return recordings
 
 

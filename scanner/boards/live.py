@@ -48,8 +48,8 @@ def capture_boards(config: Config, number: int, target: Target, folder: Path, te
     """
     looked: list[BoardCapture | Missing] = []
     for step, rig in _rigs(config.required_rig):
-        found = sum(isinstance(each, BoardCapture) for each in looked)
-        if found == number or (step and not _moved(looked, found, number, rig, terminal)):
+        views = sum(isinstance(look, BoardCapture) for look in looked)
+        if views == number or (step and not _moved(looked, views, number, rig, terminal)):
             break
         place = folder / CAPTURES_FOLDER / str(step + 1)
         place.mkdir(parents=True)
@@ -67,13 +67,13 @@ def _rigs(settings: RigSettings) -> Iterator[tuple[int, RigSettings]]:
             yield step, settings
 
 
-def _moved(looked: list[BoardCapture | Missing], found: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
+def _moved(looked: list[BoardCapture | Missing], views: int, number: int, rig: RigSettings, terminal: Terminal) -> bool:
     """Whether the board was moved, and not the operator has had enough."""
     if isinstance(rig, SimulatedRigSettings):
         # A simulated board moves by itself: if it is never found, continuing does not help.
         return len(looked) < 2 * number
     question = (
-        f"{found} of {number} captures. Move the board, and nothing else; then press Enter, or q and Enter to end: "
+        f"{views} of {number} captures. Move the board, and nothing else; then press Enter, or q and Enter to end: "
     )
     return not terminal.ask(question).strip().lower().startswith("q")
 
@@ -84,7 +84,7 @@ def _tell(looked: list[BoardCapture | Missing], config: Config, target: Target, 
     if isinstance(last, Missing):
         terminal.show(f"{last.name} does not count: {last.why}.")
         return
-    count = sum(isinstance(each, BoardCapture) for each in looked)
+    count = sum(isinstance(look, BoardCapture) for look in looked)
     if count < FEWEST_VIEWS:
         terminal.show(f"{last.name}: the board was found. {FEWEST_VIEWS - count} more needed for a first estimate.")
         return
@@ -93,7 +93,7 @@ def _tell(looked: list[BoardCapture | Missing], config: Config, target: Target, 
     except RefusalError as refusal:
         terminal.show(f"{last.name}: the board was found. Not yet enough: {refusal.reason} {refusal.advice}")
         return
-    estimate, sizes = result.found.estimate, result.found.calibration.sizes
+    estimate, sizes = result.calibrated.estimate, result.calibrated.calibration.sizes
     sigma = 100 * np.sqrt(estimate.covariance.diagonal())
     message = f"{last.name}: focal lengths are now known to {sigma[0]:.2g} % (camera) and {sigma[9]:.2g} % (projector)."
     pose = best_next_pose(estimate, sizes)

@@ -25,26 +25,29 @@ _HALVES = (
 
 def write_page(path: Path, result: FromBoards) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    found = result.found
-    sizes = found.calibration.sizes
-    rays = ray_sigmas(found.estimate, sizes)
+    calibrated = result.calibrated
+    sizes = calibrated.calibration.sizes
+    rays = ray_sigmas(calibrated.estimate, sizes)
     text = page(
         "board.html",
         verdict=verdict_on(result),
-        subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(found.predictions)} captures",
+        subtitle=f"{result.target}, squares of {result.target.square:g} mm, {len(calibrated.predictions)} captures",
         warnings=(),
         notes=result.notes,
-        tables=rig_quantities(result.found.calibration),
+        tables=rig_quantities(result.calibrated.calibration),
         rows=rows(result),
         halves=_halves(result),
         coverage=[
-            ("camera", _coverage([seen.view.corners_px for seen in result.seen], sizes[0], "corners")),
-            ("projector", _coverage([seen.view.cells.projector_px for seen in result.seen], sizes[1], "matches")),
+            ("camera", _coverage([capture.view.corners_px for capture in result.captures], sizes[0], "corners")),
+            (
+                "projector",
+                _coverage([capture.view.cells.projector_px for capture in result.captures], sizes[1], "matches"),
+            ),
         ],
         rays=[("camera", _ray_rows(rays[0])), ("projector", _ray_rows(rays[1]))],
-        pictures=[(seen.view.name, _picture(seen)) for seen in result.seen],
-        tilt=f"{found.coverage.tilt_deg:.0f}",
-        distances=f"{found.coverage.distances:.2f}",
+        pictures=[(capture.view.name, _picture(capture)) for capture in result.captures],
+        tilt=f"{calibrated.coverage.tilt_deg:.0f}",
+        distances=f"{calibrated.coverage.distances:.2f}",
     )
     path.write_text(text, encoding="utf-8")
 
@@ -56,13 +59,13 @@ def rows(result: FromBoards) -> list[tuple[str, ...]]:
     focals = [INTRINSIC_COLUMNS[0], INTRINSIC_COLUMNS[3]]
     return [
         (
-            each.name,
-            f"{each.error_px:.3f}",
-            f"{each.expected_px:.3f}",
-            f"{each.sigmas:.1f}",
-            *(f"{plain(100 * moved, 2, signed=True)} %" for moved in each.moved[focals]),
+            prediction.name,
+            f"{prediction.error_px:.3f}",
+            f"{prediction.expected_px:.3f}",
+            f"{prediction.sigmas:.1f}",
+            *(f"{plain(100 * moved, 2, signed=True)} %" for moved in prediction.moved[focals]),
         )
-        for each in result.found.predictions
+        for prediction in result.calibrated.predictions
     ]
 
 
@@ -70,17 +73,21 @@ def _halves(result: FromBoards) -> list[tuple[str, str, str, str]]:
     """Return a row per parameter: its name, the difference between the halves, the sigma of the difference, and their
     ratio.
     """
-    halves = result.found.halves
+    halves = result.calibrated.halves
     if halves is None:
         return []
     table = []
     for (device, name, unit), difference, sigma in zip(_HALVES, halves.difference, halves.sigma, strict=True):
         factor, decimals = (100.0, 3) if unit == "%" else (1.0, 2)
-        shown = [
+        columns = [
             plain(factor * value, decimals, signed=signed) for value, signed in ((difference, True), (sigma, False))
         ]
         table.append(
-            (f"{device}, {name}", *(f"{each} {unit}" for each in shown), plain(difference / sigma, 1, signed=True))
+            (
+                f"{device}, {name}",
+                *(f"{column} {unit}" for column in columns),
+                plain(difference / sigma, 1, signed=True),
+            )
         )
     return [(a, b, c, d) for a, b, c, d in table]
 
@@ -103,10 +110,10 @@ def _coverage(pixels: list[Floats], size: Size, what: str) -> Markup:
     )
 
 
-def _picture(seen: BoardCapture) -> str:
+def _picture(capture: BoardCapture) -> str:
     """The capture under white light with the corners that were found, small, as a data URI."""
-    picture = photograph(seen.texture, _THUMB)
-    factor = np.divide(picture.shape[1::-1], seen.texture.shape[1::-1])
-    for x, y in np.rint((seen.view.corners_px + 0.5) * factor - 0.5).astype(int):
+    picture = photograph(capture.texture, _THUMB)
+    factor = np.divide(picture.shape[1::-1], capture.texture.shape[1::-1])
+    for x, y in np.rint((capture.view.corners_px + 0.5) * factor - 0.5).astype(int):
         cv2.circle(picture, (int(x), int(y)), 1, (240, 140, 0), -1)
     return jpeg_uri(picture)

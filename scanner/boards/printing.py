@@ -64,12 +64,12 @@ def _caption(page: Image.Image, target: Target, sheet: str, per_mm: float) -> No
     """A ruler along the lower edge, and the name of the board."""
     draw, bottom = ImageDraw.Draw(page), page.height - _EDGE_MM * per_mm
     font = ImageFont.load_default(2.6 * per_mm)
-    left, line = 2 * _EDGE_MM * per_mm, max(1, round(0.1 * per_mm))
+    margin, line = 2 * _EDGE_MM * per_mm, max(1, round(0.1 * per_mm))
     for mm in range(_RULER_MM + 1):
         length = 4.0 if mm % 10 == 0 else 3.0 if mm % 5 == 0 else 2.0
-        x = left + mm * per_mm
+        x = margin + mm * per_mm
         draw.line((x, bottom, x, bottom - length * per_mm), 0, line)
         if mm % 50 == 0:
             draw.text((x, bottom - 4.2 * per_mm), f"{mm}", 0, font, "ms")
     caption = f"{target}, {target.square:g} mm, {sheet}: print at 100 %. This ruler is {_RULER_MM} mm long: measure it."
-    draw.text((left, bottom - 8.0 * per_mm), caption, 0, font, "ls")
+    draw.text((margin, bottom - 8.0 * per_mm), caption, 0, font, "ls")

@@ -26,40 +26,40 @@ _NAMES = (
 
 def save_result(result: FromBoards, folder: Path) -> None:
     """calibration.yaml and report.html. Raises OSError."""
-    write_calibration(folder / CALIBRATION_FILE, result.found.calibration, _more(result))
+    write_calibration(folder / CALIBRATION_FILE, result.calibrated.calibration, _more(result))
     write_page(folder / REPORT_FILE, result)
 
 
 def _more(result: FromBoards) -> dict[str, Any]:
     """Return the keys of calibration.yaml beyond the calibration itself."""
-    found = result.found
-    halves = found.halves
+    calibrated = result.calibrated
+    halves = calibrated.halves
     return {
         **verdict_entries(verdict_on(result)),
         "board": {
             "kind": str(result.target),
             f"square_{UNIT}": result.target.square,
-            "bend": [float(value) for value in found.estimate.state.bend],
+            "bend": [float(value) for value in calibrated.estimate.state.bend],
             "captures": [
                 {
-                    "name": each.name,
-                    "leave_one_out_px": round(each.error_px, 4),
-                    "expected_px": round(each.expected_px, 4),
+                    "name": prediction.name,
+                    "leave_one_out_px": round(prediction.error_px, 4),
+                    "expected_px": round(prediction.expected_px, 4),
                     "corner_px": round(float(corner), 4),
                 }
-                for each, corner in zip(found.predictions, found.estimate.corner_px, strict=True)
+                for prediction, corner in zip(calibrated.predictions, calibrated.estimate.corner_px, strict=True)
             ],
-            "left_out": [{"name": odd.name, "leave_one_out_px": round(odd.error_px, 4)} for odd in found.left_out]
-            + [{"name": each.name, "why": each.why} for each in result.missing],
+            "left_out": [{"name": odd.name, "leave_one_out_px": round(odd.error_px, 4)} for odd in calibrated.left_out]
+            + [{"name": capture.name, "why": capture.why} for capture in result.missing],
             "halves": None
             if halves is None
             else {
                 name: {"difference": float(difference), "sigma": float(sigma)}
                 for name, difference, sigma in zip(_NAMES, halves.difference, halves.sigma, strict=True)
             },
-            "sigmas_enlarged_by": round(found.enlarged, 3),
+            "sigmas_enlarged_by": round(calibrated.enlarged, 3),
         },
-        **covariance_entries(rig_uncertainty(found.estimate, result.found.calibration.sizes)),
+        **covariance_entries(rig_uncertainty(calibrated.estimate, result.calibrated.calibration.sizes)),
     }
 
 

@@ -13,27 +13,27 @@ _SURPRISING = 2.0  # difference of the halves, in their sigmas
 
 def verdict_on(result: FromBoards) -> Verdict:
     """Good where both focals and all rays are known well and the halves agree."""
-    found = result.found
-    calibration, sigma = found.calibration, found.calibration.sigma
+    calibrated = result.calibrated
+    calibration, sigma = calibrated.calibration, calibrated.calibration.sigma
     relative = [
         sigmas.focal_px[0] / device.focal_px[0] if sigmas.focal_px else float("inf")
         for device, sigmas in ((calibration.camera, sigma.camera), (calibration.projector, sigma.projector))
     ]
-    rays = [float(np.nanmax(each)) for each in ray_sigmas(found.estimate, result.found.calibration.sizes)]
-    predicted = float(np.sqrt(np.mean([each.error_px**2 for each in found.predictions])))
-    expected = float(np.sqrt(np.mean([each.expected_px**2 for each in found.predictions])))
+    rays = [float(np.nanmax(sigmas)) for sigmas in ray_sigmas(calibrated.estimate, result.calibrated.calibration.sizes)]
+    predicted = float(np.sqrt(np.mean([prediction.error_px**2 for prediction in calibrated.predictions])))
+    expected = float(np.sqrt(np.mean([prediction.expected_px**2 for prediction in calibrated.predictions])))
     reasons = [
         f"Focal lengths are known to {100 * relative[0]:.2g} % (camera) and {100 * relative[1]:.2g} % (projector), "
         f"rays to {rays[0]:.2g} and {rays[1]:.2g} px over the common view (1 sigma).",
         f"Each board is predicted by the others to {predicted:.2g} projector px; {expected:.2g} px were expected.",
     ]
-    if found.halves is not None:
+    if calibrated.halves is not None:
         reasons.append(
             "Calibrations from either half of the boards: focal lengths and principal points differ by "
-            f"{found.halves.sigmas:.1f} of their sigmas (root mean square; 1 is expected)."
+            f"{calibrated.halves.sigmas:.1f} of their sigmas (root mean square; 1 is expected)."
         )
-    reasons += found.coverage.reasons and [f"How the boards were held: {'; '.join(found.coverage.reasons)}."]
-    doubtful = found.halves is not None and found.halves.sigmas > _SURPRISING
+    reasons += calibrated.coverage.reasons and [f"How the boards were held: {'; '.join(calibrated.coverage.reasons)}."]
+    doubtful = calibrated.halves is not None and calibrated.halves.sigmas > _SURPRISING
     if max(relative) < _MEASUREMENT_GRADE and max(rays) < _USEFUL_RAY_PX and not doubtful:
         return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
     if doubtful:

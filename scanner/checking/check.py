@@ -121,7 +121,7 @@ def _check_view(bench: _Bench, light: Light, report: CheckReport) -> None:
     if scanned:
         with terminal.step("Calibrating"):
             row, failure = view.view_row(scanned, config, bench.earlier, as_configured=True)
-    decoded = next((seen for seen in (scanned, quick) if seen and seen.decoding), None)
+    decoded = next((capture for capture in (scanned, quick) if capture and capture.decoding), None)
     decoded = decoded or view.take_coarse(rig, config, terminal)
     _check_lenses(bench, light, decoded, meter, report)
     _check_steadiness(bench, before, quick, report)

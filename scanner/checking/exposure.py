@@ -100,29 +100,31 @@ def propose_exposure(rig: Rig) -> Proposal:
     if camera is None:
         first = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), 0.0)
         return Proposal(None, first, first, settable=False)
-    first = seen = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
+    first = levels = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), camera.exposure_us)
     too_long_us = float("inf")
     for _ in range(_ROUNDS):
-        if seen.is_clipped:
-            too_long_us = min(too_long_us, seen.exposure_us)
-        wanted_us = _next(seen, camera.exposure_limits_us, rig.refresh_hz, too_long_us)
-        if abs(wanted_us - seen.exposure_us) <= _SAME * seen.exposure_us:
+        if levels.is_clipped:
+            too_long_us = min(too_long_us, levels.exposure_us)
+        wanted_us = _next(levels, camera.exposure_limits_us, rig.refresh_hz, too_long_us)
+        if abs(wanted_us - levels.exposure_us) <= _SAME * levels.exposure_us:
             break
         exposure_us = camera.expose_for(wanted_us)
-        seen = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), exposure_us)
-    usable = not (seen.is_clipped or seen.is_dark)
-    return Proposal(seen.exposure_us if usable else None, first, seen)
+        levels = exposure_levels(photograph_light(rig, _WHITES, _BLACKS), exposure_us)
+    usable = not (levels.is_clipped or levels.is_dark)
+    return Proposal(levels.exposure_us if usable else None, first, levels)
 
 
-def _next(seen: ExposureLevels, limits_us: tuple[float, float], refresh_hz: float | None, too_long_us: float) -> float:
+def _next(
+    levels: ExposureLevels, limits_us: tuple[float, float], refresh_hz: float | None, too_long_us: float
+) -> float:
     """The exposure to try after one that looked like that, within limits and below one that was too long."""
     period_us = 1e6 / refresh_hz if refresh_hz else 0.0
-    if seen.is_clipped:
-        wanted_us = _LESS * seen.exposure_us
-    elif seen.is_dark:
-        wanted_us = _MORE * seen.exposure_us
+    if levels.is_clipped:
+        wanted_us = _LESS * levels.exposure_us
+    elif levels.is_dark:
+        wanted_us = _MORE * levels.exposure_us
     else:
-        wanted_us = seen.exposure_us * (1 - seen.headroom) / seen.brightest
+        wanted_us = levels.exposure_us * (1 - levels.headroom) / levels.brightest
     shortest_us, longest_us = max(limits_us[0], period_us), min(limits_us[1], _LONGEST_US)
     wanted_us = max(shortest_us, min(wanted_us, longest_us, (1 - _SAME) * too_long_us))
     return max(1, floor(wanted_us / period_us + _ROUNDING)) * period_us if period_us else wanted_us
@@ -183,9 +185,9 @@ def _shown(exposure_us: float, refresh_hz: float | None) -> str:
     return f"{exposure_us / 1e3:.4g} ms ({count})"
 
 
-def _described(seen: ExposureLevels) -> str:
-    if seen.is_dark:
+def _described(levels: ExposureLevels) -> str:
+    if levels.is_dark:
         return "no difference between a white and a black picture"
-    if seen.is_clipped:
-        return f"{100 * seen.clipped:.2g} % of what is lit is clipped"
-    return f"white reaches {100 * seen.brightest:.0f} % of the range"
+    if levels.is_clipped:
+        return f"{100 * levels.clipped:.2g} % of what is lit is clipped"
+    return f"white reaches {100 * levels.brightest:.0f} % of the range"

@@ -49,11 +49,11 @@ def focus_row(samples: BlurSamples, lenses: Lenses | None, period_px: float) -> 
             "stripes are blurred away, or too few are seen to tell",
             "Focus the projector on the corner until single pixels are distinct on the wall, then the camera.",
         )
-    left = amplitude_left(lenses.total_px**2, period_px)
-    finding = f"{100 * left:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
+    amplitude = amplitude_left(lenses.total_px**2, period_px)
+    finding = f"{100 * amplitude:.0f} % is left of stripes of {period_px:g} px, {_split_in_words(lenses)}"
     finding += _worst_in_words(samples, period_px)
     sure = _blurred(lenses, period_px, doubted=True)
-    if left >= _LEAST_OF_BOTH and not sure:
+    if amplitude >= _LEAST_OF_BOTH and not sure:
         return CheckRow(_NAME, State.OK, finding)
     return CheckRow(_NAME, State.POOR, finding, _advice(sure, lenses, period_px))
 

@@ -42,9 +42,9 @@ def contrast_picture(fringes: Mapping[tuple[Axis, float], Fringe], usable: Bools
     """How much of the finest stripes is left relative to the longest, dark for 0 and bright for all; black: unknown."""
     size = cell_size(usable.shape)
     ratios = [_ratio(fringes, axis, usable, size) for axis in ("x", "y")]
-    left = np.minimum(*ratios)
-    colours = shaded(np.clip(np.nan_to_num(left), 0, 1), VIRIDIS)
-    picture = np.where(np.isfinite(left)[..., None], colours, np.uint8(_UNKNOWN))
+    remaining = np.minimum(*ratios)
+    colours = shaded(np.clip(np.nan_to_num(remaining), 0, 1), VIRIDIS)
+    picture = np.where(np.isfinite(remaining)[..., None], colours, np.uint8(_UNKNOWN))
     factor = max(1.0, max(usable.shape) / _LONGEST_SIDE_PX)
     size_px = (round(usable.shape[1] / factor), round(usable.shape[0] / factor))
     picture = np.asarray(cv2.resize(picture, size_px, interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -103,10 +103,10 @@ def _take(
 
 def projector_map(decoding: Decoding) -> Floats:
     """The projector pixel (H, W, 2) that each camera pixel sees, NaN where none is known."""
-    found = np.full((*decoding.reasons.shape, 2), np.nan)
+    coordinates = np.full((*decoding.reasons.shape, 2), np.nan)
     column, row = np.rint(decoding.matches.camera_px).astype(np.int64).T
-    found[row, column] = decoding.matches.projector_px
-    return found
+    coordinates[row, column] = decoding.matches.projector_px
+    return coordinates
 
 
 @dataclass(frozen=True)
@@ -133,17 +133,17 @@ def coverage_of(decoding: Decoding, projector_size: tuple[int, int]) -> Coverage
     down = max(1, round(across * projector_size[1] / projector_size[0]))
     position = (decoding.matches.projector_px + 0.5) / np.array(projector_size)
     column, row = (position * (across, down)).astype(np.int64).clip(0, (across - 1, down - 1)).T
-    seen = np.zeros((down, across), np.bool_)
-    seen[row, column] = True
+    tiles = np.zeros((down, across), np.bool_)
+    tiles[row, column] = True
     middle = (decoding.matches.camera_px.mean(axis=0) + 0.5) / (width, height) - 0.5
-    seen_y, seen_x = np.nonzero(seen)
-    spanned = seen.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
+    seen_y, seen_x = np.nonzero(tiles)
+    spanned = tiles.mean() * projector_size[0] * projector_size[1] / max(1, len(decoding.matches))
     return Coverage(
         float(np.mean(decoding.reasons == MaskReason.KEPT)),
         (float(middle[0]), float(middle[1])),
-        float(seen.mean()),
+        float(tiles.mean()),
         (float(np.mean(seen_x + 0.5) / across - 0.5), float(np.mean(seen_y + 0.5) / down - 0.5)),
-        seen,
+        tiles,
         float(np.sqrt(spanned)),
     )
 
@@ -191,22 +191,22 @@ def predict(decoded: Decoded, config: Config, earlier: Sequence[Decoded]) -> Sel
 
 
 def view_row(
-    seen: Capture, config: Config, earlier: Sequence[Decoded], *, as_configured: bool = False
+    capture: Capture, config: Config, earlier: Sequence[Decoded], *, as_configured: bool = False
 ) -> tuple[CheckRow, RefusalError | None]:
     """Predict the accuracy of a calibration from this view, or the reason of a refusal.
 
     `as_configured`: `seen` is not the quick capture, which decoded too little.
     """
-    if seen.decoded is None:
-        row = CheckRow(_VIEW, State.FAILED, seen.problem, seen.advice)
+    if capture.decoded is None:
+        row = CheckRow(_VIEW, State.FAILED, capture.problem, capture.advice)
         return row, refusal_of(row)
     try:
-        solution = predict(seen.decoded, config, earlier)
+        solution = predict(capture.decoded, config, earlier)
     except RefusalError as refusal:
         return CheckRow(_VIEW, State.FAILED, refusal.reason, refusal.advice), refusal
     sigmas = relative_focal_sigmas(solution.calibration)
-    shown = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
-    finding = f"focal lengths will be known to about {shown}"
+    described = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
+    finding = f"focal lengths will be known to about {described}"
     if max(sigmas.values()) > _RISKY_SIGMA:
         notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
         return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or RIG.move), None

@@ -41,7 +41,7 @@ def run(args: Namespace) -> None:
     target = parse_target(args.board, parse_length(args.square, UNIT))
     out: Path = args.out or default_out("board", overwrite=args.overwrite)
     result = _live(args, target, out, terminal) if args.config else _from_captures(args, target, out, terminal)
-    terminal.show(calibration_table(result.found.calibration), summary(result))
+    terminal.show(calibration_table(result.calibrated.calibration), summary(result))
     for note in result.notes:
         terminal.show(f"Note: {note}")
     terminal.show(f"Result: {out} ({REPORT_FILE}, {CALIBRATION_FILE})")

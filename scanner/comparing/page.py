@@ -28,31 +28,34 @@ class _Map:
     caption: str
 
 
-def write_compare_page(path: Path, found: Comparison) -> None:
+def write_compare_page(path: Path, comparison: Comparison) -> None:
     """Write the page; it needs no network and no other file. Raises OSError."""
-    verdict, *sentences = summary(found)
+    verdict, *sentences = summary(comparison)
     text = page(
         "compare.html",
-        names=found.names,
+        names=comparison.names,
         verdict=verdict,
         sentences=sentences,
-        headings=headings(found),
-        rows=rows(found),
-        maps=[(shown_unit(found.unit).length(sheet.depth), list(_maps(found, sheet))) for sheet in found.sheets],
+        headings=headings(comparison),
+        rows=rows(comparison),
+        maps=[
+            (shown_unit(comparison.unit).length(sheet.depth), list(_maps(comparison, sheet)))
+            for sheet in comparison.sheets
+        ],
     )
     path.write_text(text, encoding="utf-8")
 
 
-def _maps(found: Comparison, sheet: Sheet) -> Iterator[_Map]:
+def _maps(comparison: Comparison, sheet: Sheet) -> Iterator[_Map]:
     if np.isnan(sheet.length).all():
         return
-    unit, known = shown_unit(found.unit), any(found.known)
+    unit, known = shown_unit(comparison.unit), any(comparison.known)
     what = [("projector px", sheet.px, 1.0), (unit.name, sheet.length, unit.factor)]
     if known:
         what.append(("sigmas", sheet.length / sheet.length_sigma, 1.0))
     for name, values, factor in what:
         largest = float(np.nanmax(values)) * factor
-        plot = _heat(values * factor, found.camera_size, f"difference in {name} over the camera's picture")
+        plot = _heat(values * factor, comparison.camera_size, f"difference in {name} over the camera's picture")
         yield _Map(plot, f"Difference in {name}: dark is 0, bright is {largest:.3g}.")
 
 
@@ -76,26 +79,26 @@ def _heat(values: Floats, size: Size, label: str) -> Markup:
     )
 
 
-def write_compare(path: Path, found: Comparison) -> None:
+def write_compare(path: Path, comparison: Comparison) -> None:
     """Write all numbers; lengths are in `unit`, null where not both devices see. Raises OSError."""
-    path.write_text(json.dumps(_document(found), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(_document(comparison), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _document(found: Comparison) -> dict[str, Any]:
-    difference = found.difference
+def _document(comparison: Comparison) -> dict[str, Any]:
+    difference = comparison.difference
     return {
         "format": _FORMAT,
-        "calibrations": list(found.names),
-        "covariance_known": list(found.known),
-        "unit": found.unit,
+        "calibrations": list(comparison.names),
+        "covariance_known": list(comparison.known),
+        "unit": comparison.unit,
         "second_enlarged_by": difference.scale,
-        "agree": difference.agree if any(found.known) else None,
+        "agree": difference.agree if any(comparison.known) else None,
         "chi2": difference.chi2,
         "freedom": difference.freedom,
         "limit": difference.limit,
         "unexplained": difference.unexplained,
-        "verdict": next(summary(found)),
-        "camera_px": found.camera_px.round(3).tolist(),
+        "verdict": next(summary(comparison)),
+        "camera_px": comparison.camera_px.round(3).tolist(),
         "depths": [
             {
                 "depth": sheet.depth,
@@ -104,7 +107,7 @@ def _document(found: Comparison) -> dict[str, Any]:
                 "projector_px": _numbers(sheet.px),
                 "projector_px_sigma": _numbers(sheet.px_sigma),
             }
-            for sheet in found.sheets
+            for sheet in comparison.sheets
         ],
     }
 

@@ -11,14 +11,14 @@ from scanner.comparing.comparison import Comparison, Sheet
 from scanner.quantities import ShownUnit, plain, shown_unit
 
 
-def summary(found: Comparison) -> Iterator[str]:
+def summary(comparison: Comparison) -> Iterator[str]:
     """The verdict first, then its reasons, in sentences."""
-    difference, unit = found.difference, shown_unit(found.unit)
-    worst = int(np.argmax(difference.sigmas if any(found.known) else difference.length))
+    difference, unit = comparison.difference, shown_unit(comparison.unit)
+    worst = int(np.argmax(difference.sigmas if any(comparison.known) else difference.length))
     x, y = difference.camera_px[worst]
     where = f"at camera pixel ({x:.0f}, {y:.0f}), {unit.length(float(difference.depth[worst]))} away"
     size = f"{unit.error(float(difference.length[worst]))} and {difference.px[worst]:.2g} projector px"
-    if not any(found.known):
+    if not any(comparison.known):
         yield f"They differ by up to {size}, {where}. Neither has a covariance: whether that is significant is unknown."
         return
     allowed = unit.error(float(difference.length_sigma[worst]))
@@ -36,7 +36,7 @@ def summary(found: Comparison) -> Iterator[str]:
         f"All differences together: χ² = {difference.chi2:.1f}, where {difference.freedom} is expected and chance "
         f"explains up to {difference.limit:.0f}."
     )
-    for name, known in zip(found.names, found.known, strict=True):
+    for name, known in zip(comparison.names, comparison.known, strict=True):
         if not known:
             yield f"{name} has no covariance: the sigmas are those of the other calibration only."
     if difference.unexplained > float(np.sqrt(np.mean(difference.length_sigma**2))):
@@ -44,21 +44,21 @@ def summary(found: Comparison) -> Iterator[str]:
             f"{unit.error(difference.unexplained)} of it (root mean square) is of a kind that neither covariance "
             "contains, such as lens terms that only one of them has."
         )
-    if not found.metric:
+    if not comparison.metric:
         yield "They share no known length, so one was scaled to fit best: the differences are in shape only."
 
 
-def headings(found: Comparison) -> tuple[str, ...]:
+def headings(comparison: Comparison) -> tuple[str, ...]:
     """Return the column headings of `rows`."""
-    name = shown_unit(found.unit).name
+    name = shown_unit(comparison.unit).name
     return (f"depth, {name}", "px, rms", "max", "sigma", f"{name}, rms", "max", "sigma", "in sigmas")
 
 
-def rows(found: Comparison) -> list[tuple[str, ...]]:
+def rows(comparison: Comparison) -> list[tuple[str, ...]]:
     """Return a row per depth: differences in projector pixels and as lengths, and those expected from one sigma of both
     results.
     """
-    return [_row(sheet, shown_unit(found.unit), known=any(found.known)) for sheet in found.sheets]
+    return [_row(sheet, shown_unit(comparison.unit), known=any(comparison.known)) for sheet in comparison.sheets]
 
 
 def _row(sheet: Sheet, unit: ShownUnit, *, known: bool) -> tuple[str, ...]:
@@ -75,11 +75,11 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def table(found: Comparison) -> Table:
+def table(comparison: Comparison) -> Table:
     """Return those rows as a table for the terminal."""
     made = Table(title="Differences by depth", title_justify="left", box=box.SIMPLE, pad_edge=False)
-    for heading in headings(found):
+    for heading in headings(comparison):
         made.add_column(heading, justify="right", no_wrap=True)
-    for row in rows(found):
+    for row in rows(comparison):
         made.add_row(*row)
     return made

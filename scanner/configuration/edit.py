@@ -74,13 +74,13 @@ def with_key(text: str, key: str, value: object, where: str) -> str:
     """
     *sections, name = key.split(".")
     before = parse_yaml(text, where)
-    shown = flow_yaml(value)
-    changed = _changed(text, sections, name, shown)
+    written = flow_yaml(value)
+    changed = _changed(text, sections, name, written)
     wanted = _with(before, [*sections, name], value)
     if changed is None or _parsed(changed, where) != wanted:
         raise InputError(
             f"{where}: '{key}' cannot be set without changing other lines; write this one into '{'.'.join(sections)}:' "
-            f"yourself: {name}: {shown}"
+            f"yourself: {name}: {written}"
         )
     return changed
 
@@ -99,7 +99,7 @@ def _parsed(text: str, where: str) -> Any:
         return None
 
 
-def _changed(text: str, sections: Sequence[str], name: str, shown: str) -> str | None:
+def _changed(text: str, sections: Sequence[str], name: str, written: str) -> str | None:
     """Return the edited text; None if its form is not supported."""
     root = yaml.compose(text, yaml.SafeLoader)
     newline = "\r\n" if "\r\n" in text else "\n"
@@ -110,20 +110,20 @@ def _changed(text: str, sections: Sequence[str], name: str, shown: str) -> str |
         inner = _value_of(inner, section) if isinstance(inner, yaml.MappingNode) else None
     if inner is None:
         separator = "" if text.endswith("\n") else newline
-        return None if len(sections) > 1 else f"{text}{separator}{sections[0]}:{newline}  {name}: {shown}{newline}"
+        return None if len(sections) > 1 else f"{text}{separator}{sections[0]}:{newline}  {name}: {written}{newline}"
     if not isinstance(inner, yaml.MappingNode) or not inner.value:
         return None
     old = _value_of(inner, name)
     if old is not None:
         begin, end = int(old.start_mark.index), _end_of(old, text)
-        return text[:begin] + (" " if begin == end else "") + shown + text[end:]
+        return text[:begin] + (" " if begin == end else "") + written + text[end:]
     if inner.flow_style:
         last = inner.value[-1][1]
         end = _end_of(last, text)
-        return f"{text[:end]}, {name}: {shown}{text[end:]}"
+        return f"{text[:end]}, {name}: {written}{text[end:]}"
     # A new key is inserted before the block's first, with the same indentation.
     first = inner.value[0][0].start_mark
-    return f"{text[: first.index]}{name}: {shown}{newline}{' ' * first.column}{text[first.index :]}"
+    return f"{text[: first.index]}{name}: {written}{newline}{' ' * first.column}{text[first.index :]}"
 
 
 def _value_of(mapping: yaml.MappingNode, name: str) -> yaml.Node | None:

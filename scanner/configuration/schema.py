@@ -165,12 +165,12 @@ def load_config(path: Path | None, overrides: Iterable[str] = ()) -> Config:
     config = validate(Config, data, where)
     if path is None:
         return config
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     if config.earlier:
-        found["earlier"] = tuple(path.parent / earlier for earlier in config.earlier)
+        values["earlier"] = tuple(path.parent / earlier for earlier in config.earlier)
     if config.lens.source is not None:
-        found["lens"] = config.lens.model_copy(update={"source": path.parent / config.lens.source})
-    return config.model_copy(update=found)
+        values["lens"] = config.lens.model_copy(update={"source": path.parent / config.lens.source})
+    return config.model_copy(update=values)
 
 
 def recorded_config(metadata: Mapping[str, Any], where: str, overrides: Iterable[str] = ()) -> Config:
@@ -203,11 +203,11 @@ def _apply(override: str, data: dict[str, Any]) -> None:
     place[name] = parse_yaml(text, f"--set {override}")
 
 
-def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return one section with the keys of another in their places, at any depth."""
-    both = {key: _merged(one[key], value) for key, value in other.items() if _are_sections(one.get(key), value)}
-    return {**one, **other, **both}
+    both = {key: _merged(base[key], value) for key, value in changes.items() if _are_sections(base.get(key), value)}
+    return {**base, **changes, **both}
 
 
-def _are_sections(one: object, other: object) -> bool:
-    return isinstance(one, Mapping) and isinstance(other, Mapping)
+def _are_sections(base: object, changes: object) -> bool:
+    return isinstance(base, Mapping) and isinstance(changes, Mapping)

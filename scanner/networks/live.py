@@ -60,9 +60,9 @@ def take_pairs(pairs: Mapping[Pair, Config], folder: Path, progress: Progress, o
                 sizes |= {camera: config.camera_size, projector: config.projector_size}
             rig = network.rig(together[0][1], [camera for camera, _ in together])
             with Watched(together, progress, on_sight) as watched:
-                for pair, each in zip(together, take_together(rig, planned, watched), strict=True):
-                    decoded[pair] = labelled(each, pairs[pair])
-                    watched.decoded(pair, each)
+                for pair, capture in zip(together, take_together(rig, planned, watched), strict=True):
+                    decoded[pair] = labelled(capture, pairs[pair])
+                    watched.decoded(pair, capture)
     return Captures(decoded, sizes)
 
 

@@ -44,20 +44,20 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
     cameras = {camera for camera, _ in network.captures.decoded}
     devices = []
     for name in estimate.names:
-        found, pose, sigma = estimate.intrinsics(name), estimate.device(name).pose, estimate.sigmas(name)
+        intrinsics, pose, sigma = estimate.intrinsics(name), estimate.device(name).pose, estimate.sigmas(name)
         devices.append(
             {
                 "name": name,
                 "kind": "camera" if name in cameras else "projector",
-                "width": found.width,
-                "height": found.height,
-                "focal_px": list(found.focal_px),
-                "principal_point_px": list(found.principal_point_px),
-                "distortion": list(found.distortion),
+                "width": intrinsics.width,
+                "height": intrinsics.height,
+                "focal_px": list(intrinsics.focal_px),
+                "principal_point_px": list(intrinsics.principal_point_px),
+                "distortion": list(intrinsics.distortion),
                 "rotation": pose.rotation.tolist(),
                 "translation": (network.factor * pose.translation).tolist(),
                 "sigma": {
-                    "focal_px": [float(sigma[0]) * found.focal_px[0]] * 2,
+                    "focal_px": [float(sigma[0]) * intrinsics.focal_px[0]] * 2,
                     "principal_point_px": sigma[1:3].tolist(),
                     "distortion": sigma[3:8].tolist(),
                     "rotation_deg": np.degrees(sigma[8:11]).tolist(),
@@ -71,13 +71,13 @@ def entries_of(network: SolvedNetwork) -> dict[str, Any]:
     disagreements = [
         {
             "projector": projector,
-            "cameras": [each.first, each.second],
-            "relative": each.relative,
-            "expected": each.expected,
-            "points": each.count,
+            "cameras": [disagreement.first, disagreement.second],
+            "relative": disagreement.relative,
+            "expected": disagreement.expected,
+            "points": disagreement.count,
         }
         for projector, surface in network.surfaces.items()
-        for each in surface.disagreements
+        for disagreement in surface.disagreements
     ]
     gains = {projector: surface.gain for projector, surface in network.surfaces.items() if np.isfinite(surface.gain)}
     of_surfaces = {"disagreements": disagreements, "sigma_gains": gains}
@@ -91,14 +91,14 @@ def cloud_of(network: SolvedNetwork) -> NetworkCloud:
         there = np.isfinite(surface.points[..., 2])
         normal = _normals(surface.points, network.estimate.device(projector).pose.translation)
         colour = np.full((*there.shape, 3), 128, np.uint8)
-        for camera, seen in surface.seen_px.items():
+        for camera, pixels in surface.seen_px.items():
             texture = network.captures.decoded[camera, projector].texture
             if texture is None:
                 continue
-            known = np.isfinite(seen[..., 0]) & there
-            x, y = np.rint(seen[known]).astype(np.int64).T
-            shown = colours_of(texture, np.ones(texture.shape[:2], np.bool_))
-            colour[known] = shown[y.clip(0, shown.shape[0] - 1), x.clip(0, shown.shape[1] - 1)]
+            known = np.isfinite(pixels[..., 0]) & there
+            x, y = np.rint(pixels[known]).astype(np.int64).T
+            with_texture = colours_of(texture, np.ones(texture.shape[:2], np.bool_))
+            colour[known] = with_texture[y.clip(0, with_texture.shape[0] - 1), x.clip(0, with_texture.shape[1] - 1)]
         points.append(network.factor * surface.points[there])
         normals.append(normal[there])
         colours.append(colour[there])
@@ -119,14 +119,14 @@ def _write_page(path: Path, network: SolvedNetwork, verdict: Verdict, cloud: Net
     estimate, unit = network.estimate, shown_unit(network.unit)
     rows = []
     for name in estimate.names:
-        found, sigma = estimate.intrinsics(name), estimate.sigmas(name)
+        intrinsics, sigma = estimate.intrinsics(name), estimate.sigmas(name)
         place = network.factor * estimate.device(name).pose.translation
         rows.append(
             (
                 name,
-                f"{found.focal_px[0]:.2f} ± {found.focal_px[0] * sigma[0]:.2g}",
+                f"{intrinsics.focal_px[0]:.2f} ± {intrinsics.focal_px[0] * sigma[0]:.2g}",
                 ", ".join(
-                    f"{value:.1f} ± {s:.2g}" for value, s in zip(found.principal_point_px, sigma[1:3], strict=True)
+                    f"{value:.1f} ± {s:.2g}" for value, s in zip(intrinsics.principal_point_px, sigma[1:3], strict=True)
                 ),
                 ", ".join(unit.number(value) for value in place.tolist()) + f" {unit.name}",
                 "held" if name == estimate.names[0] else unit.error(network.factor * float(np.linalg.norm(sigma[11:]))),

@@ -74,7 +74,9 @@ def solve_network(captures: Captures, known: KnownDistance | None, config: Confi
         factor, unit = known.length_m / float(np.linalg.norm(ends[1] - ends[0])), _METRES
     with progress.step("Joining the cameras' surfaces"):
         surfaces = {
-            projector: joined(estimate, projector, {c: found for (c, p), found in matches.items() if p == projector})
+            projector: joined(
+                estimate, projector, {c: pair_matches for (c, p), pair_matches in matches.items() if p == projector}
+            )
             for projector in sorted({projector for _, projector in matches})
         }
     return SolvedNetwork(captures, estimate, surfaces, factor, unit)

@@ -40,18 +40,18 @@ def _together(network: SolvedNetwork) -> str:
 def _refusals(network: SolvedNetwork) -> Iterator[_Finding]:
     estimate = network.estimate
     yield from _warped(network)
-    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].across_px)
+    pair, strain = max(estimate.strains.items(), key=lambda entry: entry[1].across_px)
     if strain.across_px > max(_FOREIGN_PX, _FOREIGN * strain.noise_px):
         off = f"off by {strain.across_px:.2g} projector px"
         yield "refused", f"{pair[0]} in the light of {pair[1]} contradicts the others: {off}.", MOVED
-    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].uneven)
+    pair, strain = max(estimate.strains.items(), key=lambda entry: entry[1].uneven)
     if strain.uneven > _NO_WALLS:
         off = f"off flat by {percent(strain.uneven)} of their distance"
         yield "refused", f"{pair[0]} in the light of {pair[1]} sees walls that are {off}.", MOVED
-    for each in _disagreements(network):
-        if each.relative > max(_FAR_APART, _OF_SIGMAS * each.expected):
-            off = f"they are {percent(each.relative)} apart"
-            yield "refused", f"{each.first} and {each.second} do not see one surface: {off}.", MOVED
+    for disagreement in _disagreements(network):
+        if disagreement.relative > max(_FAR_APART, _OF_SIGMAS * disagreement.expected):
+            off = f"they are {percent(disagreement.relative)} apart"
+            yield "refused", f"{disagreement.first} and {disagreement.second} do not see one surface: {off}.", MOVED
 
 
 def _warped(network: SolvedNetwork) -> Iterator[_Finding]:
@@ -64,7 +64,7 @@ def _warped(network: SolvedNetwork) -> Iterator[_Finding]:
         yield "refused", "Pictures of several devices are warped, as by keystone correction.", advice
     if not warps.alone:
         return
-    names = [each.name for each in warps.alone]
+    names = [warp.name for warp in warps.alone]
     remedies = [f"for {name} {AS_SENT if name in projectors else AS_SEEN}" for name in names]
     remedy = ", or ".join(remedies)
     advice = f"{remedy[0].upper()}{remedy[1:]}. Then take its captures again."
@@ -81,46 +81,49 @@ def _warped(network: SolvedNetwork) -> Iterator[_Finding]:
 
 
 def _doubts(network: SolvedNetwork) -> Iterator[_Finding]:
-    estimate, names, found = network.estimate, _together(network), _disagreements(network)
-    for each in found:
-        if each.relative > max(_APART, _OF_SIGMAS * each.expected):
-            off = f"{100 * each.relative:.2g} % of the depth apart"
-            yield "fair", f"{names}, but {each.first} and {each.second} are {off}.", CHECK
-    pair, strain = max(estimate.strains.items(), key=lambda each: each[1].across_px)
+    estimate, names, disagreements = network.estimate, _together(network), _disagreements(network)
+    for disagreement in disagreements:
+        if disagreement.relative > max(_APART, _OF_SIGMAS * disagreement.expected):
+            off = f"{100 * disagreement.relative:.2g} % of the depth apart"
+            yield "fair", f"{names}, but {disagreement.first} and {disagreement.second} are {off}.", CHECK
+    pair, strain = max(estimate.strains.items(), key=lambda entry: entry[1].across_px)
     if strain.across_px > max(_STRAINED_PX, _STRAINED * strain.noise_px):
         off = f"off by {strain.across_px:.2g} projector px"
         yield "fair", f"{names}, but {pair[0]} in the light of {pair[1]} is {off}.", CHECK
     loose = max(estimate.names, key=lambda name: float(estimate.sigmas(name)[0]))
     sigma = float(estimate.sigmas(loose)[0])
     if sigma > MEASUREMENT_GRADE:
-        beside = [f"{one} and {other}" for one, other, _ in estimate.alike if loose in (one, other)]
+        beside = [f"{first} and {second}" for first, second, _ in estimate.alike if loose in (first, second)]
         advice = (
             f"{beside[0]} stand almost in one place: move one of them further away."
             if beside
             else "Let it see, or light, more of the walls that other devices share, from another side."
         )
         yield "fair", f"{names}, but the focal length of {loose} is known to {100 * sigma:.2g} % only.", advice
-    if not found:
+    if not disagreements:
         yield "fair", f"{names}, but no two cameras see the same light, so nothing checks it.", ""
 
 
 def _disagreements(network: SolvedNetwork) -> list[Disagreement]:
     """The largest first."""
-    found = (each for surface in network.surfaces.values() for each in surface.disagreements)
-    return sorted(found, key=lambda each: -each.relative)
+    disagreements = (disagreement for surface in network.surfaces.values() for disagreement in surface.disagreements)
+    return sorted(disagreements, key=lambda disagreement: -disagreement.relative)
 
 
 def _reasons(network: SolvedNetwork) -> Iterator[str]:
     estimate = network.estimate
-    for one, other, apart in estimate.alike:
-        yield f"{one} and {other} stand almost in one place, {percent(apart)} of the distance of what they see apart."
+    for first, second, apart in estimate.alike:
+        yield (
+            f"{first} and {second} stand almost in one place, {percent(apart)} of the distance of what they see apart."
+        )
     sigma = max(float(estimate.sigmas(name)[0]) for name in estimate.names)
     yield f"All focal lengths are known to {100 * sigma:.2g} % or better."
     for projector, surface in network.surfaces.items():
-        for each in surface.disagreements:
+        for disagreement in surface.disagreements:
             yield (
-                f"In the light of {projector}, {each.first} and {each.second} are {100 * each.relative:.2g} % of the "
-                f"depth apart at {each.count:,} places; by the sigmas it is {100 * each.expected:.2g} %."
+                f"In the light of {projector}, {disagreement.first} and {disagreement.second} are "
+                f"{100 * disagreement.relative:.2g} % of the depth apart at {disagreement.count:,} places; by the sigmas "
+                f"it is {100 * disagreement.expected:.2g} %."
             )
         if np.isfinite(surface.gain):
             yield f"Points of {projector} that several cameras see have sigmas {surface.gain:.2f} times smaller."

@@ -59,12 +59,12 @@ def write_page(path: Path, solved: SolvedObject, surface: Surface | None, cloud:
 def _views(solved: SolvedObject, cloud: MergedCloud) -> list[Picture]:
     """From four sides, and from above with the cameras."""
     frusta = camera_frusta(solved.stations, solved.calibration.camera, cloud, _FRUSTUM_OF_SIZE)
-    shown = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
+    pictures = [picture(render(cloud, view_along(np.array([1.0, 0.8, -0.9]), _UP), _VIEW, frusta), "the thing, above")]
     for turn in range(4):
         along = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2), -0.3])
         view = render(cloud, view_along(along, _UP), (HALF_PX, HALF_PX), [])
-        shown.append(picture(view, f"the thing from side {turn + 1}", caption=f"Side {turn + 1}."))
-    return shown
+        pictures.append(picture(view, f"the thing from side {turn + 1}", caption=f"Side {turn + 1}."))
+    return pictures
 
 
 def _measured(solved: SolvedObject, surface: Surface | None) -> Iterator[tuple[str, str, str]]:
@@ -74,10 +74,10 @@ def _measured(solved: SolvedObject, surface: Surface | None) -> Iterator[tuple[s
     if surface is None:
         return
     if surface.volume is not None:
-        volume, sigma = (each * factor**3 for each in surface.volume)
+        volume, sigma = (value * factor**3 for value in surface.volume)
         filled = percent(surface.bridged)
         yield "volume", f"{volume:.6g} ± {sigma:.2g} {name}³", f"of the closed surface, {filled} of which bridges holes"
-    area, sigma = (each * factor**2 for each in surface.area)
+    area, sigma = (value * factor**2 for value in surface.area)
     yield "area", f"{area:.5g} ± {sigma:.2g} {name}²", "of the closed surface" if surface.closed else "of what was seen"
 
 

@@ -46,7 +46,7 @@ def entries_of(solved: SolvedObject, surface: Surface | None) -> dict[str, Any]:
     """object.yaml: X_thing = rotation X_camera + translation."""
     entries: dict[str, Any] = {
         "unit": solved.unit,
-        "stations": [station_entries(each) for each in solved.stations],
+        "stations": [station_entries(station) for station in solved.stations],
     }
     if solved.turntable is not None and solved.axis is not None:
         point, direction = solved.axis.tolist()

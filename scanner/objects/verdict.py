@@ -18,9 +18,9 @@ def verdict_on(solved: SolvedObject) -> Verdict:
     """The most serious finding decides."""
     names = [station.name for station in solved.stations]
     if solved.alternatives:
-        doubtful = sorted({each.view for each in solved.alternatives})
+        doubtful = sorted({alternative.view for alternative in solved.alternatives})
         of_capture = {station.number: station.name for station in solved.stations}
-        best = max(solved.alternatives, key=lambda each: each.worth)
+        best = max(solved.alternatives, key=lambda alternative: alternative.worth)
         return Verdict(
             "refused",
             "The stations fit together in more than one way.",
@@ -36,8 +36,8 @@ def verdict_on(solved: SolvedObject) -> Verdict:
             "refused", f"{free} can turn or slide on the surface of the others.", tuple(_reasons(solved)), _ADVICE
         )
     if solved.outlier_stations:
-        left = ", ".join(each.name for each in solved.outlier_stations)
-        return Verdict("fair", f"{len(names)} stations are one thing; left out: {left}.", tuple(_reasons(solved)))
+        outliers = ", ".join(station.name for station in solved.outlier_stations)
+        return Verdict("fair", f"{len(names)} stations are one thing; left out: {outliers}.", tuple(_reasons(solved)))
     return Verdict(
         "good",
         f"{len(names)} stations are one thing, and the others determine the pose of each.",
@@ -47,9 +47,9 @@ def verdict_on(solved: SolvedObject) -> Verdict:
 
 def _reasons(solved: SolvedObject) -> Iterator[str]:
     unit = shown_unit(solved.unit)
-    others = solved.stations[1:]
-    worst = max(float(np.linalg.norm(station.sigma)) for station in others)
-    turned = max(float(np.linalg.norm(station.sigma_deg)) for station in others)
+    later = solved.stations[1:]
+    worst = max(float(np.linalg.norm(station.sigma)) for station in later)
+    turned = max(float(np.linalg.norm(station.sigma_deg)) for station in later)
     yield f"Each station's pose relative to the thing is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
     if solved.turntable is not None:
         yield f"It was turned about one axis, by {_turns(solved.turntable.angles_deg)}: a turntable."

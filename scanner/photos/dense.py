@@ -56,8 +56,8 @@ class _Rectified:
         pixels = camera.project(self.rays() @ self.rotation).astype(np.float32)
         outside = np.float32(-1e6)  # beyond the lens model, as outside the photo
         maps = np.where(np.isfinite(pixels), pixels, outside)
-        seen = cv2.remap(photo.pixels, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderValue=0)
-        return np.asarray(seen, np.uint8)
+        rectified = cv2.remap(photo.pixels, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC, borderValue=0)
+        return np.asarray(rectified, np.uint8)
 
 
 def dense_cloud(first: Photo, second: Photo, calibration: Calibration, matches: Matches) -> DenseCloud:
@@ -96,12 +96,12 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
     met = intersect(matches, calibration)
     points = met.points[met.in_front] @ common.T
     points = points[points[:, 2] > 0]
-    seen = [points[:, :2] / points[:, 2:], (points - (calibration.baseline, 0, 0))[:, :2] / points[:, 2:]]
-    bounds = [np.percentile(each, [_RAREST, 100 - _RAREST], axis=0) for each in seen]
-    spare = _SPARE * max(float(np.ptp(each, axis=0).max()) for each in bounds)
-    low_y, high_y = min(each[0, 1] for each in bounds) - spare, max(each[1, 1] for each in bounds) + spare
-    width = max(float(np.ptp(each[:, 0])) for each in bounds) + 2 * spare
-    disparity = np.percentile(seen[0][:, 0] - seen[1][:, 0], [_RAREST, 100 - _RAREST])
+    rays = [points[:, :2] / points[:, 2:], (points - (calibration.baseline, 0, 0))[:, :2] / points[:, 2:]]
+    bounds = [np.percentile(of_photo, [_RAREST, 100 - _RAREST], axis=0) for of_photo in rays]
+    spare = _SPARE * max(float(np.ptp(bound, axis=0).max()) for bound in bounds)
+    low_y, high_y = min(bound[0, 1] for bound in bounds) - spare, max(bound[1, 1] for bound in bounds) + spare
+    width = max(float(np.ptp(bound[:, 0])) for bound in bounds) + 2 * spare
+    disparity = np.percentile(rays[0][:, 0] - rays[1][:, 0], [_RAREST, 100 - _RAREST])
     focal = min(
         calibration.camera.focal_px[0],
         _LONGEST_SIDE / max(width, high_y - low_y),
@@ -109,8 +109,8 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
     )
     size = (int(focal * width) + 1, int(focal * (high_y - low_y)) + 1)
     left, right = (
-        _Rectified(turn, focal, np.floor(focal * np.array([each[0, 0] - spare, low_y])), size)
-        for turn, each in zip((common, common @ calibration.rotation.T), bounds, strict=True)
+        _Rectified(turn, focal, np.floor(focal * np.array([bound[0, 0] - spare, low_y])), size)
+        for turn, bound in zip((common, common @ calibration.rotation.T), bounds, strict=True)
     )
     low, high = focal * disparity - left.low[0] + right.low[0]
     least = int(np.floor(low - _SPARE_PX))
@@ -138,6 +138,6 @@ def _match(left: Image, right: Image, least: int, count: int) -> Floats:
     padded = [
         cv2.copyMakeBorder(picture, 0, 0, margin, max(0, -least), cv2.BORDER_REPLICATE) for picture in (left, right)
     ]
-    found = matcher.compute(*padded).astype(np.float64)[:, margin : margin + left.shape[1]] / 16
+    disparity = matcher.compute(*padded).astype(np.float64)[:, margin : margin + left.shape[1]] / 16
     empty = left.reshape(*left.shape[:2], -1).max(axis=2) == 0
-    return np.where((found < least) | empty, np.nan, found)
+    return np.where((disparity < least) | empty, np.nan, disparity)

@@ -93,11 +93,11 @@ def _mutual(first: Features, second: Features) -> Ints:
     return np.stack([chosen, there[chosen]], axis=1)
 
 
-def _nearest(these: Descriptors, others: Descriptors) -> tuple[Ints, Bools]:
+def _nearest(these: Descriptors, candidates: Descriptors) -> tuple[Ints, Bools]:
     """For each descriptor (N,) of unit length the nearest of the others, and whether it is clearly the nearest."""
     nearest, clear = [], []
     for start in range(0, len(these), _CHUNK):
-        square = np.maximum(2 - 2 * these[start : start + _CHUNK] @ others.T, 0.0)
+        square = np.maximum(2 - 2 * these[start : start + _CHUNK] @ candidates.T, 0.0)
         chosen = np.argmin(square, axis=1)
         rows = np.arange(len(chosen))
         best = square[rows, chosen]

@@ -75,14 +75,14 @@ def read_photos(paths: Sequence[Path]) -> list[Photo]:
     Raises InputError for a file that cannot be read, one given twice, or photos of different sizes.
     """
     for i, path in enumerate(paths):
-        if any(real_path(path) == real_path(other) for other in paths[:i]):
+        if any(real_path(path) == real_path(earlier) for earlier in paths[:i]):
             raise InputError(f"{path}: was given twice; photos from different places are needed")
     stored = [_read(path) for path in paths]
-    upright = [each.turned(each.orientation) for each in stored]
+    upright = [photo.turned(photo.orientation) for photo in stored]
     if len({photo.size for photo in upright}) == 1:
         return upright
-    if len({each.pixels.shape[:2] for each in stored}) == 1:
-        return [each.turned(stored[0].orientation) for each in stored]
+    if len({photo.pixels.shape[:2] for photo in stored}) == 1:
+        return [photo.turned(stored[0].orientation) for photo in stored]
     sizes = ", ".join(f"{photo.path.name} {photo.size}" for photo in upright)
     raise InputError(
         f"the photos must be of one size, found {sizes}: take them with one camera at one zoom, and crop all or none "

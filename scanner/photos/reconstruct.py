@@ -123,10 +123,10 @@ def _match(pairs: Sequence[Decoded], photos: Sequence[Photo], reached: list[Stag
     matched = []
     for number, (pair, second) in enumerate(zip(pairs, reversed(features[1:]), strict=True)):
         matches = match_features(features[0], second)
-        reached[number] = found = pair.with_matches(matches, None)
+        reached[number] = stage = pair.with_matches(matches, None)
         with naming(pair, among=len(pairs)):
             refuse_unrelated(matches, features[0], second)
-        matched.append(found)
+        matched.append(stage)
     return matched
 
 
@@ -135,10 +135,10 @@ def _label(pairs: Sequence[Decoded], masks: Bools | None, reached: list[Stage]) 
     labelled = list[Decoded]()
     for pair in reversed(pairs):
         with naming(pair, among=len(pairs)):
-            found = _labelled(pair, masks, labelled[0] if labelled else None)
-            labelled.append(found)
-            reached[-len(labelled)] = found
-            refuse_few(found.matches, "See that all three faces are in both photos, with texture to match on each.")
+            labels = _labelled(pair, masks, labelled[0] if labelled else None)
+            labelled.append(labels)
+            reached[-len(labelled)] = labels
+            refuse_few(labels.matches, "See that all three faces are in both photos, with texture to match on each.")
     return labelled[::-1]
 
 
@@ -167,11 +167,11 @@ def _calibrate(pairs: Sequence[Decoded], config: Config, focal_px: tuple[float, 
         focal_px=focal_px,
     )
     first = _scaled(pairs[-1], solutions[0], config.scale)
-    others = [
+    further = [
         _alike(_scaled(pair, solution, None), first)
         for pair, solution in zip(reversed(pairs[:-1]), solutions[1:], strict=True)
     ]
-    return [first, *others][::-1]
+    return [first, *further][::-1]
 
 
 def _scaled(pair: Decoded, solution: SelfCalibration, scale: ScaleSettings | None) -> SelfCalibrated:
@@ -204,10 +204,10 @@ def _triangulate(pairs: Sequence[SelfCalibrated], reached: list[Stage]) -> Scan:
     captures = []
     for number, pair in enumerate(pairs):
         cloud = build_cloud(pair.decoded.matches, pair.decoded.texture, pair.calibration, scattered=True)
-        reached[number] = found = Reconstructed(pair, cloud)
+        reached[number] = stage = Reconstructed(pair, cloud)
         with naming(pair.decoded, among=len(pairs)):
             refuse_misfit(cloud.statistics)
-        captures.append(found)
+        captures.append(stage)
     clouds = [capture.cloud for capture in captures]
     return Scan(tuple(captures), _merged(pairs, clouds) if len(pairs) > 1 else None)
 

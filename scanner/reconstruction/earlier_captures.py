@@ -33,10 +33,10 @@ def read_captures(
     captures: list[Decoded] = []
     for path in (path for path in paths if not is_calibration(path)):
         for place in _places(path):
-            found = _read(place, camera_size, projector_size, one_axis=one_axis)
-            for other in captures:
-                _refuse_same(found, other)
-            captures.append(found)
+            capture = _read(place, camera_size, projector_size, one_axis=one_axis)
+            for earlier in captures:
+                _refuse_same(capture, earlier)
+            captures.append(capture)
     return captures
 
 
@@ -88,19 +88,20 @@ def _check_result(folder: Path, camera_size: Size, projector_size: Size) -> Give
     return GivenMatches(recording.white(), smooth_error_px(fringes))
 
 
-def _check_size(folder: Path, name: str, found: Size, expected: Size) -> None:
-    if found != expected:
+def _check_size(folder: Path, name: str, actual: Size, expected: Size) -> None:
+    if actual != expected:
         raise InputError(
-            f"{folder}: its {name} is {found}, but {expected} is expected: captures "
+            f"{folder}: its {name} is {actual}, but {expected} is expected: captures "
             "that are calibrated together come from one unchanged rig"
         )
 
 
-def _refuse_same(found: Decoded, other: Decoded) -> None:
-    a, b = found.matches, other.matches
+def _refuse_same(capture: Decoded, earlier: Decoded) -> None:
+    a, b = capture.matches, earlier.matches
     if np.array_equal(a.camera_px, b.camera_px) and np.array_equal(a.projector_px, b.projector_px):
         raise InputError(
-            f"{found.name}: holds the same matches as {other.name}: a capture counted twice would make sigmas too small"
+            f"{capture.name}: holds the same matches as {earlier.name}: a capture counted twice would make sigmas too "
+            "small"
         )
 
 

@@ -21,8 +21,8 @@ def read_masks(folder: Path, camera_size: Size) -> Bools:
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder of masks'}")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".png" and not path.name.startswith("."))
     if len(paths) != 3:
-        found = ", ".join(path.name for path in paths) or "none"
-        raise InputError(f"{folder}: expected three PNG, one for each face, found {len(paths)}: {found}")
+        names = ", ".join(path.name for path in paths) or "none"
+        raise InputError(f"{folder}: expected three PNG, one for each face, found {len(paths)}: {names}")
     masks = np.stack([_read_mask(path, camera_size) for path in paths])
     for (a, first), (b, second) in combinations(enumerate(paths), 2):
         shared = int(np.count_nonzero(masks[a] & masks[b]))

@@ -18,8 +18,8 @@ _SUREST = 1e-6  # smallest sigma of a term
 def lenses_of(config: Config, camera_size: Size, projector_size: Size) -> tuple[LensPrior, LensPrior]:
     """Return the lens priors of camera and projector with images of these sizes. Raises InputError."""
     camera, projector = "a camera", "a projector"
-    found = lenses_by_name(config, {camera: camera_size}, {projector: projector_size})
-    return found[camera], found[projector]
+    lenses = lenses_by_name(config, {camera: camera_size}, {projector: projector_size})
+    return lenses[camera], lenses[projector]
 
 
 def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapping[str, Size]) -> dict[str, LensPrior]:
@@ -45,9 +45,9 @@ def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapp
         if device.size == size and (prior := _prior_of(device, of_device)) is not None
     }
     if not known:
-        seen = " or ".join(f"{name} of {size}" for name, size in {**cameras, **projectors}.items())
+        devices = " or ".join(f"{name} of {size}" for name, size in {**cameras, **projectors}.items())
         raise InputError(
-            f"lens.from: {file} states no distortion with its sigmas for {seen} pixels: expected a calibration of "
+            f"lens.from: {file} states no distortion with its sigmas for {devices} pixels: expected a calibration of "
             "devices with images of these sizes, by scan board for instance"
         )
     for name in lenses.keys() - known.keys():
@@ -58,4 +58,4 @@ def lenses_by_name(config: Config, cameras: Mapping[str, Size], projectors: Mapp
 def _prior_of(device: Intrinsics, sigma: DeviceSigmas) -> LensPrior | None:
     if sigma.distortion is None:
         return None
-    return LensPrior(device.distortion, tuple(max(each, _SUREST) for each in sigma.distortion))
+    return LensPrior(device.distortion, tuple(max(sigma_of_term, _SUREST) for sigma_of_term in sigma.distortion))

@@ -32,8 +32,8 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
         with progress.step("Triangulating"), naming(capture.decoded, among=len(captures)):
             decoded = capture.decoded
             cloud = build_cloud(decoded.matches, decoded.texture, capture.calibration)
-            found = Reconstructed(capture, cloud)
-            reached[number] = found
+            stage = Reconstructed(capture, cloud)
+            reached[number] = stage
             if isinstance(capture, GivenCalibration):
                 refuse_moved(decoded)
                 if decoded.decoding:
@@ -41,7 +41,7 @@ def triangulate(captures: Sequence[Calibrated], reached: list[Stage], progress: 
                 refuse_foreign(cloud.statistics, decoded.metadata.projector_size)
             elif capture.solution.method == "refined":  # the paper's method ignores distortion, so a misfit is expected
                 refuse_misfit(cloud.statistics)
-        reconstructed.append(found)
+        reconstructed.append(stage)
     return tuple(reconstructed)
 
 
@@ -62,16 +62,16 @@ def _refuse_uncrossed(decoding: Decoding) -> None:
     if axis is None:
         return
     counts = {reason: int(np.count_nonzero(decoding.reasons == reason)) for reason in _OF_CROSSINGS}
-    seen = sum(counts.values())
-    if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * seen:
+    total = sum(counts.values())
+    if counts[MaskReason.ALONG_EPIPOLAR_LINE] > _MOST_UNCROSSED * total:
         raise RefusalError(
             f"Patterns vary along {axis} only, and their stripes run along the epipolar lines of this calibration at "
-            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / seen:.0%} of the pixels, which carries no depth.",
+            f"{counts[MaskReason.ALONG_EPIPOLAR_LINE] / total:.0%} of the pixels, which carries no depth.",
             f"Project patterns along {'y' if axis == 'x' else 'x'} instead, or along both.",
         )
-    if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * seen:
+    if counts[MaskReason.OUTSIDE] > _MOST_UNCROSSED * total:
         raise RefusalError(
-            f"With this calibration, {counts[MaskReason.OUTSIDE] / seen:.0%} of the pixels see a stripe that their "
+            f"With this calibration, {counts[MaskReason.OUTSIDE] / total:.0%} of the pixels see a stripe that their "
             "epipolar line meets only outside the projector's image, or behind a device.",
             _OF_ANOTHER_RIG,
         )

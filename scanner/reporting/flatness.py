@@ -38,10 +38,10 @@ class Flatness:
 
 def flatness(report: ReportInput) -> Flatness | None:
     """The faces; None without a calibration or labelled faces."""
-    scene, found = report.scene, report.reconstructed
-    if scene is None or found is None or not scene.faces:
+    scene, reconstructed = report.scene, report.reconstructed
+    if scene is None or reconstructed is None or not scene.faces:
         return None
-    unit = shown_unit(found.calibration.unit)
+    unit = shown_unit(reconstructed.calibration.unit)
     rows = tuple(
         FlatnessRow(face.name, (unit.measured(face.deviation, face.budget.sigma), unit.number(face.errors.form)))
         for face in scene.faces

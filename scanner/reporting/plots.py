@@ -20,8 +20,8 @@ def likelihood_plot(profile: Profile, chosen_focal_px: float) -> Markup:
     """The posterior in sigmas, √(−2 log posterior above the best), with the answer marked."""
     sigmas = np.sqrt(np.maximum(profile.cost, 0.0))
     # Slightly larger than the plot, so that the curve leaves it at the edge.
-    shown = np.flatnonzero(sigmas <= 1.5 * _SIGMAS_SHOWN)
-    focal = profile.focal_px[shown]
+    within = np.flatnonzero(sigmas <= 1.5 * _SIGMAS_SHOWN)
+    focal = profile.focal_px[within]
     low, high = float(focal.min()), float(focal.max())
     if low == high:
         low, high = 0.99 * low, 1.01 * high
@@ -32,7 +32,7 @@ def likelihood_plot(profile: Profile, chosen_focal_px: float) -> Markup:
     )
     plot.mark_y(1.0, "1 σ")
     plot.mark_y(3.0, "3 σ")
-    plot.line(focal, sigmas[shown])
+    plot.line(focal, sigmas[within])
     plot.mark_x(chosen_focal_px, f"{chosen_focal_px:.1f} px")
     return plot.svg()
 

@@ -130,14 +130,14 @@ def tables(report: ReportInput) -> tuple[Table, ...]:
     if report.reconstructed is None:
         return ()
     calibration, truth = report.reconstructed.calibration, report.truth
-    found = [Table("Camera", tuple(device_quantities("camera", calibration, truth)))]
+    tables = [Table("Camera", tuple(device_quantities("camera", calibration, truth)))]
     if not calibration.one_camera:
-        found.append(Table("Projector", tuple(device_quantities("projector", calibration, truth))))
+        tables.append(Table("Projector", tuple(device_quantities("projector", calibration, truth))))
     between = "Between the photos" if calibration.one_camera else "Between them"
-    found.append(Table(between, tuple(pose_quantities(calibration, truth))))
+    tables.append(Table(between, tuple(pose_quantities(calibration, truth))))
     if report.solution is not None:
-        found.append(Table("Corner", tuple(_angles(report))))
-    return tuple(found)
+        tables.append(Table("Corner", tuple(_angles(report))))
+    return tuple(tables)
 
 
 def _angles(report: ReportInput) -> Iterator[Quantity]:
@@ -148,7 +148,7 @@ def _angles(report: ReportInput) -> Iterator[Quantity]:
 
 def faces(report: ReportInput) -> Faces | None:
     """The faces over the white frame; None if none were found."""
-    face, found = report.matches.face, report.reconstructed
+    face, reconstructed = report.matches.face, report.reconstructed
     if face is None or not len(report.on_faces):
         return None
     size, texture = report.metadata.camera_size, report.outcome.decoded.texture
@@ -159,7 +159,7 @@ def faces(report: ReportInput) -> Faces | None:
         labels,
         size,
         report.solution.corner if report.solution else None,
-        found.calibration.camera if found else None,
+        reconstructed.calibration.camera if reconstructed else None,
     )
     return Faces(
         photo(painted, "the camera's image with the faces of the corner in colour"),
@@ -327,8 +327,8 @@ def picture(pixels: Pixels | IndexedPicture, alt: str, *, caption: str = "") -> 
 def view(pixels: Pixels, name: str, of: str, caption: str) -> Picture:
     """A view of a cloud, RGBA, as an image for the page; the oblique one is for paper, too."""
     alt = f"{of}, {name} view"
-    shown = picture(pixels, alt, caption=caption)
-    return replace(shown, on_paper=_printed(pixels, alt, caption)) if name == "oblique" else shown
+    drawn = picture(pixels, alt, caption=caption)
+    return replace(drawn, on_paper=_printed(pixels, alt, caption)) if name == "oblique" else drawn
 
 
 def photo(pixels: Pixels, alt: str) -> Picture:

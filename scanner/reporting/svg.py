@@ -39,10 +39,10 @@ class Scale:
         if self.log:
             decades = range(floor(log10(self.low)), ceil(log10(self.high)) + 1)
             for digits in ((1, 2, 5), (1,)):
-                found = [digit * 10.0**k for k in decades for digit in digits]
-                found = [value for value in found if self.low <= value <= self.high]
-                if 3 <= len(found) <= _MOST_TICKS:
-                    return found
+                ticks = [digit * 10.0**k for k in decades for digit in digits]
+                ticks = [value for value in ticks if self.low <= value <= self.high]
+                if 3 <= len(ticks) <= _MOST_TICKS:
+                    return ticks
         return even_ticks(self.low, self.high, _MOST_TICKS)
 
 

@@ -99,7 +99,7 @@ def keep_recording(partial: Path, out: Path) -> Path:
 
     Nothing can then be mistaken for a result. Raises OSError.
     """
-    for folder, recorded in [(partial, _RECORDED), *((each, _RECORDED_OF_SEVERAL) for each in _whole(partial))]:
+    for folder, recorded in [(partial, _RECORDED), *((capture, _RECORDED_OF_SEVERAL) for capture in _whole(partial))]:
         for path in folder.iterdir():
             if path.name in recorded or path.name == STATE:
                 continue
@@ -116,7 +116,7 @@ def kept_text(kept: Path, *, refuted: bool = False) -> str:
     """
     captures = _whole(kept)
     if captures and not (kept / CAPTURE_FOLDER).is_dir():  # of a network or of stations
-        whole = sum(_is_complete(each / CAPTURE_FOLDER) for each in captures)
+        whole = sum(_is_complete(capture / CAPTURE_FOLDER) for capture in captures)
         taken_by = "scan network" if "-" in captures[0].name else "scan room, object or board"
         return (
             f"What was captured so far is kept in {kept / CAPTURES_FOLDER}: {whole} of {len(captures)} captures are "

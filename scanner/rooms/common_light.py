@@ -34,38 +34,45 @@ class Shown:
     seen: Bools
 
 
-def in_common_light(shown: Sequence[Shown]) -> list[NDArray[np.uint8]]:
+def in_common_light(photographs: Sequence[Shown]) -> list[NDArray[np.uint8]]:
     """The pictures (H, W, 3), brighter and darker, not beyond white; the points and the sizes are the same in all."""
-    if not shown:
+    if not photographs:
         return []
-    height, width = shown[0].picture.shape[:2]
+    height, width = photographs[0].picture.shape[:2]
     step = max(height, width) / (_NODES - 1)
     nodes = int(np.ceil(height / step)) + 1, int(np.ceil(width / step)) + 1
-    fields = _fields(shown, step, nodes)
+    fields = _fields(photographs, step, nodes)
     fields -= max(
-        [0.0, *(_above_white(*each, step, nodes) for each in zip(shown, fields, strict=True) if each[0].seen.any())]
+        [
+            0.0,
+            *(
+                _above_white(*photograph_and_field, step, nodes)
+                for photograph_and_field in zip(photographs, fields, strict=True)
+                if photograph_and_field[0].seen.any()
+            ),
+        ]
     )
     row, column = (np.arange(size, dtype=np.float32) / np.float32(step) for size in (height, width))
     across, down = np.meshgrid(column, row)
     pictures = []
-    for each, field in zip(shown, fields, strict=True):
+    for photograph, field in zip(photographs, fields, strict=True):
         gain = np.exp(cv2.remap(field.astype(np.float32), across, down, cv2.INTER_LINEAR))
-        pictures.append(np.asarray(np.clip(np.rint(each.picture * gain[..., None]), 0, 255), np.uint8))
+        pictures.append(np.asarray(np.clip(np.rint(photograph.picture * gain[..., None]), 0, 255), np.uint8))
     return pictures
 
 
-def _fields(shown: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floats:
+def _fields(photographs: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floats:
     """Logarithms of the gains at the nodes, (pictures, rows, columns)."""
     size = nodes[0] * nodes[1]
     rows, columns, values, right = [], [], [], []
     count = 0
-    for (a, one), (b, other) in combinations(enumerate(shown), 2):
-        both = evenly(one.seen & other.seen, _POINTS)
-        off = np.log(_light(other, both)) - np.log(_light(one, both))
+    for (a, first), (b, second) in combinations(enumerate(photographs), 2):
+        both = evenly(first.seen & second.seen, _POINTS)
+        off = np.log(_light(second, both)) - np.log(_light(first, both))
         both, off = both[np.abs(off) < _FARTHEST], off[np.abs(off) < _FARTHEST]
         equation = np.repeat(count + np.arange(len(both)), 4)
-        for number, each, sign in ((a, one, 1.0), (b, other, -1.0)):
-            node, weight = _between(each.pixels[both], step, nodes)
+        for number, photograph, sign in ((a, first, 1.0), (b, second, -1.0)):
+            node, weight = _between(photograph.pixels[both], step, nodes)
             rows.append(equation)
             columns.append(number * size + node.ravel())
             values.append(sign * weight.ravel())
@@ -73,25 +80,25 @@ def _fields(shown: Sequence[Shown], step: float, nodes: tuple[int, int]) -> Floa
         count += len(both)
     of_points = coo_array(
         (np.concatenate([*values, []]), (np.concatenate([*rows, []]), np.concatenate([*columns, []]))),
-        (count, size * len(shown)),
+        (count, size * len(photographs)),
     ).tocsc()
     held = csc_array(_HELD**2 * np.eye(size) + _SMOOTH**2 * _roughness(nodes))
-    normal = of_points.T @ of_points + block_diag([held] * len(shown), format="csc")
-    found: Floats = spsolve(csc_array(normal), of_points.T @ np.concatenate([*right, []]))
-    return found.reshape(len(shown), *nodes)
+    normal = of_points.T @ of_points + block_diag([held] * len(photographs), format="csc")
+    fields: Floats = spsolve(csc_array(normal), of_points.T @ np.concatenate([*right, []]))
+    return fields.reshape(len(photographs), *nodes)
 
 
-def _above_white(shown: Shown, field: Floats, step: float, nodes: tuple[int, int]) -> float:
+def _above_white(photograph: Shown, field: Floats, step: float, nodes: tuple[int, int]) -> float:
     """By how much the logarithm of its brightest seen points exceeds white after the gains (rows, columns)."""
-    seen = np.flatnonzero(shown.seen)
-    node, weight = _between(shown.pixels[seen], step, nodes)
-    light = np.log(_light(shown, seen)) + np.sum(field.ravel()[node] * weight, axis=1)
+    lit = np.flatnonzero(photograph.seen)
+    node, weight = _between(photograph.pixels[lit], step, nodes)
+    light = np.log(_light(photograph, lit)) + np.sum(field.ravel()[node] * weight, axis=1)
     return float(np.quantile(light, _BRIGHTEST) - np.log(255.0))
 
 
-def _light(shown: Shown, some: Ints) -> Floats:
-    column, row = np.rint(shown.pixels[some]).astype(np.int64).T
-    light: Floats = shown.picture[row, column].astype(np.float64).mean(axis=1) + _DARK
+def _light(photograph: Shown, some: Ints) -> Floats:
+    column, row = np.rint(photograph.pixels[some]).astype(np.int64).T
+    light: Floats = photograph.picture[row, column].astype(np.float64).mean(axis=1) + _DARK
     return light
 
 

@@ -56,7 +56,7 @@ def line_offsets(matches: Matches, calibration: Calibration) -> LineOffsets:
 
 def usual_px(offsets: Sequence[LineOffsets]) -> float:
     """Root mean square over the tiles; infinite without any."""
-    return max(_LEAST_PX, sorted(each.usual_px for each in offsets)[(len(offsets) - 1) // 2])
+    return max(_LEAST_PX, sorted(offset.usual_px for offset in offsets)[(len(offsets) - 1) // 2])
 
 
 def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dict[int, str]:
@@ -64,9 +64,9 @@ def of_another_rig(captures: Sequence[Matches], calibration: Calibration) -> dic
 
     `calibration`: of the rig, as most of the captures, or the corners that some of them show, have it.
     """
-    offsets = [line_offsets(each, calibration) for each in captures]
+    offsets = [line_offsets(capture, calibration) for capture in captures]
     usual = usual_px(offsets)
-    far = {k: each.deviation_px(usual) for k, each in enumerate(offsets)}
+    far = {k: offset.deviation_px(usual) for k, offset in enumerate(offsets)}
     return {
         k: f"its matches are {px:.2g} projector px off the epipolar lines of the others' rig"
         for k, px in far.items()

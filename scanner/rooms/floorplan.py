@@ -70,9 +70,9 @@ def floor_plan(room: SolvedRoom) -> FloorPlan:
     walls = [line for line in lines if line.is_wall]
     corners, joined = _joined(room, walls)
     facing = [
-        (one.plane, other.plane, _scaled(gap(room.estimate, one.plane, other.plane), room.factor))
-        for one, other in combinations(walls, 2)
-        if room.planes[one.plane].normal @ room.planes[other.plane].normal < -np.cos(np.radians(_MEET_DEG))
+        (first.plane, second.plane, _scaled(gap(room.estimate, first.plane, second.plane), room.factor))
+        for first, second in combinations(walls, 2)
+        if room.planes[first.plane].normal @ room.planes[second.plane].normal < -np.cos(np.radians(_MEET_DEG))
     ]
     ceiling = ceiling_of(room.planes, room.areas)
     height = None
@@ -96,9 +96,9 @@ def _scaled(measured: Measured, factor: float) -> Measured:
 def _lines(room: SolvedRoom) -> list[WallLine]:
     points, plane = _sampled(room)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    vertical = [i for i, each in enumerate(room.planes) if is_vertical(each)]
+    vertical = [i for i, plane in enumerate(room.planes) if is_vertical(plane)]
     largest = max((room.areas[i] for i in vertical), default=0.0)
-    found = []
+    walls = []
     for i in vertical:
         own = points[plane == i]
         if room.areas[i] < _LEAST_OF_LARGEST * largest or len(own) < _FEWEST:
@@ -111,11 +111,11 @@ def _lines(room: SolvedRoom) -> list[WallLine]:
         behind = points @ room.planes[i].normal < room.planes[i].offset - _BEHIND * size
         beside = (points[:, :2] @ along > low) & (points[:, :2] @ along < high)
         if np.count_nonzero(behind & beside) < _MOST_BEHIND * len(own):
-            found.append(WallLine(i, start, end, True))
+            walls.append(WallLine(i, start, end, True))
         else:
             for first, last in _pieces(own[:, :2] @ along, _BEHIND * size):
-                found.append(WallLine(i, start + (first - low) * along, start + (last - low) * along, False))
-    return found
+                walls.append(WallLine(i, start + (first - low) * along, start + (last - low) * along, False))
+    return walls
 
 
 def _pieces(places: Floats, gap: float) -> list[tuple[float, float]]:
@@ -147,15 +147,15 @@ def _joined(room: SolvedRoom, walls: Sequence[WallLine]) -> tuple[tuple[PlanCorn
         crossing = _crossing(walls[i], walls[j])
         if crossing is not None:
             ends = [_nearer_end(wall, crossing) for wall in (walls[i], walls[j])]
-            seen = sum(float(np.linalg.norm(wall.end - wall.start)) for wall in (walls[i], walls[j]))
+            visible = sum(float(np.linalg.norm(wall.end - wall.start)) for wall in (walls[i], walls[j]))
             missing = sum(missed for _, missed in ends)
-            candidates.append((missing / seen, (i, ends[0][0]), (j, ends[1][0])))
+            candidates.append((missing / visible, (i, ends[0][0]), (j, ends[1][0])))
     taken: dict[tuple[int, int], int] = {}
     corners: list[PlanCorner] = []
-    for missing, one, other in sorted(candidates):
-        if missing < _LONGEST_GAP and one not in taken and other not in taken:
-            taken[one] = taken[other] = len(corners)
-            corners.append(_corner(room, walls[one[0]], walls[other[0]]))
+    for missing, first, second in sorted(candidates):
+        if missing < _LONGEST_GAP and first not in taken and second not in taken:
+            taken[first] = taken[second] = len(corners)
+            corners.append(_corner(room, walls[first[0]], walls[second[0]]))
     joined = []
     for i, wall in enumerate(walls):
         at = taken.get((i, 0)), taken.get((i, 1))
@@ -171,14 +171,14 @@ def _joined(room: SolvedRoom, walls: Sequence[WallLine]) -> tuple[tuple[PlanCorn
     return tuple(corners), joined
 
 
-def _crossing(one: WallLine, other: WallLine) -> Floats | None:
+def _crossing(wall: WallLine, next_wall: WallLine) -> Floats | None:
     """Where two lines cross, (2,); None if they are nearly parallel."""
-    first, second = one.end - one.start, other.end - other.start
+    first, second = wall.end - wall.start, next_wall.end - next_wall.start
     turn = float(first[0] * second[1] - first[1] * second[0])
     if abs(turn) < np.sin(np.radians(_MEET_DEG)) * np.linalg.norm(first) * np.linalg.norm(second):
         return None
-    apart = other.start - one.start
-    return one.start + first * float(apart[0] * second[1] - apart[1] * second[0]) / turn
+    apart = next_wall.start - wall.start
+    return wall.start + first * float(apart[0] * second[1] - apart[1] * second[0]) / turn
 
 
 def _nearer_end(wall: WallLine, point: Floats) -> tuple[int, float]:
@@ -187,14 +187,14 @@ def _nearer_end(wall: WallLine, point: Floats) -> tuple[int, float]:
     return int(np.argmin(apart)), min(apart)
 
 
-def _corner(room: SolvedRoom, one: WallLine, other: WallLine) -> PlanCorner:
-    angle = angle_deg(room.estimate, one.plane, other.plane)
-    position = _crossing(one, other)
+def _corner(room: SolvedRoom, first: WallLine, second: WallLine) -> PlanCorner:
+    angle = angle_deg(room.estimate, first.plane, second.plane)
+    position = _crossing(first, second)
     assert position is not None  # a candidate has one
     if room.floor is not None:
-        found = vertex(room.estimate, one.plane, other.plane, room.floor).position
-        position = room.factor * (room.upright.rotation @ found + room.upright.translation)[:2]
-    return PlanCorner(position, (one.plane, other.plane), angle)
+        at = vertex(room.estimate, first.plane, second.plane, room.floor).position
+        position = room.factor * (room.upright.rotation @ at + room.upright.translation)[:2]
+    return PlanCorner(position, (first.plane, second.plane), angle)
 
 
 def _length(room: SolvedRoom, corners: Sequence[PlanCorner], at: tuple[int | None, int | None]) -> Measured | None:

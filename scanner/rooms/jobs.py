@@ -45,7 +45,7 @@ def scan_room(
         else:
             captures = read_stations(stations, config, terminal, known.given if known else None)
             start = known or rig_from_corners(captures, config, terminal)
-        if any(each.only_axis for each in captures):
+        if any(capture.only_axis for capture in captures):
             start = replace(start, uncertainty=None)  # one axis fits the epipolar lines of any rig
         solved = solve_room(captures, start, config, terminal)
         save_room(solved, folder, config, terminal)

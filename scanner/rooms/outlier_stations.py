@@ -27,21 +27,21 @@ def outlier_stations_of(
 
     `calibration`: the rig as estimated by this group; `stations`: its stations, in the room's frame, z up.
     """
-    alone = {left.station: left for left in registration.left_out}
+    alone = {outlier.station: outlier for outlier in registration.left_out}
     beside = {k: group.stations for group in registration.groups[1:] for k in group.stations}
     if not alone and not beside:
         return ()
     unseen_deg = widest_unseen_deg(stations)
-    found = []
+    outliers = []
     for k in (*alone, *beside):
         capture = captures[k]
         all_round = unseen_deg < _OF_ITS_VIEW * _view_deg(capture, calibration)
         if k in alone:
-            found.append(_left_out(capture.name, alone[k], all_round))
+            outliers.append(_left_out(capture.name, alone[k], all_round))
         else:
-            together = ", ".join(captures[each].name for each in beside[k])
-            found.append(_of_another_group(capture.name, together, all_round))
-    return tuple(found)
+            together = ", ".join(captures[neighbour].name for neighbour in beside[k])
+            outliers.append(_of_another_group(capture.name, together, all_round))
+    return tuple(outliers)
 
 
 def widest_unseen_deg(stations: Sequence[Station]) -> float:
@@ -52,20 +52,20 @@ def widest_unseen_deg(stations: Sequence[Station]) -> float:
     return float(np.degrees(np.max(np.diff(np.append(angles, angles[0] + 2 * np.pi)))))
 
 
-def _left_out(name: str, left: LeftOut, all_round: bool) -> OutlierStation:
-    if left.cause == "another rig":
-        return OutlierStation(name, "changed rig", f"its rig was changed: {left.reason}")
-    if left.cause == "empty":
-        return OutlierStation(name, "nothing seen", left.reason)
-    if left.cause == "free space":
-        seen, _, _ = left.reason.partition(":")
-        return OutlierStation(name, "another room", f"{seen}: it is of another room, or something was moved")
-    if left.cause == "another shape":
-        return OutlierStation(name, "something moved", left.reason)
+def _left_out(name: str, outlier: LeftOut, all_round: bool) -> OutlierStation:
+    if outlier.cause == "another rig":
+        return OutlierStation(name, "changed rig", f"its rig was changed: {outlier.reason}")
+    if outlier.cause == "empty":
+        return OutlierStation(name, "nothing seen", outlier.reason)
+    if outlier.cause == "free space":
+        cause, _, _ = outlier.reason.partition(":")
+        return OutlierStation(name, "another room", f"{cause}: it is of another room, or something was moved")
+    if outlier.cause == "another shape":
+        return OutlierStation(name, "something moved", outlier.reason)
     if all_round:
         reason = f"it shows another room: {_ALL_ROUND}, and hardly anything that it shows"
         return OutlierStation(name, "another room", reason)
-    return OutlierStation(name, "no overlap", left.reason)
+    return OutlierStation(name, "no overlap", outlier.reason)
 
 
 def _of_another_group(name: str, together: str, all_round: bool) -> OutlierStation:

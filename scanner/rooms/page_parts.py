@@ -33,12 +33,12 @@ def overlap_cells(
 ) -> list[list[Cell]]:
     """What each two stations share, and its `text`; a pair has the lower number first."""
 
-    def cell(one: int, other: int) -> Cell:
-        pair = (min(one, other), max(one, other))
-        share = 0.0 if one == other else shares.get(pair, 0.0)
-        return Cell("" if one == other else text(pair) if share else "·", share)
+    def cell(row: int, column: int) -> Cell:
+        pair = (min(row, column), max(row, column))
+        share = 0.0 if row == column else shares.get(pair, 0.0)
+        return Cell("" if row == column else text(pair) if share else "·", share)
 
-    return [[cell(one, other) for other in stations] for one in stations]
+    return [[cell(row, column) for column in stations] for row in stations]
 
 
 def files_beside(page: Path, meanings: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -57,7 +57,7 @@ def sigma_cells(station: Station, first: Station, unit: str) -> tuple[str, str]:
     """The sigmas of a station's place and of its turn, relative to the first one, which is held."""
     if station is first:
         return "held", "held"
-    sigma, sigma_deg = (float(np.linalg.norm(each)) for each in (station.sigma, station.sigma_deg))
+    sigma, sigma_deg = (float(np.linalg.norm(axes)) for axes in (station.sigma, station.sigma_deg))
     return shown_unit(unit).error(sigma), f"{sigma_deg:.2g}°"
 
 

@@ -18,7 +18,7 @@ def verdict_on(room: SolvedRoom) -> Verdict:
     """The most serious finding decides."""
     names = [station.name for station in room.stations]
     if room.group.ambiguous:
-        behind = min(each.behind_nats for each in room.group.alternatives)
+        behind = min(alternative.behind_nats for alternative in room.group.alternatives)
         return Verdict(
             "refused",
             f"{AMBIGUOUS}.",
@@ -31,7 +31,7 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "or add a station between two others.",
         )
     reasons = tuple(_reasons(room))
-    loose = sorted({names[each.station] for each in room.estimate.undetermined})
+    loose = sorted({names[direction.station] for direction in room.estimate.undetermined})
     if loose:
         return Verdict(
             "fair",
@@ -48,17 +48,17 @@ def verdict_on(room: SolvedRoom) -> Verdict:
             "its result with --calibration.",
         )
     if room.outlier_stations:
-        left = ", ".join(each.name for each in room.outlier_stations)
-        return Verdict("fair", f"{len(names)} stations are one room; left out: {left}.", reasons)
+        outliers = ", ".join(station.name for station in room.outlier_stations)
+        return Verdict("fair", f"{len(names)} stations are one room; left out: {outliers}.", reasons)
     return Verdict("good", f"{len(names)} stations are one room, and the others determine the pose of each.", reasons)
 
 
 def _reasons(room: SolvedRoom) -> Iterator[str]:
     unit = shown_unit(room.unit)
-    others = room.stations[1:]
-    if others:
-        worst = float(np.nanmax([np.linalg.norm(station.sigma) for station in others]))
-        turned = float(np.nanmax([np.linalg.norm(station.sigma_deg) for station in others]))
+    later = room.stations[1:]
+    if later:
+        worst = float(np.nanmax([np.linalg.norm(station.sigma) for station in later]))
+        turned = float(np.nanmax([np.linalg.norm(station.sigma_deg) for station in later]))
         yield f"Each station's pose is known to ± {unit.error(worst)} and ± {turned:.2g}°, or better."
     if np.isfinite(room.group.ahead_nats):
         factor = np.exp(room.group.ahead_nats)

@@ -49,11 +49,11 @@ def measure_keystone(stripes: FinestStripes, matches: Matches, plane: Ints, size
     # A few pixels detect a keystone; all of them estimate it.
     few = evenly(np.ones(len(stripes.log_ratio), np.bool_), _MOST_AT_FIRST)
     thin = _beat(stripes.at(few), matches, plane, size)
-    found = None if thin is None else _found_at_first(thin)
-    beat = None if found is None else _beat(stripes, matches, plane, size)
-    if beat is None or found is None:
+    start = None if thin is None else _found_at_first(thin)
+    beat = None if start is None else _beat(stripes, matches, plane, size)
+    if beat is None or start is None:
         return None
-    fit = replace(beat, wave=_SHARP).refined(found.values, found.free)
+    fit = replace(beat, wave=_SHARP).refined(start.values, start.free)
     return _keystone(fit, size) if fit.is_of_a_beat and beat.leans(fit) else None
 
 
@@ -85,10 +85,10 @@ def _keystone(fit: Fit, size: tuple[int, int]) -> Keystone:
     back = np.linalg.inv(homography)
 
     def shifted(step: Floats) -> Shift:
-        other = _between_pixels(fit.values + step, size) @ back
+        stepped = _between_pixels(fit.values + step, size) @ back
 
         def shift(_camera_px: Floats, projector_px: Floats, _gradient: Floats) -> Floats:
-            return mapped(other, projector_px) - projector_px
+            return mapped(stepped, projector_px) - projector_px
 
         return shift
 

@@ -57,8 +57,8 @@ def starts_about_both_axes(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
     middle = beat.within(share)
     step = _STEP_PX / (beat.half * share**2)
     leans = step * np.arange(-_LEANS, _LEANS + 1)
-    found = Spectrum.of(middle).peaks(product(leans[leans > 0], leans[leans != 0]))
-    for start in _apart(found, middle, _TRIED_TWICE):
+    peaks = Spectrum.of(middle).peaks(product(leans[leans > 0], leans[leans != 0]))
+    for start in _apart(peaks, middle, _TRIED_TWICE):
         values, reached = start.values, share
         while reached < 1:
             values = beat.within(reached).refined(values, EVERYTHING).values
@@ -66,15 +66,15 @@ def starts_about_both_axes(beat: Beat, spectrum: "Spectrum") -> Iterator[Start]:
         yield replace(start, values=values)
 
 
-def _apart(found: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
+def _apart(starts: Sequence[Start], beat: Beat, most: int) -> Iterator[Start]:
     """The strongest starts that differ at the picture's corners; of two opposite ones, with equal beats, the smaller
     one.
     """
     corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * (1.0, beat.tall)
     taken: list[Floats] = []
-    for start in sorted(found, key=lambda start: -start.power):
+    for start in sorted(starts, key=lambda start: -start.power):
         moved = mapped(homography_of(start.values), corners) - corners
-        if all(np.abs(moved - other).max() * beat.half > _APART_PX for other in taken):
+        if all(np.abs(moved - start).max() * beat.half > _APART_PX for start in taken):
             taken.append(moved)
             yield start if np.sum(moved * corners) < 0 else replace(start, values=-start.values)
         if len(taken) == most:

@@ -39,7 +39,7 @@ def from_boards() -> FromBoards:
 
 def test_the_result_is_a_calibration_and_a_page(from_boards: FromBoards, tmp_path: Path) -> None:
     save_result(from_boards, tmp_path)
-    found = from_boards.found
+    found = from_boards.calibrated
     read = read_calibration(tmp_path / "calibration.yaml")
     assert read.camera == found.calibration.camera
     assert read.sigma.projector == found.calibration.sigma.projector
@@ -73,12 +73,12 @@ def test_a_full_disk_leaves_no_incomplete_result(from_boards: FromBoards, tmp_pa
 
 
 def test_corners_of_a_large_camera_are_drawn_at_their_places(from_boards: FromBoards, tmp_path: Path) -> None:
-    camera = from_boards.found.calibration.camera.size
+    camera = from_boards.calibrated.calibration.camera.size
     assert camera.width > 1000
     save_result(from_boards, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     pictures = re.findall(r"data:image/jpeg;base64,([^\"]*)", page)
-    for encoded, seen in zip(pictures, from_boards.seen, strict=True):
+    for encoded, seen in zip(pictures, from_boards.captures, strict=True):
         picture = cv2.imdecode(np.frombuffer(b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
         assert picture.shape[0] < picture.shape[1] < 500
         orange = np.argwhere(picture[..., 0] < 150)[:, ::-1]
