@@ -122,8 +122,8 @@ def _reasons(network: SolvedNetwork) -> Iterator[str]:
         for disagreement in surface.disagreements:
             yield (
                 f"In the light of {projector}, {disagreement.first} and {disagreement.second} are "
-                f"{100 * disagreement.relative:.2g} % of the depth apart at {disagreement.count:,} places; by the sigmas "
-                f"it is {100 * disagreement.expected:.2g} %."
+                f"{100 * disagreement.relative:.2g} % of the depth apart at {disagreement.count:,} places; by the "
+                f"sigmas it is {100 * disagreement.expected:.2g} %."
             )
         if np.isfinite(surface.gain):
             yield f"Points of {projector} that several cameras see have sigmas {surface.gain:.2f} times smaller."
