@@ -25,7 +25,7 @@ from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
 from hw.simulated import GroundTruth, Room, SimulatedRoom, simulation
 from scanner.decoding import Decoder
-from scanner.decoding.fringes.edge_shift_correction import Footprint
+from scanner.decoding.fringes.footprint_shift import Footprint
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)
 WIDTHS = {"narrow": None, "wide": 0.8}
@@ -46,7 +46,7 @@ SWITCHED_OFF: dict[str, Off] = {
     "without comparing periods": (("axis_decoder", "correct_systematic", _nothing),),
     "without equalising": (
         ("sample_analysis", "swings_of", lambda *_: {}),
-        ("folded_frames", "gains_of_pairs", lambda *_: {}),
+        ("code_images", "gains_of_pairs", lambda *_: {}),
     ),
     "without taking motion back": (("motion.device_motion", "Disturbance.take_back", _nothing),),
     "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),

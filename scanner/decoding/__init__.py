@@ -7,7 +7,7 @@ from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.finest_stripes import FinestStripes, first_harmonics
 from scanner.decoding.fringes.single_fringe import UNCHECKED
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
-from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.decoding.stopped_sequence import usable

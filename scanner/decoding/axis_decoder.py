@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats32, Image, Words, compiled
-from scanner.decoding.axis_signals import Signals
+from scanner.decoding.code_images import Signals
 from scanner.decoding.codes.gray_code import Interval, interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
-from scanner.decoding.fringes.edge_shift_correction import log_amplitude
+from scanner.decoding.fringes.footprint_shift import log_amplitude
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.fringes.single_fringe import Unchecked
 from scanner.decoding.fringes.systematic_error import correct_systematic

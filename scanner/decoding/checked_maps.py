@@ -3,12 +3,12 @@
 import numpy as np
 
 from calib.numerics import Bools
+from scanner.decoding.checks.epipolar_test import leave_out_stray_light
 from scanner.decoding.checks.map_checks import check_cycles
 from scanner.decoding.checks.roughness import check_roughness, widen_by_roughness
-from scanner.decoding.checks.stray_light import leave_out_stray_light
+from scanner.decoding.code_images import FoldedFrames
 from scanner.decoding.coordinate_maps import Maps, coordinate_maps
 from scanner.decoding.edge_refinement import refine_by_edges
-from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import blaming_shifts, mask_wrong_bits
 from scanner.decoding.motion.bit_repair import repair_bits

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats32, Ints, Part, compiled, evenly_spread, in_parallel, in_tiles, widened
 from scanner.decoding.axis_decoder import AxisDecoder, Coordinate
-from scanner.decoding.axis_signals import signals_in, signals_of
+from scanner.decoding.code_images import FoldedFrames, signals_in, signals_of
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.folded_frames import FoldedFrames
-from scanner.decoding.fringes.edge_shift_correction import Footprint
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
-from scanner.decoding.fringes.footprint_shift import REACH_PX, correct_curvature_shift, correct_shading_shift
+from scanner.decoding.fringes.footprint_shift import REACH_PX, Footprint, correct_curvature_shift, correct_shading_shift
 from scanner.decoding.fringes.systematic_error import BLOCK_PX
 from scanner.decoding.mask_reasons import CONTRADICTIONS, MaskReason, Reasons, count_reasons
 

@@ -19,13 +19,12 @@ from calib.refinement import Shift
 from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import halves_of, motion_between
 from scanner.decoding.checked_maps import checked_maps
-from scanner.decoding.checks.consequences import judge, suspecting
-from scanner.decoding.checks.contradictions import Anomaly
+from scanner.decoding.checks.epipolar_test import judge, suspecting
+from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
+from scanner.decoding.code_images import FoldedFrames
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
-from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.frame_corrections import FrameCorrections, corrections_of, saturation_of
-from scanner.decoding.fringes.period_shift import between_periods_px
 from scanner.decoding.fringes.single_fringe import remark_on, shift_of
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
@@ -39,6 +38,7 @@ from scanner.decoding.motion import (
     refuse_unexplained_motion,
     remarks_on,
 )
+from scanner.decoding.motion.device_motion import between_periods_px
 from scanner.decoding.one_axis import one_axis
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import check_and_calibrate, observe

@@ -9,12 +9,12 @@ import numpy as np
 
 from calib.numerics import Bools, Floats32, evenly_spread, median
 from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
-from scanner.decoding.axis_signals import Signals
-from scanner.decoding.fringes.blur import weakened
+from scanner.decoding.code_images import Signals
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.fringes.single_fringe import FringeSample, Unchecked, is_unchecked, response_of
 from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.resolution import weakened
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan
 from scanner.decoding.significance import ENDS, NEARLY_ALL, NEGLIGIBLE
 

@@ -1,7 +1,8 @@
-"""Find pixels that do not continue the surface of their neighbours.
+"""Find pixels that do not continue the surface of their neighbours, and patches that are too small for a surface.
 
 At an occlusion edge a pixel sees two surfaces and its phase belongs to neither; a code error is an isolated outlier.
-Both are discontinuities of the camera-to-projector map, which is smooth on a surface.
+Both are discontinuities of the camera-to-projector map, which is smooth on a surface. Few pixels that agree are
+outliers that happen to touch.
 """
 
 from collections.abc import Sequence
@@ -11,13 +12,16 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import Bools, Floats32, compiled
+from calib.numerics import Bools, Floats32, compiled, in_slices, widened
 from scanner.decoding.axis_decoder import Coordinate
 from scanner.decoding.codes.edge_interpolation import BEND_OF_SLOPE
-from scanner.decoding.fringes.edge_shift_correction import CROSS, surrounded
-from scanner.decoding.fringes.footprint_shift import MOST_BEND_PX
+from scanner.decoding.fringes.footprint_shift import CROSS, MOST_BEND_PX, surrounded
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
+
+SMALLEST_PATCH = 24  # pixels; fewer are taken for outliers that happen to touch
+_ROWS = 512  # at once, of which twice the smallest patch is searched twice
+_WITHIN = np.ones((5, 5), np.uint8)  # a square of more pixels
 
 
 def breaks(
@@ -77,3 +81,26 @@ def _note_faint(
     """
     for i in range(len(faint)):
         faint[i] = log_amplitude[i] < largest[i] - (np.float32(log(2)) + sigmas * np.sqrt(variance[i]))
+
+
+def small_patches(image: Bools) -> Bools:
+    """Return the pixels of an image (H, W) in 4-connected components of fewer than `SMALLEST_PATCH` pixels."""
+    result = np.empty_like(image)
+
+    def find(rows: slice) -> None:
+        # A component that reaches beyond the widened rows is not small.
+        wider, inner = widened(rows, SMALLEST_PATCH, len(image))
+        part = image[wider].view(np.uint8)
+        # Few pixels are not in a square that is part of their component: only these have to be connected.
+        large = cv2.morphologyEx(part, cv2.MORPH_OPEN, _WITHIN, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        rest = np.subtract(part, large)
+        _, labels = cv2.connectedComponents(rest, connectivity=4)
+        places = np.flatnonzero(rest)
+        label, beside = (of.reshape(-1)[places] for of in (labels, cv2.dilate(large, CROSS)))
+        small = np.bincount(label) < SMALLEST_PATCH
+        small[label[beside > 0]] = False
+        rest.reshape(-1)[places] = small[label]
+        result[rows] = rest[inner]
+
+    in_slices(len(image), _ROWS, find)
+    return result

@@ -8,10 +8,10 @@ import numpy as np
 from calib.numerics import STRIP_ROWS, Bools, Floats32, Image, Ints, around, compiled, in_slices, lines_of, widened
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
+from scanner.decoding.code_images import FoldedFrames
 from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
-from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, Reasons
 from scanner.decoding.sequence_plan import GrayCode, SequencePlan

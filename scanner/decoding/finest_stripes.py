@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Ints, at_random
+from scanner.decoding.code_images import FoldedFrames
 from scanner.decoding.coordinate_maps import Maps
-from scanner.decoding.folded_frames import FoldedFrames
 from scanner.decoding.light.noise_model import STRAY_PART
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.samples import Sample

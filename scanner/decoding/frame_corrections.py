@@ -10,8 +10,7 @@ from calib.numerics import WHOLE, Image, Part
 from scanner.decoding.ambient_light_change import AmbientLightChange, without_change
 from scanner.decoding.light.camera_response import CameraResponse, camera_response
 from scanner.decoding.light.ghost import Ghost, find_ghost, without_ghost
-from scanner.decoding.light.lit_pixels import unclipped
-from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.light.lit_pixels import saturation_level, unclipped
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
 

@@ -11,8 +11,8 @@ from calib.numerics import Bools, Floats, Floats32, Image, compiled
 from scanner.decoding.axis_decoder import mask_outside
 from scanner.decoding.checks.map_checks import check_maps
 from scanner.decoding.codes.code_cells import average_cells
-from scanner.decoding.connected_components import small_patches
 from scanner.decoding.coordinate_maps import Maps
+from scanner.decoding.discontinuities import small_patches
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.one_axis import OneAxis
 from scanner.decoding.sequence_plan import SequencePlan

@@ -9,21 +9,16 @@ import numpy as np
 from calib.numerics import Bools, Image
 from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.axis_decoder import AxisDecoder
-from scanner.decoding.axis_signals import signals_of
-from scanner.decoding.bit_resolution import resolve_bits
 from scanner.decoding.checks.code_checks import check_codes
-from scanner.decoding.checks.contradictions import Anomaly
 from scanner.decoding.checks.frame_checks import agree, an_exchange_explains, check_frames
+from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.checks.map_checks import check_fringes
+from scanner.decoding.code_images import FoldedFrames, signals_of
 from scanner.decoding.decoder_calibration import calibrated_decoders, measured_widely, modulation
-from scanner.decoding.folded_frames import FoldedFrames
-from scanner.decoding.fringes.blur import drop_lost_fringes
 from scanner.decoding.light.brightness import Gains, Places, flicker_of
 from scanner.decoding.light.equalise import outlier_groups, swings_of
-from scanner.decoding.light.lit_pixels import lit_by
-from scanner.decoding.light.mosaic import log_mosaic
+from scanner.decoding.light.lit_pixels import lit_by, log_mosaic, saturation_level
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise
-from scanner.decoding.light.saturation_level import saturation_level
 from scanner.decoding.motion import (
     CodeShift,
     InconsistentPixels,
@@ -35,6 +30,7 @@ from scanner.decoding.motion import (
     measure_motion,
     shifts_of_codes,
 )
+from scanner.decoding.resolution import drop_lost_fringes, resolve_bits
 from scanner.decoding.samples import Sample, Samples
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS

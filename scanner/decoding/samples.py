@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib.numerics import Bools, Floats, Floats32, Image, Ints, Part, at_random
 from scanner.decoding.light.brightness import Gains
-from scanner.decoding.light.mosaic import BAYER_PX
+from scanner.decoding.light.lit_pixels import BAYER_PX
 from scanner.decoding.sequence_plan import SequencePlan
 
 _MOST_PIXELS = 16384  # at random, so that a hundred are left in 1 % of the picture

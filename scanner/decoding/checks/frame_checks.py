@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from calib.numerics import TRIAL_PIXELS, Bools, Floats32, evenly_spread
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
-from scanner.decoding.checks.contradictions import (
+from scanner.decoding.checks.frame_consistency import (
     LEFT_BY_EXCHANGE,
     Anomaly,
     LitSample,

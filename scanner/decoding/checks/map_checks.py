@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.numerics import MANY_PIXELS, Bools, Floats32, Ints, lines_of
 from scanner.decoding.axis_decoder import AxisDecoder, Measured
-from scanner.decoding.checks.contradictions import Anomaly
+from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes.phase_unwrapping import disagreements

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, Image, Ints, Words, compiled
-from scanner.decoding.codes.gray_code import cell_numbers
-from scanner.decoding.codes.gray_fold import compared
+from scanner.decoding.codes.gray_code import cell_numbers, compared
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode
 

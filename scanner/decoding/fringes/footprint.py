@@ -1,6 +1,6 @@
 """Estimate the covariance of a camera pixel's footprint from the coordinate shifts at brightness edges.
 
-The shift at such edges is linear in the covariance (`edge_shift_correction`). The covariance is taken as constant over
+The shift at such edges is linear in the covariance (`footprint_shift`). The covariance is taken as constant over
 the image. Lens blur is isotropic; camera shake during the exposure blurs along one direction.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats, Floats32, huber_weights, in_parallel
-from scanner.decoding.fringes.edge_shift_correction import UNITS, Footprint, shading_shift
+from scanner.decoding.fringes.footprint_shift import UNITS, Footprint, shading_shift
 from scanner.decoding.significance import BY_CHANCE, MEDIAN_ROUNDS, SIGNIFICANT_SIGMAS
 
 _FINE_PX, _COARSE_PX = 3, 9

@@ -1,12 +1,18 @@
-"""The gains of frames of different brightness: of patterns and their inverses, and of the steps of fringes."""
+"""The gains of frames of different brightness: of patterns and their inverses, and of the steps of fringes.
+
+Groups of frames that add up to the same light tell them (`brightness`). Where stripes are too fine to have much
+contrast, the sum of a pattern and its inverse is uninformative, but within each cell of the coarser bits, a bit lights
+one half and its inverse the other. The mean logarithm of their ratio over a cell is therefore that of their brightness,
+for any contrast and response curve; its scatter between cells gives the uncertainty.
+"""
 
 from collections.abc import Iterator, Sequence
+from math import sqrt
 
 import numpy as np
 
-from calib.numerics import Bools, Floats32, medians
+from calib.numerics import Bools, Floats32, Ints, medians
 from scanner.decoding.fringes.single_fringe import is_unchecked
-from scanner.decoding.light.balanced_stripes import gains_of_stripes
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,
@@ -20,7 +26,11 @@ from scanner.decoding.light.brightness import (
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY, NEGLIGIBLE
+from scanner.decoding.significance import FEWEST_PIXELS, MAJORITY, NEGLIGIBLE, SIGNIFICANT_SIGMAS
+
+# Fewer cells do not determine the mean's uncertainty; for high-contrast stripes the sums are more precise.
+_FEWEST_CELLS, _MOST_CELLS, _FEWEST_PER_CELL = 16, 64, 32
+_MOST_CONTRAST = 1.5
 
 
 def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], Gains]:
@@ -83,6 +93,45 @@ def _is_steady(levels: Floats32, common: Floats32) -> bool:
     # A gain between the frames of a pair correlates their sum with their difference by as much as its half.
     is_even = abs(products.sum()) < LEAST_DIFFERENCE / 2 * squares.sum()
     return bool(is_even and np.sort(np.abs(products) / squares)[BANDS // 2] < LEAST_DIFFERENCE)
+
+
+def gains_of_stripes(levels: Floats32, coarser: Sequence[Bools]) -> Gains | None:
+    """Return the gains of a pattern and its inverse (2, P), given all coarser bits of the code, coarsest first, (P,)
+    each.
+
+    None if they are not determined or not significant.
+    """
+    first, second = levels
+    if abs(float(np.sum(first - second))) < LEAST_DIFFERENCE / 2 * float(np.sum(first + second)):
+        return None
+    logs = np.log((first + 1) / (second + 1))
+    if np.std(logs) > _MOST_CONTRAST:
+        return None
+    cell, count = _cells(coarser, len(first))
+    if len(count) < _FEWEST_CELLS:
+        return None
+    known = cell >= 0
+    means = np.bincount(cell[known], logs[known]) / count
+    ratio = float(np.mean(means))
+    sigma = float(np.std(means)) / sqrt(len(means))
+    if abs(ratio) < SIGNIFICANT_SIGMAS * sigma:
+        return None
+    return Gains(np.exp(np.array([[ratio / 2], [-ratio / 2]])))
+
+
+def _cells(coarser: Sequence[Bools], pixels: int) -> tuple[Ints, Ints]:
+    """Return each pixel's cell index (P,), −1 for cells of few pixels, and the pixel count of each other cell."""
+    words = np.zeros(pixels, np.int64)
+    of_pixel, count = words, np.array([pixels])
+    for bit in coarser:
+        words = 2 * words + bit
+        _, finer, in_finer = np.unique(words, return_inverse=True, return_counts=True)
+        if len(in_finer) > _MOST_CELLS:
+            break
+        of_pixel, count = finer, in_finer
+    full = count >= _FEWEST_PER_CELL
+    number: Ints = np.where(full, np.cumsum(full) - 1, -1)
+    return number[of_pixel], count[full]
 
 
 def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, Gains]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import Floats32, Image
-from scanner.decoding.light.saturation_level import saturation_level
+from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.errors import InputError
 from scanner.patterns import Pattern, White
 

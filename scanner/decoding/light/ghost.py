@@ -2,22 +2,41 @@
 
 Frame k shows (1 − g) P(k) + g P(k − 1). As the previous picture is known, g P(k − 1) can be subtracted once g is known.
 The right g makes the sums of pattern pairs, and of fringe steps, equal again.
+
+A single late frame was exposed while the projector still showed part of the previous picture; all others are right. The
+frame then contradicts the others: its sum with its inverse differs, and a bit without an inverse has more than two
+levels. Subtracting the right share removes the contradiction. Steps of fringes are equalised in brightness anyway,
+which leaves little of it.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
-from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread
-from scanner.decoding.light.late_frame import late_frame
-from scanner.decoding.light.previous_picture import share_of_previous, sums_off, without_previous
-from scanner.decoding.light.saturation_level import saturation_level
+from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread, medians
+from scanner.decoding.light.bits_without_inverse import TAILS
+from scanner.decoding.light.brightness import left_by_gains
+from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
-from scanner.decoding.significance import FEWEST_PIXELS, HALF
+from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
 
+# Range of shares: above it the frame is the previous picture, below it is harmless.
+_LEAST_LATE, _MOST_LATE = 0.1, 0.75
+# Largest remaining share of the contradiction of pairs and of bits. Late frames with inverses leave a few hundredths,
+# brightness changes a third and more; single bits, whose levels interreflection spreads, up to three tenths.
+_LEFT_OF_PAIRS, _LEFT_OF_BITS = 0.15, 0.35
+# Contradiction that a share of a tenth causes, in squared swings; and least ratio to that of the usual pair and bit.
+_NOTABLE, _UNUSUAL_PAIR, _UNUSUAL_BIT = 0.002, 10.0, 2.5
+# Largest share of what equal brightness would leave. A preceding inverse of the same bit looks like a brightness
+# change.
+_OF_BRIGHTNESS = 0.3
+_LEAST_VARIETY = 0.2  # of the previous picture, in swings: a black one only darkens the frame
+
+Off = Callable[[Floats32], float]
 # Range of detectable shares; less is harmless. From a half on, either picture may be the ghost.
 _LEAST, _MOST = 0.02, 0.45
 # Largest remaining share of the unevenness after correction: a ghost leaves a sixth, other causes a half, or a share at
@@ -123,3 +142,109 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
     # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
     most = _LEFT if sum(map(len, sums)) > 2 else HALF * _LEFT
     return (share if _LEAST < share < _MOST - _LEAST and left < most * at_first else 0.0), at_first
+
+
+def late_frame(plan: SequencePlan, levels: Floats32) -> tuple[float, int] | None:
+    """Return the share of the previous picture in the late frame, and its place in the capture; None if there is none.
+
+    `levels` (frames, P): of some lit pixels in all frames.
+    """
+    seen = levels / np.ptp(levels, axis=0)
+    best, least = None, 1.0
+    for frames, off, most in _unusual(plan, seen):
+        for frame in frames:
+            place = plan.shown.index(frame)
+            if place == 0 or float(np.std(seen[plan.shown[place - 1]])) < _LEAST_VARIETY:
+                continue
+            share, rest = share_of_previous(plan, seen, off, _MOST_LATE, (frame,))
+            if plan.shown[place - 1] not in frames and rest > _OF_BRIGHTNESS * _off_once_alike(seen, frames):
+                continue
+            if rest < least * most and _LEAST_LATE < share < _MOST_LATE - _LEAST_LATE:
+                best, least = (share, place), rest / most
+    return best
+
+
+def _unusual(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[tuple[int, ...], Off, float]]:
+    """Yield pairs and single bits of unusual contradiction, with its measure and how much of it may remain, given
+    levels (frames, P).
+    """
+    pairs = plan.complements
+    if len(pairs) >= MAJORITY:
+        squares = np.mean((sums_off(seen, pairs) / 2) ** 2, axis=1)
+        for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))).tolist():
+            yield pairs[number], _off_common(pairs, number), _LEFT_OF_PAIRS * float(squares[number])
+    in_pairs = {frame for pair in pairs for frame in pair}
+    bits = sorted({frame for code in plan.codes for frame in code.frames} - in_pairs)
+    if len(bits) >= MAJORITY and plan.white is not None and plan.black is not None:
+        of_bits = {bit: _off_two_levels(plan.white, plan.black, bit) for bit in bits}
+        found = {bit: off(seen) for bit, off in of_bits.items()}
+        usual = float(np.median([*found.values()]))
+        for bit, much in found.items():
+            if much > max(_NOTABLE, _UNUSUAL_BIT * usual):
+                yield (bit,), of_bits[bit], _LEFT_OF_BITS * much
+
+
+def _off_common(pairs: Sequence[Sequence[int]], number: int) -> Off:
+    """Return the squared deviation of a pair's mean light from that of the others."""
+    return lambda levels: float(np.mean((sums_off(levels, pairs)[number] / 2) ** 2))
+
+
+def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
+    """Return what is left of the contradiction with optimal gains of the frames."""
+    return np.inf if len(frames) == 1 else float(np.mean(left_by_gains(seen[list(frames)], np.mean(seen, axis=0)) ** 2))
+
+
+def _off_two_levels(white: int, black: int, bit: int) -> Off:
+    """Return the scatter of a bit's levels about two; 0 if it has few pixels."""
+
+    def off(levels: Floats32) -> float:
+        between = levels[white] - levels[black]
+        lit = between > np.float32(0.5)
+        relative = (levels[bit] - levels[black])[lit] / between[lit]
+        if len(relative) < FEWEST_PIXELS:
+            return 0.0
+        is_bright = relative > np.mean(np.quantile(relative, TAILS))
+        groups = [relative[is_bright], relative[~is_bright]]
+        squares = sum(float(np.sum((group - np.median(group)) ** 2)) for group in groups if len(group))
+        return squares / len(relative)
+
+    return off
+
+
+def share_of_previous(
+    plan: SequencePlan,
+    levels: Floats32,
+    off: Callable[[Floats32], float],
+    most: float,
+    frames: Collection[int] | None = None,
+) -> tuple[float, float]:
+    """Return the share up to `most` of the previous picture in some frames, or in all, without which `levels`
+    (frames, P) contradict each other least, and what is `off` then.
+    """
+
+    def left(share: float) -> float:
+        return off(without_previous(plan, levels, share, frames))
+
+    found = minimize_scalar(left, bounds=(0, most), method="bounded", options={"xatol": 1e-3})
+    return float(found.x), float(found.fun)
+
+
+def without_previous(
+    plan: SequencePlan, levels: Floats32, share: float, frames: Collection[int] | None = None
+) -> Floats32:
+    """Return the frames (frames, P) without a share of the previous picture in some of them, or in all; the picture
+    before the first one is dark.
+    """
+    pictures: Floats32 = levels.copy()
+    for frame in range(len(levels)) if frames is None else frames:
+        place = plan.shown.index(frame)
+        pictures[frame] /= np.float32(1 - share)
+        if place:
+            pictures[frame] -= np.float32(share / (1 - share)) * pictures[plan.shown[place - 1]]
+    return pictures
+
+
+def sums_off(levels: Floats32, groups: Sequence[Sequence[int]]) -> Floats32:
+    """Return how far the sums of groups of frames are from the usual one, (groups, P)."""
+    sums = np.stack([np.sum(levels[list(frames)], axis=0) for frames in groups])
+    return sums - medians(sums, axis=0)

@@ -1,11 +1,10 @@
 """Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
-from scanner.decoding.motion.broken_fringes import broken_between
-from scanner.decoding.motion.code_shift import shifts_of_codes
+from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
 from scanner.decoding.motion.device_motion import SUSPECTED_PX, MotionFound, moved_device
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.measure import measure_motion
-from scanner.decoding.motion.period_slips import CodeShift
+from scanner.decoding.motion.phase_jump import broken_between
 from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.motion.refusals import (
     UNSEEN_MOTION,

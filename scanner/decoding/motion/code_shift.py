@@ -1,17 +1,80 @@
-"""Motion between the codes of an axis and its fringes, from the offset of the fringes from the cells of the code."""
+"""Motion between the codes of an axis and its fringes, from the offset of the fringes from the cells of the code.
+
+After a bump by about a whole period, the fringes agree with their code again, but not everywhere, since a turn moves
+the middle of the picture less than its sides. A pinhole of focal length f that pans by u px moves the place X by u (1 +
+X² / f²), and the place (X, Y) of the other axis by u X Y / f². This curvature reveals the turn itself, whatever whole
+periods are subtracted.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
-from calib.numerics import Bools, Floats32, evenly_spread
-from scanner.decoding.axis_signals import Signals
+from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Ints, evenly_spread, fit_huber
+from scanner.decoding.code_images import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.period_slips import CodeShift, Offsets, moved_by_periods
 from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
-from scanner.decoding.significance import AS_GOOD, ENDS, FEWEST_PIXELS, NEARLY_ALL, SIGNIFICANT_SIGMAS
+from scanner.decoding.significance import (
+    AS_GOOD,
+    ENDS,
+    FEWEST_PIXELS,
+    HUBER_ROUNDS,
+    HUBER_SIGMAS,
+    NEARLY_ALL,
+    REJECTED,
+    SIGNIFICANT_SIGMAS,
+)
 
+_BLOCKS = (8, 6)  # of the projector's picture along x and y
+# Offsets fill a cell evenly, so that the middle of these quantiles is accurate to a hundredth of it. Blocks of partial
+# cells are rejected, whose width differs by more than this share.
+_QUANTILE = 0.04
+_WIDTH_OFF = 0.25
+_FEWEST_BLOCKS = 12  # for eight parameters
+# Offset, slopes along x and y, of either axis; then the curvatures of a pan and of a tilt.
+_SLOPES, _COLUMNS = 3, 8
+# Least and largest focal length of projectors, in widths of the picture.
+_LEAST_FOCAL, _MOST_FOCAL = 0.8, 2.7
 _LEAST_PX = 0.5
+
+
+@dataclass(frozen=True)
+class CodeShift:
+    """Motion by `px` projector pixels or more along an axis, between the frames of its codes and those of its fringes.
+
+    `px` is known only up to whole periods, and is a part of the motion if that happened during either group of frames.
+    `by_periods`: whether it includes whole periods of the longest fringe, which leave all pixels decodable. `sure`:
+    whether the motion was along this axis, rather than along the other one alone, by another amount.
+    """
+
+    axis: AxisPlan
+    px: float
+    by_periods: bool = False
+    sure: bool = True
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Offsets of the longest fringe of an axis from the middle of the code's cell, in projector pixels, at pixels (P,).
+
+    `px`: relative to the common `mean_px`, within half a period. `centre` (P,): middles of the cells. `seen` (P,):
+    whether both are known.
+    """
+
+    axis: AxisPlan
+    centre: Floats32
+    px: Floats32
+    mean_px: float
+    seen: Bools
+
+    @property
+    def period(self) -> float:
+        """Period of the fringe in projector pixels."""
+        return self.axis.fringes[0].period
 
 
 def shifts_of_codes(seen: SeenFringes) -> tuple[CodeShift, ...]:
@@ -72,3 +135,95 @@ def _wrapped(angles: Floats32) -> Floats32:
     """Wrap angles to ±π."""
     wrapped: Floats32 = angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
     return wrapped
+
+
+def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
+    """Yield the motions along x and y that include whole periods."""
+    axes, width = (x, y), x.axis.length
+    seen = evenly_spread(np.flatnonzero(x.seen & y.seen), 4 * ENOUGH_PIXELS)  # some hundreds for each block
+    place = np.stack(
+        [(each.centre[seen].astype(np.float64) - (each.axis.length - 1) / 2) / width for each in axes], axis=1
+    )
+    block = _block(place, y.axis.length / width)
+    of_axes = [_of_blocks(number, each, each.px[seen], place, block) for number, each in enumerate(axes)]
+    rows, offsets = (np.concatenate(parts) for parts in zip(*of_axes, strict=True))
+    if len(rows) < _FEWEST_BLOCKS:
+        return
+    alone = _may_move_alone(x.axis, y.axis), _may_move_alone(y.axis, x.axis)
+    fit, moved, sure = _likeliest(rows, offsets, alone)
+    sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
+    for number, each in enumerate(axes):
+        px = _by_periods(each.period, fit.parameters[_SLOPES * number], fit.parameters[number - 2], sigma[number - 2])
+        if moved[number] and px:
+            yield CodeShift(each.axis, px, by_periods=True, sure=sure[number])
+
+
+def _block(place: Floats, height: float) -> Ints:
+    """Return the block (P,) of places (P, 2) relative to the middle of the picture, in its widths."""
+    relative = place / (1, height) + 0.5
+    column, row = np.clip(relative * _BLOCKS, 0, np.array(_BLOCKS) - 1).astype(np.int64).T
+    block: Ints = row * _BLOCKS[0] + column
+    return block
+
+
+def _of_blocks(number: int, axis: Offsets, px: Floats32, place: Floats, block: Ints) -> tuple[Floats, Floats]:
+    """Return the offsets (B,) of the fringe from the cells in blocks that these fill evenly, and their derivatives
+    (B, 8) by each parameter; from pixels with offsets `px` (P,) at places (P, 2) in blocks (P,).
+    """
+    order = np.lexsort((px, block))
+    first = np.flatnonzero(np.diff(block[order], prepend=-1))
+    count = np.diff(first, append=len(order))
+    low, high = (px[order[first + np.rint(q * (count - 1)).astype(np.int64)]] for q in (_QUANTILE, 1 - _QUANTILE))
+    filled = (high - low) / ((1 - 2 * _QUANTILE) * axis.axis.cell)
+    even = (count >= FEWEST_PIXELS) & (np.abs(filled - 1) < _WIDTH_OFF)
+    terms = np.concatenate([place, place * place[:, [number]]], axis=1)[order]
+    x_and_y, bends = np.split(np.add.reduceat(terms, first) / count[:, None], 2, axis=1)
+    rows = np.zeros((len(first), _COLUMNS))
+    rows[:, _SLOPES * number] = 1
+    rows[:, _SLOPES * number + 1 : _SLOPES * (number + 1)] = x_and_y
+    rows[:, -2:] = bends
+    return rows[even], axis.mean_px + (low + high)[even] / 2
+
+
+def _may_move_alone(axis: AxisPlan, other: AxisPlan) -> bool:
+    """Return whether a bump may be among the frames of an axis, but not among those of the other one."""
+    (first, last), (of_other, to_other) = (
+        (min(frames), max(frames))
+        for frames in (
+            [*each.fringes[0].frames, *(frame for code in each.codes for frame in code.frames)]
+            for each in (axis, other)
+        )
+    )
+    return first < of_other or last > to_other
+
+
+def _likeliest(rows: Floats, offsets: Floats, alone: tuple[bool, bool]) -> tuple[HuberFit, list[bool], list[bool]]:
+    """Return the best fit to blocks (M, 8) and (M,), which axes moved, and which of these moved for certain.
+
+    It is certain if the alternative is impossible, or far less likely. `alone`: whether x or y may have moved alone.
+    """
+    both, of_y = fit_huber(rows.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS), rows[:, _SLOPES] != 0
+    resting = []
+    for blocks in (~of_y, of_y):
+        bent = rows.copy()
+        bent[blocks, -2:] = 0.0
+        resting.append(fit_huber(bent.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS))
+    worse = [
+        fit.cost(both.scale) - both.cost(both.scale) if possible else inf
+        for fit, possible in zip(resting, reversed(alone), strict=True)
+    ]
+    likelier = int(worse[1] < worse[0])
+    if worse[likelier] > -REJECTED:
+        return both, [True, True], [by > REJECTED for by in worse]
+    return resting[likelier], [axis != likelier for axis in (0, 1)], [by > REJECTED for by in worse]
+
+
+def _by_periods(period: float, offset_px: float, curvature: float, sigma: float) -> float:
+    """Return the offset in the middle of the picture plus one whole period, or 0 if the curvature, in px per width²,
+    needs none.
+    """
+    least, most = sorted((0.0, offset_px / _LEAST_FOCAL**2))
+    beyond = curvature - min(max(curvature, least), most)
+    if abs(beyond) < max(SIGNIFICANT_SIGMAS * sigma, period / _MOST_FOCAL**2):
+        return 0.0
+    return float(offset_px + np.sign(beyond) * period)

@@ -13,8 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Floats, Floats32, Ints, huber_weights, median
-from scanner.decoding.motion.fringe_frames import FringeFrames
-from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
 from scanner.decoding.significance import HUBER_SIGMAS, NEGLIGIBLE

@@ -1,6 +1,6 @@
 """Detection of pixels whose frames contradict each other while those of other pixels agree: something moved there.
 
-A corrupted frame violates the checks of light_arithmetic.py all over the picture. A moving object or its shadow
+A corrupted frame violates the checks of photometric_constraints.py all over the picture. A moving object or its shadow
 violates them in patches, outside of which all frames agree.
 """
 
@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats32
-from scanner.decoding.connected_components import SMALLEST_PATCH
+from scanner.decoding.discontinuities import SMALLEST_PATCH
 from scanner.decoding.light.noise_model import NoiseModel
-from scanner.decoding.motion.light_arithmetic import RESTING, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.photometric_constraints import RESTING, contradictions, frames_of_fine_bits
 from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
@@ -37,7 +37,7 @@ class InconsistentPixels:
 
     `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
     coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
-    (cycles.py). `spoilt`: with codes alone, and if what moved is gone in later frames, the pixels (H, W) at which a
+    (wrong_bits.py). `spoilt`: with codes alone, and if what moved is gone in later frames, the pixels (H, W) at which a
     pattern and its inverse contradict the others, by their frames.
     """
 

@@ -1,21 +1,20 @@
-"""Measurement of camera or projector motion between fringe frames: its time, its size and its effect on the
-coordinates.
+"""Measurement of camera or projector motion between fringe frames: its trajectory in time, its size and its effect on
+the coordinates.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.numerics import Floats, Ints
 from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
 from scanner.decoding.motion.frame_equations import UNKNOWNS, Projection, equations_of_motion
-from scanner.decoding.motion.fringe_frames import fringe_frames
-from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.fringe_model import FringeModel, fringe_frames
 from scanner.decoding.motion.pixels import Pixels, SeenFringes, choose_pixels
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
-from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS
 from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
 
@@ -24,6 +23,30 @@ _SIGNIFICANT = 8.0
 # Beyond this part of the shortest period, the motion is ambiguous.
 _LINEAR_CYCLES = 1 / 6
 _BOTH = np.eye(COLUMNS)  # devices
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The completed share of a motion over time, from 0 to 1.
+
+    It is a step between the frames `first` and `last`, or a linear ramp from the one to the other if it is `slow`.
+    """
+
+    first: int
+    last: int
+    slow: bool = False
+
+    def at(self, times: Ints) -> Floats:
+        """Return the completed share (N,) of the motion in frames (N,)."""
+        if self.slow:
+            return (times - self.first) / (self.last - self.first)
+        return (times >= self.last).astype(np.float64)
+
+
+def trajectories_of(times: Ints) -> list[Trajectory]:
+    """Return all that frames at these times (N,), in order, can tell apart: a slow drift, and bumps between two."""
+    bumps = [Trajectory(int(first), int(last)) for first, last in pairwise(times)]
+    return [Trajectory(int(times[0]), int(times[-1]), slow=True), *bumps]
 
 
 @dataclass(frozen=True)

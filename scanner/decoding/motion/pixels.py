@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, Ints, evenly_spread
-from scanner.decoding.axis_signals import Signals
+from scanner.decoding.code_images import Signals
 from scanner.decoding.codes.gray_code import interval_of
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion

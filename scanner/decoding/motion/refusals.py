@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
 
 from calib.refusal import RefusalError
+from scanner.decoding.motion.code_shift import CodeShift
 from scanner.decoding.motion.device_motion import MotionFound
-from scanner.decoding.motion.period_slips import CodeShift
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD
 from scanner.errors import InputError

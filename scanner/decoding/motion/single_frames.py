@@ -1,24 +1,31 @@
 """Independent motion of each frame, as of hand-held cameras and software image stabilisation.
 
 No single event explains such motion. It is small, and least squares over thousands of pixels measures the shift of each
-frame (`frame_equations`). A shift that all frames share is unobservable.
+frame (`frame_equations`) from the slopes of the frames themselves: to first order, a shift by d changes a frame I by
+−∇I · d, that of the fringes and that of the texture. A shift that all frames share is unobservable.
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from math import sqrt
 
 import numpy as np
 from scipy.special import chdtri
 
-from calib.numerics import Floats, Ints
+from calib.numerics import LEVEL, SLOPE, Floats, Floats32, Ints
+from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.motion.device_motion import Disturbance, MotionFound
-from scanner.decoding.motion.fringe_frames import fringe_frames
-from scanner.decoding.motion.image_slopes import equations_of_shifts
+from scanner.decoding.motion.frame_equations import FrameEquations, of_frames
+from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
 from scanner.decoding.motion.pixels import Pixels, SeenFringes
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
+from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, BY_CHANCE, HALF
 
+# Noise reduction by the taps along both axes, as a factor of the variance.
+_LESS_NOISE = float(np.sum(LEVEL**2)) ** 2
+_MARGIN = len(LEVEL) // 2
 # Apparent motion at rest due to ripple: of a single frame, and of the mean of the frames of a fringe.
 _OF_A_FRAME_PX, _OF_A_FRINGE_PX = 0.03, 0.01
 # One event explains nearly all of its effect; nonlinearity leaves a few hundredths.
@@ -80,6 +87,30 @@ def shifts_of_frames(seen: SeenFringes, pixels: Pixels, by_event: float) -> Fram
         1.0 - equations.variance(fit.found) / max(equations.variance(), 1e-12),
         by_event,
     )
+
+
+def equations_of_shifts(frames: FringeFrames, tiles: TileSample, pixels: Pixels, noise: NoiseModel) -> FrameEquations:
+    """Return the equations for the shift of each frame to the right and down."""
+    row, column = np.divmod(pixels.number % TILE_PX**2, TILE_PX)
+    inside = (np.minimum(row, column) >= _MARGIN) & (np.maximum(row, column) < TILE_PX - _MARGIN)
+    images = tiles.of_frames(frames.times.tolist())
+    place = pixels.number[inside]
+    levels, right, down = (
+        _filtered(images, *taps)[:, place] for taps in ((LEVEL, LEVEL), (LEVEL, SLOPE), (SLOPE, LEVEL))
+    )
+    model = FringeModel(frames, levels.astype(np.float64))
+    variance = _LESS_NOISE * noise.variance(model.light).astype(np.float64)
+    return FrameEquations(frames, pixels.tile[inside], (of_frames(model, -np.stack([right, down]), variance),))
+
+
+def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
+    """Filter tiles (N, P) by taps along columns and rows; values within two pixels of a tile's border are undefined."""
+    filtered = images.reshape(len(images), -1, TILE_PX, TILE_PX)
+    # A matrix product of a few taps made OpenBLAS warn of invalid values that do not exist.
+    for axis, taps in ((2, down), (3, across)):
+        shifted = (tap * np.roll(filtered, _MARGIN - k, axis) for k, tap in enumerate(taps.astype(np.float32)))
+        filtered = reduce(np.add, shifted)
+    return filtered.reshape(images.shape)
 
 
 def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts, pixels: Pixels) -> MotionFound:

@@ -5,8 +5,15 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from calib.numerics import Floats32
-from scanner.decoding.fringes.edge_shift_correction import CROSS, Footprint, shading_shift, surrounded
-from scanner.decoding.fringes.footprint_shift import correct_curvature_shift, curvature_kernel, noise_gain2
+from scanner.decoding.fringes.footprint_shift import (
+    CROSS,
+    Footprint,
+    correct_curvature_shift,
+    curvature_kernel,
+    noise_gain2,
+    shading_shift,
+    surrounded,
+)
 
 SHAPE = 40, 48
 ROUND = Footprint.round(0.3)

@@ -5,11 +5,10 @@ import pytest
 
 from scanner.decoding.motion import shifts_by_motion
 from scanner.decoding.motion.frame_equations import UNKNOWNS, FrameEquations, equations_of_motion
-from scanner.decoding.motion.fringe_frames import FringeFrames, fringe_frames
-from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
+from scanner.decoding.motion.measure import Trajectory, trajectories_of
 from scanner.decoding.motion.pixels import Pixels
 from scanner.decoding.motion.rigid import COLUMNS
-from scanner.decoding.motion.trajectories import Trajectory, trajectories_of
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
 

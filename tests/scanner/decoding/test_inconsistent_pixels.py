@@ -8,11 +8,11 @@ import pytest
 
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding
-from scanner.decoding.checks.contradictions import Anomaly
+from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
-from scanner.decoding.motion.light_arithmetic import contradictions
+from scanner.decoding.motion.photometric_constraints import contradictions
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained
 from scanner.decoding.samples import GridSample

@@ -5,8 +5,7 @@ import pytest
 
 from calib.numerics import SIGMA_PER_MEDIAN
 from scanner.decoding.motion import fit_motion
-from scanner.decoding.motion.fringe_frames import FringeFrames
-from scanner.decoding.motion.fringe_model import FringeModel
+from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel
 from scanner.decoding.motion.pixels import _planes
 from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
 from scanner.decoding.samples import TILE_PX, TileSample

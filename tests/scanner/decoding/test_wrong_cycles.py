@@ -10,7 +10,7 @@ from scanner.decoding.checks.map_checks import check_cycles
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import mask_wrong_bits
-from scanner.decoding.motion.cycles import in_wrong_cycles
+from scanner.decoding.motion.wrong_bits import in_wrong_cycles
 from scanner.decoding.planning import plan_sequence
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, sequence_for

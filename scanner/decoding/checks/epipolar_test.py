@@ -1,8 +1,13 @@
-"""Assessment of frame anomalies by the decoded coordinates.
+"""Tests of the decoded coordinates by the epipolar geometry: of frame anomalies, and of codes in stray light.
 
 Whatever the devices, light or scene, the matches of one camera and one projector obey one epipolar geometry, and codes
 and fringes agree with each other and with neighbouring pixels. A frame with another pattern breaks this wherever the
 pattern differs. A flickering lamp does not, and a passing person only locally.
+
+In dark parts of a scene, interreflection and subsurface scattering still have bits, some of them wrong. The contrast
+below which they decide depends on scene, camera and noise: it is where codes begin to violate the geometry of the other
+pixels. Pixels that were decoded without some of their bits are tested in the same way. Fringes need no such test: their
+amplitude is that of direct light.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +17,10 @@ import cv2
 import numpy as np
 
 from calib.geometry import Matches
-from calib.numerics import Floats, at_random
-from scanner.decoding.checks.contradictions import MOST_BROKEN, Anomaly
+from calib.numerics import Bools, Floats, Floats32, Image, at_random
+from scanner.decoding.checks.frame_consistency import MOST_BROKEN, Anomaly
+from scanner.decoding.code_images import FoldedFrames
+from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
 from scanner.errors import InputError
@@ -21,6 +28,9 @@ from scanner.errors import InputError
 # Distance from the epipolar line in projector pixels that lens distortion or a poor sigma may cause.
 EPIPOLAR_PX = 3.0
 _MOST_OUTLIERS = 0.15  # largest share of matches that are farther from it
+# Pixels are tested in this many steps of contrast, brightest first, until the share of outliers rises by this much.
+_STEPS, _MORE_OUTLIERS = 20, 0.25
+_FEWEST = _STEPS * FEWEST_PIXELS
 
 
 @contextmanager
@@ -101,3 +111,57 @@ def from_epipolar_lines(matches: Matches, matrix: Floats) -> Floats:
     lines: Floats = np.column_stack([matches.camera_px, np.ones(len(matches))]) @ matrix.T
     distance: Floats = np.abs(np.sum(lines[:, :2] * matches.projector_px, axis=1) + lines[:, 2])
     return distance / (np.hypot(lines[:, 0], lines[:, 1]) + 1e-12)
+
+
+def leave_out_stray_light(folded: FoldedFrames, maps: Maps) -> None:
+    """Mask, in place, pixels without fringes whose contrast is too low for reliable codes."""
+    plan = folded.plan
+    contrasts = [fold.contrast for fold in folded.codes if fold.contrast is not None]
+    if plan.fringes or plan.only_axis is not None or not contrasts:
+        return
+    contrast: Image = np.min(contrasts, axis=0)
+    kept = maps.reason == np.uint8(MaskReason.KEPT)
+    # Pixels with all their bits have the variance of a cell.
+    partial = kept & (maps.variance > np.float32(1.01 * sum(axis.cell**2 for axis in plan.axes) / 24))
+    whole = kept & ~partial
+    if np.count_nonzero(whole) < _FEWEST:
+        return
+    # From all pixels: the brightest may lie in a plane, which leaves the geometry undetermined.
+    matrix = epipolar_matrix(_matches(_some(whole), maps))
+    if matrix is None:
+        return
+    usual = 0.0
+    for group in (whole, partial):
+        row, column = places = _some(group)
+        if len(row) < _FEWEST:
+            continue
+        is_outlier = from_epipolar_lines(_matches(places, maps), matrix) > EPIPOLAR_PX
+        levels = contrast[row, column].astype(np.float32)
+        if group is whole:
+            usual = float(np.mean(is_outlier[levels >= np.median(levels)]))
+        faintest = _faintest(levels, is_outlier, usual)
+        np.copyto(maps.reason, np.uint8(MaskReason.UNDECIDED), where=group & (contrast < faintest))
+
+
+def _faintest(contrast: Floats32, is_outlier: Bools, usual: float) -> float:
+    """Return the lowest contrast down to which `is_outlier` (P,) is no more frequent than usual; ∞ if there is none."""
+    order = np.argsort(-contrast, kind="stable")
+    faintest = float(np.inf)
+    for step in np.array_split(order, _STEPS):
+        if np.mean(is_outlier[step]) > usual + _MORE_OUTLIERS:
+            return faintest
+        faintest = float(contrast[step].min())
+    return 0.0
+
+
+def _some(chosen: Bools) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of some of the chosen pixels (H, W)."""
+    places = np.flatnonzero(chosen)
+    row, column = np.divmod(places[at_random(len(places))], chosen.shape[1])
+    return row, column
+
+
+def _matches(places: tuple[np.ndarray, np.ndarray], maps: Maps) -> Matches:
+    row, column = places
+    camera_px: Floats = np.stack([column, row], axis=1).astype(np.float64)
+    return Matches(camera_px, maps.projector_px[row, column].astype(np.float64))
