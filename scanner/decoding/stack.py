@@ -2,7 +2,6 @@
 
 import os
 from math import prod
-from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
@@ -11,12 +10,12 @@ import numpy as np
 
 from calib.numerics import Image
 from scanner.errors import InputError
+from scanner.io import require_memory, total_bytes
 
-# Peak use, with 16-bit frames and a match at every pixel; with codes only, edges and all pairs are kept as well.
-_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 136
-_MEMINFO = Path("/proc/meminfo")
 # Share of the machine's memory above which frames are mapped from a file.
 _MOST_OF_MEMORY = 0.25
+# Peak use, with 16-bit frames and a match at every pixel; with codes only, edges and all pairs are kept as well.
+_BYTES_PER_PIXEL, _OF_CODES_ALONE = 70, 136
 
 
 class Stack:
@@ -30,7 +29,7 @@ class Stack:
         shape = first.shape[0], first.shape[1]
         needed, memory = count * shape[0] * shape[1] * first.itemsize, total_bytes()
         is_mapped = memory is not None and needed > _MOST_OF_MEMORY * memory
-        require_memory(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
+        require_decoding_memory(shape, 0 if is_mapped else needed, codes_alone=codes_alone)
         frames = _mapped((count, *shape), first.dtype) if is_mapped else np.empty((count, *shape), first.dtype)
         self._frames: Image = frames
         self._count = 0
@@ -51,6 +50,16 @@ class Stack:
         return kept
 
 
+def require_decoding_memory(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
+    """Raise InputError if decoding frames (H, W) takes more memory than is free.
+
+    `kept_bytes`: memory of the kept frames.
+    """
+    needed = kept_bytes + shape[0] * shape[1] * (_OF_CODES_ALONE if codes_alone else _BYTES_PER_PIXEL)
+    frames = f"frames of {shape[1]} × {shape[0]} pixels, to be decoded,"
+    require_memory(needed, frames, "reduce the frames and the camera's size with them")
+
+
 def _mapped(shape: tuple[int, int, int], dtype: np.dtype[Any]) -> Image:
     """Return an array of this shape, mapped from a file that is deleted when the array is released."""
     count = prod(shape) * dtype.itemsize
@@ -64,30 +73,3 @@ def _mapped(shape: tuple[int, int, int], dtype: np.dtype[Any]) -> Image:
             f"{shape[0]} frames of {shape[2]} × {shape[1]} pixels take {count / 1e9:.1f} GB, which is much of the "
             f"memory, and there is no temporary file of that size ({error.strerror}): set TMPDIR to a folder with room"
         ) from error
-
-
-def require_memory(shape: tuple[int, int], kept_bytes: int, *, codes_alone: bool) -> None:
-    """Raise InputError if decoding frames (H, W) takes more memory than is free.
-
-    `kept_bytes`: memory of the kept frames. Does nothing where the system does not report its free memory.
-    """
-    needed = kept_bytes + shape[0] * shape[1] * (_OF_CODES_ALONE if codes_alone else _BYTES_PER_PIXEL)
-    free = _stated_bytes("MemAvailable")
-    if free is not None and needed > free:
-        raise InputError(
-            f"frames of {shape[1]} × {shape[0]} pixels take about {needed / 1e9:.1f} GB of memory to decode, and "
-            f"{free / 1e9:.1f} GB are free: close other programs, or reduce the frames and the camera's size with them"
-        )
-
-
-def total_bytes() -> int | None:
-    """Return the memory of the machine, None where the system does not report it."""
-    return _stated_bytes("MemTotal")
-
-
-def _stated_bytes(name: str) -> int | None:
-    try:
-        lines = _MEMINFO.read_text(encoding="ascii").splitlines()
-    except OSError:  # not Linux
-        return None
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:")), None)

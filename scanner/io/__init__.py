@@ -3,6 +3,7 @@
 from scanner.io.atomic_file import new_file, new_files, refuse_existing
 from scanner.io.calibration_file import parse_calibration, read_calibration, write_calibration
 from scanner.io.durable import exchange, missing_folders, remove_empty, require_space, sync, sync_open, sync_tree
+from scanner.io.free_memory import free_bytes, require_memory, total_bytes
 from scanner.io.given_file import (
     LONGEST_SIDE_PX,
     MOST_IMAGE_FILE_BYTES,
@@ -26,7 +27,8 @@ from scanner.io.matches_file import (
 )
 from scanner.io.network_file import StoredDevice, StoredNetwork, read_network
 from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply, write_room_ply
-from scanner.io.png import png_of, write_png
+from scanner.io.png import PngFile, PngRows, png_of, write_png
 from scanner.io.room_file import StoredRoom, StoredStation, read_poses, read_room, write_poses, write_room
+from scanner.io.row_file import RowFile, by_rows, row_bands, scratch_rows, tiff_rows
 from scanner.io.validation import Entry, Flag, Number, Pair, Whole, refuse_other_sizes, validate
 from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, parse_yaml, read_text, read_yaml

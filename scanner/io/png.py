@@ -5,10 +5,12 @@ strips of the image, one per thread. One filter for all rows, the difference fro
 stripes best. Noise has no repetitions, so only Huffman codes are used.
 """
 
+import io
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,28 +35,49 @@ def write_png(path: Path, image: Image) -> None:
 
 def png_of(image: Image) -> bytes:
     """The bytes of that file. Raises ValueError for another shape or type."""
-    channels = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
-    if channels not in _COLOUR_TYPES or image.dtype not in _DEPTHS or not image.size:
-        raise ValueError(f"an image of shape {image.shape} and type {image.dtype} cannot be written as PNG")
+    file = io.BytesIO()
+    png = PngFile(file, image.shape, image.dtype)
     height, width = image.shape[:2]
-    pixel_bytes = channels * image.itemsize
     strips = processors() * _STRIPS_PER_PROCESSOR
-    rows = max(-(-height // strips), -(-_LEAST_BYTES // (width * pixel_bytes)))
-    parts = in_slices(height, rows, lambda at: _compressed(image[at], pixel_bytes, is_last=at.stop == height))
-    checked = _CheckSum(1, 0)
-    for part in parts:
-        checked = checked.followed_by(part.checked)
-    header = struct.pack(">IIBBBBB", width, height, _DEPTHS[image.dtype], _COLOUR_TYPES[channels], 0, 0, 0)
-    return b"".join(
-        [
-            PNG_START,
-            _chunk(b"IHDR", header),
-            _chunk(b"IDAT", _ZLIB_HEADER),
-            *(part.chunk for part in parts),
-            _chunk(b"IDAT", struct.pack(">I", checked.adler)),
-            _chunk(b"IEND", b""),
-        ]
-    )
+    rows = max(-(-height // strips), -(-_LEAST_BYTES // (width * png.pixel_bytes)))
+    for strip in in_slices(height, rows, lambda at: png.compressed(image[at], is_last=at.stop == height)):
+        png.append(strip)
+    return file.getvalue()
+
+
+@dataclass(frozen=True)
+class PngRows:
+    """Compressed rows of a PNG: `chunk`, as it is in the file, and the check sum of its content."""
+
+    chunk: bytes
+    checked: "_CheckSum"
+
+
+class PngFile:
+    """A PNG that is written by rows. Raises ValueError for an image of another shape or type than `write_png` takes."""
+
+    def __init__(self, file: BinaryIO, shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> None:
+        channels = 1 if len(shape) == 2 else shape[2] if len(shape) == 3 else 0
+        if channels not in _COLOUR_TYPES or dtype not in _DEPTHS or not np.prod(shape):
+            raise ValueError(f"an image of shape {shape} and type {dtype} cannot be written as PNG")
+        height, width = shape[:2]
+        self.pixel_bytes = channels * dtype.itemsize
+        self._file = file
+        self._checked = _CheckSum(1, 0)
+        self._whole = height * (1 + width * self.pixel_bytes)
+        header = struct.pack(">IIBBBBB", width, height, _DEPTHS[dtype], _COLOUR_TYPES[channels], 0, 0, 0)
+        file.write(PNG_START + _chunk(b"IHDR", header) + _chunk(b"IDAT", _ZLIB_HEADER))
+
+    def compressed(self, rows: Image, *, is_last: bool) -> PngRows:
+        """Compress some rows; several threads may."""
+        return _compressed(rows, self.pixel_bytes, is_last=is_last)
+
+    def append(self, rows: PngRows) -> None:
+        """Write the next rows; the file is complete after the last. Raises OSError."""
+        self._file.write(rows.chunk)
+        self._checked = self._checked.followed_by(rows.checked)
+        if self._checked.length == self._whole:
+            self._file.write(_chunk(b"IDAT", struct.pack(">I", self._checked.adler)) + _chunk(b"IEND", b""))
 
 
 @dataclass(frozen=True)
@@ -74,13 +97,7 @@ class _CheckSum:
         return _CheckSum(joined, self.length + following.length)
 
 
-@dataclass(frozen=True)
-class _Part:
-    chunk: bytes
-    checked: _CheckSum
-
-
-def _compressed(strip: Image, pixel_bytes: int, *, is_last: bool) -> _Part:
+def _compressed(strip: Image, pixel_bytes: int, *, is_last: bool) -> PngRows:
     rows = _bytes_of(strip)
     filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
     filtered[:, 0], filtered[:, 1 : 1 + pixel_bytes] = _LEFT, rows[:, :pixel_bytes]
@@ -88,7 +105,7 @@ def _compressed(strip: Image, pixel_bytes: int, *, is_last: bool) -> _Part:
     deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, _MEMORY, zlib.Z_HUFFMAN_ONLY)
     # All parts but the last end at a whole byte, without an end mark.
     data = deflate.compress(filtered.data) + deflate.flush(zlib.Z_FINISH if is_last else zlib.Z_SYNC_FLUSH)
-    return _Part(_chunk(b"IDAT", data), _CheckSum(zlib.adler32(filtered.data), filtered.size))
+    return PngRows(_chunk(b"IDAT", data), _CheckSum(zlib.adler32(filtered.data), filtered.size))
 
 
 def _bytes_of(strip: Image) -> NDArray[np.uint8]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from calib.numerics import Floats
@@ -70,6 +71,24 @@ def write_network(folder: Path, rng: np.random.Generator, noise_m: float = 3e-4)
     colours = np.full((len(cloud), 3), 128, np.uint8)
     write_room_ply(folder / "network.ply", _Cloud(cloud, np.concatenate(normals), colours, None))
     return folder
+
+
+def write_projectors(folder: Path, count: int, size: tuple[int, int]) -> None:
+    """Write the network with `count` projectors of a size, in turn like each of the two, every second further right."""
+    write_network(folder, np.random.default_rng(0))
+    path = folder / "network.yaml"
+    network = yaml.safe_load(path.read_text(encoding="utf-8"))
+    camera, *originals = network["devices"]
+    devices = [camera]
+    for number in range(count):
+        device = dict(originals[number % 2])
+        factor = size[0] / device["width"]
+        focal, centre = ([factor * value for value in device[key]] for key in ("focal_px", "principal_point_px"))
+        x, y, z = device["translation"]
+        moved = [x + 0.1 * (number // 2), y, z]
+        device |= {"name": f"projector-{number}", "width": size[0], "height": size[1], "translation": moved}
+        devices.append(device | {"focal_px": focal, "principal_point_px": centre})
+    path.write_text(yaml.safe_dump({**network, "devices": devices}), encoding="utf-8")
 
 
 def shown_on_wall(pictures: dict[str, NDArray[np.uint8]], points: Floats) -> Floats:

@@ -5,52 +5,145 @@ projectors' there. At its edge it vanishes smoothly. An edge is that of the imag
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
-from calib.numerics import Bools, Floats
-from scanner.exporting.mapping.projector_view import ProjectorView
+from calib.geometry.radial_distortion import Distortion, Pinhole, distorted_point
+from calib.numerics import Bools, Floats, compiled
+from scanner.exporting.mapping.projector_view import Numbers, ProjectorView
+from scanner.io import RowFile, by_rows
 
 _EDGE = 0.02  # relative depth step to a neighbour, beyond that of a plane
 _SAME = 0.005  # relative depth difference within one surface
 
 
-def blend_weights(projectors: Sequence[ProjectorView], shown: Sequence[Bools]) -> list[Floats]:
-    """Weights (H, W) in linear light of each projector's pixels, 0 where `shown` (H, W) is false."""
-    inward = [_from_edge(view, mask) for view, mask in zip(projectors, shown, strict=True)]
-    weights = []
-    for number, (view, own) in enumerate(zip(projectors, inward, strict=True)):
-        total = own**2
-        for other, (elsewhere, distance) in enumerate(zip(projectors, inward, strict=True)):
-            if other != number:
-                total = total + _at(elsewhere, distance, view.points) ** 2
-        weights.append(np.where(shown[number], own**2 / np.where(total > 0, total, 1.0), 0.0))
-    return weights
+@dataclass(frozen=True, eq=False)
+class LitRegion:
+    """What a projector shows of the content: the `distance` (H, W) of the pixels of its `view` from the nearest edge,
+    over the image's height, 0 where it shows nothing.
+    """
+
+    view: ProjectorView
+    distance: RowFile
 
 
-def _from_edge(view: ProjectorView, shown: Bools) -> Floats:
-    """Distance (H, W) from the nearest edge, over the image's height."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = 1 / view.depth  # inverse depth of a plane is linear in the image
-    steps = np.zeros(shown.shape)
-    for axis in (0, 1):
-        bent = np.abs(np.diff(inverse, 2, axis=axis, prepend=np.nan, append=np.nan)) * view.depth
-        steps = np.fmax(steps, bent)
-    inside = np.pad(shown & (steps < _EDGE), 1).astype(np.uint8)
-    distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    # Pixels at the very edge need a projector, too.
-    return np.where(shown, np.maximum(distance, 0.5), 0.0) / len(shown)
+def distance_from_edge(view: ProjectorView, shown: Bools) -> Numbers:
+    """Distance (H, W) of the `shown` pixels from the nearest that is not, or has a step, over the image's height."""
+    height, width = shown.shape
+    inside = np.zeros((height + 2, width + 2), np.uint8)
+
+    def find(rows: slice) -> None:
+        inside[1:-1, 1:-1][rows] = shown[rows] & _without_steps(view, rows)
+
+    for _ in by_rows(shown.shape, find):
+        pass
+    distance = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1], np.float32)
+    np.maximum(distance, 0.5, out=distance)  # pixels at the very edge need a projector, too
+    distance *= shown
+    distance /= height
+    return distance
 
 
-def _at(view: ProjectorView, distance: Floats, points: Floats) -> Floats:
-    """Another projector's distance from its edge where it lights the same points (H, W, 3); 0 where it does not."""
-    place = view.projector.place
-    before = (points - place.translation) @ place.rotation
-    pixels = np.nan_to_num(view.projector.intrinsics.project(before), nan=-2.0)
-    at = [pixels[..., 1], pixels[..., 0]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = 1 / map_coordinates(1 / view.depth, at, order=1, cval=np.nan)
-        same = np.abs(depth - before[..., 2]) < _SAME * before[..., 2]
-    return np.where(same, map_coordinates(distance, at, order=1, cval=0.0), 0.0)
+def _without_steps(view: ProjectorView, rows: slice) -> Bools:
+    """Pixels (n, W) of some rows whose depth does not step beside them."""
+    height = view.depth.shape[0]
+    around = slice(max(0, rows.start - 1), min(height, rows.stop + 1))
+    depth = view.depth.read(around)
+    smooth = np.empty(depth.shape, np.bool_)
+    _find_steps(depth, _EDGE, smooth)
+    return smooth[rows.start - around.start :][: rows.stop - rows.start]
+
+
+def summed_squares(region: LitRegion, regions: Sequence[LitRegion], to_file: Floats) -> Numbers:
+    """The sum (H, W) of squared distances of all projectors' pixels that light what the pixels of `region` do.
+
+    `to_file` (3,): factors from the scene's axes to those of positions and depth. One other projector is in memory at a
+    time.
+    """
+    total = np.square(region.distance.read_all())
+    for other in regions:
+        if other is not region:
+            _add_region(other, region.view.position, to_file, total)
+    return total
+
+
+def _add_region(region: LitRegion, position: RowFile, to_file: Floats, total: Numbers) -> None:
+    """Add to the `total` (H, W) the squared distances of the pixels that light the points at `position`."""
+    scale = abs(to_file[0])
+    place, lens = region.view.projector.place, region.view.projector.intrinsics
+    turn, shift = scale * place.rotation.T / to_file, -scale * (place.rotation.T @ place.translation)
+    depth, distance = region.view.depth.read_all(), region.distance.read_all()
+
+    def add(rows: slice) -> None:
+        points, sums = position.read(rows).reshape(-1, 3), total[rows].reshape(-1)
+        _add_squares(turn, shift, lens.distortion, lens.pinhole, depth, distance, _SAME, points, sums)
+
+    for _ in by_rows(total.shape, add):
+        pass
+
+
+def weights(region: LitRegion, total: Numbers, rows: slice) -> Numbers:
+    """Weights (n, W) in linear light of some rows of a projector's pixels, 0 where it shows nothing."""
+    squares: Numbers = np.square(region.distance.read(rows))
+    squares /= np.where(total[rows] > 0, total[rows], np.float32(1))
+    return squares
+
+
+@compiled
+def _find_steps(depth: Numbers, edge: float, smooth: Bools) -> None:
+    """Inverse depth of a plane is linear in the image: where its second differences are small, and where unknown."""
+    height, width = depth.shape
+    for y in range(height):
+        for x in range(width):
+            here = depth[y, x]
+            steps = 0.0
+            if here > 0 and 0 < x < width - 1 and depth[y, x - 1] > 0 and depth[y, x + 1] > 0:
+                steps = abs(here / depth[y, x - 1] + here / depth[y, x + 1] - 2.0)
+            if here > 0 and 0 < y < height - 1 and depth[y - 1, x] > 0 and depth[y + 1, x] > 0:
+                steps = max(steps, abs(here / depth[y - 1, x] + here / depth[y + 1, x] - 2.0))
+            smooth[y, x] = steps < edge
+
+
+@compiled
+def _add_squares(
+    turn: Floats,
+    shift: Floats,
+    distortion: Distortion,
+    pinhole: Pinhole,
+    depth: Numbers,
+    distance: Numbers,
+    same: float,
+    points: Numbers,
+    total: Numbers,
+) -> None:
+    """Add to the `total` (N,) of each point (N, 3), unless it is 0, the square of another projector's distance from its
+    edge, interpolated, where that lights the same point.
+    """
+    height, width = depth.shape
+    for i in range(len(points)):
+        if not total[i] > 0.0:
+            continue
+        z = turn[2, 0] * points[i, 0] + turn[2, 1] * points[i, 1] + turn[2, 2] * points[i, 2] + shift[2]
+        if not z > 0.0:
+            continue
+        x = (turn[0, 0] * points[i, 0] + turn[0, 1] * points[i, 1] + turn[0, 2] * points[i, 2] + shift[0]) / z
+        y = (turn[1, 0] * points[i, 0] + turn[1, 1] * points[i, 1] + turn[1, 2] * points[i, 2] + shift[1]) / z
+        u, v, _, _, _ = distorted_point(x, y, distortion)
+        u, v = pinhole[0] * u + pinhole[2], pinhole[1] * v + pinhole[3]
+        if not (0.0 <= u <= width - 1 and 0.0 <= v <= height - 1):
+            continue
+        left, top = int(u), int(v)
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        across, down = u - left, v - top
+        if not (
+            depth[top, left] > 0 and depth[top, right] > 0 and depth[bottom, left] > 0 and depth[bottom, right] > 0
+        ):
+            continue
+        inverse = (1.0 - down) * ((1.0 - across) / depth[top, left] + across / depth[top, right])
+        inverse += down * ((1.0 - across) / depth[bottom, left] + across / depth[bottom, right])
+        if abs(1.0 / inverse - z) < same * z:
+            edge = (1.0 - down) * ((1.0 - across) * distance[top, left] + across * distance[top, right])
+            edge += down * ((1.0 - across) * distance[bottom, left] + across * distance[bottom, right])
+            total[i] += edge * edge

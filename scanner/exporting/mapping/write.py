@@ -1,30 +1,48 @@
 """The files of a mapping: mapping.glb, mapping.yaml, and five maps of each projector.
 
-Float maps are TIFF: OpenCV writes it in every build, EXR only in some. All places are as in the GLB: in metres,
-x right, y up, z backward. Pixels that light nothing are 0 in every map.
+Float maps are TIFF without compression, which noise would defeat and every program reads. All places are as in the GLB:
+in metres, x right, y up, z backward. Pixels that light nothing are 0 in every map.
 """
 
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats
+from calib.numerics import Bools, Floats
 from scanner.exporting.formats import Request
 from scanner.exporting.glb import GlbCamera, Piece, write_pieces
-from scanner.exporting.mapping.blend import blend_weights
-from scanner.exporting.mapping.content import Content, content_on, largest_wall
+from scanner.exporting.mapping.blend import LitRegion, distance_from_edge, summed_squares, weights
+from scanner.exporting.mapping.content import Content, content_on
 from scanner.exporting.mapping.lens_shift import for_programs
-from scanner.exporting.mapping.projector_view import ProjectorView, projector_views
+from scanner.exporting.mapping.projector_view import Numbers, ProjectorView, SurfaceCaster
 from scanner.exporting.mapping.scene import Scene, read_scene
+from scanner.exporting.mapping.wall import Viewpoint, largest_wall
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA
 from scanner.exporting.units import in_metres
-from scanner.io import block_yaml, new_files, png_of, refuse_existing
+from scanner.io import (
+    PngFile,
+    PngRows,
+    StoredDevice,
+    block_yaml,
+    by_rows,
+    new_files,
+    refuse_existing,
+    require_memory,
+    require_space,
+    scratch_rows,
+    tiff_rows,
+)
 
 SCENE_FILE, LISTING_FILE = "mapping.glb", "mapping.yaml"
+_MAPS = ("depth.tiff", "position.tiff", "stmap.tiff", "warp.png", "blend.png")
 _NEAR, _FAR = 0.1, 2.0  # clipping planes, relative to the nearest and the farthest depth
 _MOST = 65535
+_BYTES_PER_PIXEL = 50  # of all files of a projector, and of scratch
+_MEMORY_PER_PIXEL, _MEMORY = 14, 300_000_000  # of one projector's image, and of everything else
 _HOW = {
     "axes": "of all places, in metres: x right, y up, z backward; those of mapping.glb",
     "depth": "metres along the projector's axis, float",
@@ -40,74 +58,112 @@ def export(request: Request) -> list[str]:
     """Write everything into a folder. Raises InputError and OSError."""
     refuse_existing(request.out / LISTING_FILE, overwrite=request.overwrite)
     scene = read_scene(request.result)
+    _require_room(scene.projectors, request.out)
     metres, remarks = in_metres(scene.mesh.unit, scene.baseline)
-    views = projector_views(scene)
     eye = None if request.eye is None else np.array(request.eye) * Y_UP_FROM_CAMERA / metres
-    content = content_on(largest_wall(scene.mesh), views, eye)
-    at = [content.coordinates(view) for view in views]
-    weights = blend_weights(views, [np.isfinite(each[..., 0]) for each in at])
-    files: dict[str, bytes] = {}
-    listed = []
-    cameras = []
-    for view, where, weight in zip(views, at, weights, strict=True):
-        device = view.projector
-        maps = _maps(view, where, weight, metres, request.gamma)
-        files |= {f"{device.name}-{name}": data for name, data in maps.items()}
-        near, far = _reach(view)
-        shift = for_programs(device.intrinsics, metres * near, metres * far)
-        cameras.append(GlbCamera(device.name, device.intrinsics, device.place, metres * near, metres * far, shift))
-        listed.append(_entry(view, metres, shift, [f"{device.name}-{name}" for name in maps]))
-    listing = {
-        "maps": _HOW,
-        "gamma": request.gamma,
-        "content": _content_entry(content, metres),
-        "projectors": listed,
-    }
-    files[LISTING_FILE] = block_yaml(listing).encode()
-    with new_files(request.out, [SCENE_FILE, *files], overwrite=request.overwrite) as (glb, *paths):
+    viewpoint = Viewpoint(largest_wall(scene.mesh), eye)
+    viewpoint.refuse_behind()
+    names = [f"{projector.name}-{name}" for projector in scene.projectors for name in _MAPS]
+    with new_files(request.out, [SCENE_FILE, LISTING_FILE, *names], overwrite=request.overwrite) as paths:
+        glb, listing, *maps = paths
+        maps_of = [dict(zip(_MAPS, maps[start:], strict=False)) for start in range(0, len(maps), len(_MAPS))]
+        content, views, shares = _write_maps(scene, viewpoint, metres, request.gamma, maps_of)
+        cameras = [_camera(view, metres) for view in views]
         write_pieces(glb, [Piece(scene.mesh)], metres, cameras)
-        for path, data in zip(paths, files.values(), strict=True):
-            path.write_bytes(data)
-    return [*_summary(scene, content, metres, at), *remarks]
+        entry = {
+            "maps": _HOW,
+            "gamma": request.gamma,
+            "content": _content_entry(content, metres),
+            "projectors": [_entry(camera, metres) for camera in cameras],
+        }
+        listing.write_text(block_yaml(entry), encoding="utf-8")
+    return [*_summary(scene, content, metres, shares), *remarks]
 
 
-def _maps(view: ProjectorView, at: Floats, weight: Floats, metres: float, gamma: float) -> dict[str, bytes]:
-    mask = np.isfinite(at[..., :1])
-    warp = np.concatenate([np.nan_to_num(at), mask], axis=-1)
-    return {
-        "depth.tiff": _tiff(metres * view.depth),
-        "position.tiff": _tiff(metres * view.points * Y_UP_FROM_CAMERA),
-        "stmap.tiff": _tiff(warp),
-        "warp.png": png_of(_whole(warp)[..., ::-1]),
-        "blend.png": png_of(_whole(weight ** (1 / gamma))),
-    }
+def _require_room(projectors: Sequence[StoredDevice], out: Path) -> None:
+    """Raise InputError or StorageError if the maps do not fit into the memory or on the disk."""
+    pixels = [projector.intrinsics.width * projector.intrinsics.height for projector in projectors]
+    what = f"maps for {len(pixels)} projectors of up to {max(pixels) / 1e6:.1f} megapixels"
+    require_memory(_MEMORY + _MEMORY_PER_PIXEL * max(pixels), what, "export fewer or smaller projectors")
+    require_space(out.parent, len(_MAPS) * len(pixels), _BYTES_PER_PIXEL * sum(pixels), what)
 
 
-def _tiff(values: Floats) -> bytes:
-    """Float, channels as red, green and blue."""
-    image = np.nan_to_num(values).astype(np.float32)
-    _, data = cv2.imencode(".tiff", np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image)
-    return data.tobytes()
+def _write_maps(
+    scene: Scene, viewpoint: Viewpoint, metres: float, gamma: float, maps_of: Sequence[Mapping[str, Path]]
+) -> tuple[Content, list[ProjectorView], list[float]]:
+    """Write `maps_of` each projector; returns the content, and the share of each one's pixels that show some of it."""
+    to_file = metres * Y_UP_FROM_CAMERA
+    scratch = maps_of[0][_MAPS[0]].parent
+    caster = SurfaceCaster(scene.mesh, viewpoint)
+    views, regions, shares = list[ProjectorView](), list[LitRegion](), list[float]()
+    with ExitStack() as stack:
+        for projector, maps in zip(scene.projectors, maps_of, strict=True):
+            shape = projector.intrinsics.height, projector.intrinsics.width
+            depth = stack.enter_context(tiff_rows(maps["depth.tiff"], shape))
+            position = stack.enter_context(tiff_rows(maps["position.tiff"], (*shape, 3)))
+            on_wall = stack.enter_context(scratch_rows(scratch, (*shape, 2)))
+            views.append(caster.view(projector, to_file, depth, position, on_wall))
+        content = content_on(viewpoint, [view.part for view in views])
+        for view, maps in zip(views, maps_of, strict=True):
+            region = LitRegion(view, stack.enter_context(scratch_rows(scratch, view.depth.shape)))
+            shown = _write_places(view, content, maps)
+            region.distance.append(distance_from_edge(view, shown))
+            regions.append(region)
+            shares.append(float(shown.mean()))
+        for region, maps in zip(regions, maps_of, strict=True):
+            _write_blend(region, summed_squares(region, regions, to_file), gamma, maps["blend.png"])
+    return content, views, shares
 
 
-def _whole(values: Floats) -> NDArray[np.uint16]:
+def _write_places(view: ProjectorView, content: Content, maps: Mapping[str, Path]) -> Bools:
+    """Write where in the content each pixel looks; returns where there is content (H, W)."""
+    height, width = view.depth.shape
+    shown = np.zeros((height, width), np.bool_)
+    with tiff_rows(maps["stmap.tiff"], (height, width, 3)) as stmap, maps["warp.png"].open("wb") as file:
+        warp = PngFile(file, (height, width, 3), np.dtype(np.uint16))
+
+        def place(rows: slice) -> tuple[Numbers, PngRows]:
+            places = content.coordinates(view.on_wall.read(rows))
+            shown[rows] = places[..., 2] > 0
+            return places, warp.compressed(_whole(places)[..., ::-1], is_last=rows.stop == height)
+
+        for places, compressed in by_rows(shown.shape, place):
+            stmap.append(places)
+            warp.append(compressed)
+    return shown
+
+
+def _write_blend(region: LitRegion, total: Numbers, gamma: float, path: Path) -> None:
+    with path.open("wb") as file:
+        blend = PngFile(file, total.shape, np.dtype(np.uint16))
+
+        def weigh(rows: slice) -> PngRows:
+            factor = _whole(weights(region, total, rows) ** np.float32(1 / gamma))
+            return blend.compressed(factor, is_last=rows.stop == len(total))
+
+        for compressed in by_rows(total.shape, weigh):
+            blend.append(compressed)
+
+
+def _whole(values: Numbers) -> NDArray[np.uint16]:
     """0 to 1 as 16 bits."""
-    whole: NDArray[np.uint16] = np.rint(_MOST * values.clip(0, 1)).astype(np.uint16)
+    whole: NDArray[np.uint16] = np.rint(_MOST * values).astype(np.uint16)
     return whole
 
 
-def _reach(view: ProjectorView) -> tuple[float, float]:
-    if not view.there.any():
-        return 0.1, 100.0
-    return _NEAR * float(np.nanmin(view.depth)), _FAR * float(np.nanmax(view.depth))
+def _camera(view: ProjectorView, metres: float) -> GlbCamera:
+    device = view.projector
+    near, far = (_NEAR * view.nearest, _FAR * view.farthest) if view.farthest > 0 else (0.1 * metres, 100.0 * metres)
+    shift = for_programs(device.intrinsics, near, far)
+    return GlbCamera(device.name, device.intrinsics, device.place, near, far, shift)
 
 
-def _entry(view: ProjectorView, metres: float, shift: dict[str, Any], files: list[str]) -> dict[str, Any]:
-    device, place = view.projector.intrinsics, view.projector.place
+def _entry(camera: GlbCamera, metres: float) -> dict[str, Any]:
+    device, place = camera.device, camera.place
     turned = Y_UP_FROM_CAMERA[:, None] * place.rotation * Y_UP_FROM_CAMERA
     return {
-        "name": view.projector.name,
-        "files": files,
+        "name": camera.name,
+        "files": [f"{camera.name}-{name}" for name in _MAPS],
         "width": device.width,
         "height": device.height,
         "focal_px": list(device.focal_px),
@@ -115,7 +171,7 @@ def _entry(view: ProjectorView, metres: float, shift: dict[str, Any], files: lis
         "distortion": list(device.distortion),
         "rotation": turned.tolist(),
         "position": (metres * Y_UP_FROM_CAMERA * place.translation).tolist(),
-        "programs": shift,
+        "programs": dict(camera.extras),
     }
 
 
@@ -124,27 +180,25 @@ def _content_entry(content: Content, metres: float) -> dict[str, Any]:
         found: list[float] = (factor * Y_UP_FROM_CAMERA * value).tolist()
         return found
 
+    eye = content.viewpoint.eye
     return {
         "width": content.size.width,
         "height": content.size.height,
         "extent_m": [metres * side for side in content.extent],
         "lower_left": vector(content.origin, metres),
-        "right": vector(content.right),
-        "up": vector(content.up),
-        "eye": None if content.eye is None else vector(content.eye, metres),
+        "right": vector(content.viewpoint.wall.axes[:, 0]),
+        "up": vector(content.viewpoint.wall.axes[:, 1]),
+        "eye": None if eye is None else vector(eye, metres),
     }
 
 
-def _summary(scene: Scene, content: Content, metres: float, at: list[Floats]) -> list[str]:
+def _summary(scene: Scene, content: Content, metres: float, shares: Sequence[float]) -> list[str]:
     width, height = (f"{metres * side:.2f}" for side in content.extent)
     count = len(scene.projectors)
     cameras = f"{count} projectors as cameras" if count > 1 else "1 projector as a camera"
-    shares = (
-        f"{each.name} {np.mean(np.isfinite(where[..., 0])):.0%}"
-        for each, where in zip(scene.projectors, at, strict=True)
-    )
+    shown = (f"{device.name} {share:.0%}" for device, share in zip(scene.projectors, shares, strict=True))
     return [
         f"{cameras}, {len(scene.mesh.triangles):,} triangles",
         f"Content: {content.size} pixels on {width} m × {height} m of the largest wall",
-        f"Pixels that show some of it: {', '.join(shares)}",
+        f"Pixels that show some of it: {', '.join(shown)}",
     ]

@@ -2,7 +2,9 @@
 
 import json
 import shutil
+import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -12,11 +14,20 @@ import yaml
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
-from scanner.exporting.mapping.content import largest_wall
 from scanner.exporting.mapping.lens_shift import for_programs
+from scanner.exporting.mapping.wall import largest_wall
 from scanner.exporting.triangles import Mesh
 from tests.support.command_line import run
-from tests.support.mapped_room import CAMERA, GAMMA, PROJECTORS, SCENE, shown_on_wall, to_network, write_network
+from tests.support.mapped_room import (
+    CAMERA,
+    GAMMA,
+    PROJECTORS,
+    SCENE,
+    shown_on_wall,
+    to_network,
+    write_network,
+    write_projectors,
+)
 from tests.support.result_folder import write_result
 
 pytestmark = pytest.mark.xdist_group("mapping")  # what the module shares is made once
@@ -302,6 +313,52 @@ def in_one_place(folder: Path) -> None:
     """All points equal the first one."""
     header, end, body = (folder / "network.ply").read_bytes().partition(b"end_header\n")
     (folder / "network.ply").write_bytes(header + end + body[:27] * (len(body) // 27))
+
+
+def peak_bytes(folder: Path, count: int, size: tuple[int, int]) -> int:
+    """The most memory that NumPy takes for a mapping of projectors."""
+    write_projectors(folder, count, size)
+    tracemalloc.start()
+    try:
+        assert run("export", folder, "--to", "mapping", "--quiet") == 0
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_is_that_of_one_projectors_maps(tmp_path: Path) -> None:
+    small, large, three = (320, 200), (1600, 1000), 3
+    further = peak_bytes(tmp_path / "large", three, large) - peak_bytes(tmp_path / "small", three, small)
+    # Of whole maps in double precision it was 140 bytes, for each projector.
+    assert 4 < further / (large[0] * large[1] - small[0] * small[1]) < 25
+
+
+@pytest.mark.parametrize(
+    ("place", "expected", "code", "words"),
+    [
+        (
+            "scanner.io.free_memory.free_bytes",
+            3_000_000_000,
+            2,
+            "of up to 225.0 megapixels take about 3.5 GB of memory",
+        ),
+        ("os.statvfs", SimpleNamespace(f_bavail=1, f_frsize=1, f_files=0), 3, "needs up to 22.5 GB, but 0 MB are free"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_it_begins(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    place: str,
+    expected: object,
+    code: int,
+    words: str,
+) -> None:
+    write_projectors(tmp_path / "hall", 2, (15_000, 15_000))
+    monkeypatch.setattr(place, lambda *_: expected)
+    assert run("export", tmp_path / "hall", "--to", "mapping") == code
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["hall"]
 
 
 def of_stations(folder: Path) -> None:

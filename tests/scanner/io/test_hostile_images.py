@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from scanner.capture import open_capture
-from scanner.decoding.stack import require_memory
+from scanner.decoding.stack import require_decoding_memory
 from scanner.errors import InputError
 from scanner.io import read_image
 from scanner.photos import read_photos
@@ -135,10 +135,10 @@ def test_a_photo_of_200_megapixels_is_accepted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("codes_alone", "told"), [(False, "70000.0 GB"), (True, "136000.0 GB")])
 def test_frames_that_exceed_the_memory_are_refused_before_reading(codes_alone: bool, told: str) -> None:
-    require_memory((2048, 2448), 50 * 2048 * 2448, codes_alone=codes_alone)
+    require_decoding_memory((2048, 2448), 50 * 2048 * 2448, codes_alone=codes_alone)
     if Path("/proc/meminfo").exists():
-        with pytest.raises(InputError, match=f"take about {told} of memory to decode"):
-            require_memory((1_000_000, 1_000_000), 0, codes_alone=codes_alone)
+        with pytest.raises(InputError, match=f"take about {told} of memory"):
+            require_decoding_memory((1_000_000, 1_000_000), 0, codes_alone=codes_alone)
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
