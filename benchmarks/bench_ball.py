@@ -15,7 +15,7 @@ import numpy as np
 
 from hw.settings import SimulatedRigSettings
 from hw.simulated import draw_room, true_calibration
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 
 ROOM_SIM = Path(__file__).parents[1] / "configs" / "room-sim.yaml"
 

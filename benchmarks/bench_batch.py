@@ -19,11 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from scanner.batch import Processes, Request, list_jobs, run_batch
-from scanner.batch.cluster import DaskWorkers
-from scanner.batch.listing import Job
-from scanner.batch.running import Workers
-from scanner.batch.work import Delivery, work
+from scanner.batch import DaskWorkers, Delivery, Job, Processes, Request, Workers, list_jobs, run_batch, work
 from scanner.configuration import load_config
 from scanner.jobs import scan
 from scanner.ui import Terminal

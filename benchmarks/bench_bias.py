@@ -25,7 +25,7 @@ from calib.numerics import Floats
 from hw.settings import SimulatedRigSettings
 from hw.simulated import GroundTruth, Room, SimulatedRoom, simulation
 from scanner.decoding import Decoder
-from scanner.decoding.fringes.footprint_shift import Footprint
+from scanner.decoding.fringes import Footprint
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)
 WIDTHS = {"narrow": None, "wide": 0.8}

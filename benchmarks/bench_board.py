@@ -26,8 +26,7 @@ from calib.refusal import RefusalError
 from calib.synthetic import SyntheticBoards, random_boards
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
-from scanner.boards import FromBoards, Target, calibrate_captures, read_folders
-from scanner.boards.calibrate import calibrate_board_captures, find_board
+from scanner.boards import FromBoards, Target, calibrate_board_captures, calibrate_captures, find_board, read_folders
 from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoder
 from scanner.errors import InputError

@@ -28,11 +28,11 @@ from rich.table import Table
 from calib.numerics import Floats, Image
 from hw.open_rig import open_rig
 from scanner.configuration import Config
-from scanner.live.cloud import Decoder, LiveCloud, Round
+from scanner.live import Account, Decoder, LiveCloud, LiveSequence, Round, watch
 from scanner.live.first_look import FirstLook, look
 from scanner.live.rounds import best_sequence, rounds
-from scanner.live.sequence import FRAMES, LiveSequence
-from scanner.live.watching import Account, proven, watch
+from scanner.live.sequence import FRAMES
+from scanner.live.watching import proven
 from scanner.pipeline import take
 from scanner.ui import Terminal
 

@@ -19,7 +19,7 @@ from calib.numerics import Floats
 from calib.refusal import NoMeasurementError
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Room, place_room, true_calibration
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 from scanner.measuring import Scene, measure, read_scene
 from scanner.results import FinishedScan, folder_of, read_finished_scan
 

@@ -30,12 +30,8 @@ from calib.open3d_module import open3d
 from calib.refusal import RefusalError
 from calib.rooms.alignment import composed, inverse
 from hw.simulated.things import Solid
-from scanner.objects.contents import SolvedObject
-from scanner.objects.solve import solve_object
-from scanner.objects.surface import cloud_of, surface_of
-from scanner.objects.verdict import verdict_on
-from scanner.rooms.contents import RigStart
-from scanner.rooms.mesh import CAMERA_FROM_ROOM
+from scanner.objects import SolvedObject, cloud_of, solve_object, surface_of, verdict_on
+from scanner.rooms import CAMERA_FROM_ROOM, RigStart
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))

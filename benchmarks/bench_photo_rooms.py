@@ -18,7 +18,7 @@ import numpy as np
 from calib.geometry import Intrinsics
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 from scanner.io import read_calibration
 
 SIZE = (1600, 1200)

@@ -29,11 +29,7 @@ from calib.refusal import RefusalError
 from calib.rooms.lengths import angle_deg, centre_of, gap
 from scanner.configuration import Config
 from scanner.results import Decoded
-from scanner.rooms.blended_cloud import blended
-from scanner.rooms.contents import RigStart, SolvedRoom
-from scanner.rooms.corner_rig import rig_from_corners
-from scanner.rooms.document import read_stations
-from scanner.rooms.solve import solve_room
+from scanner.rooms import RigStart, SolvedRoom, blended, read_stations, rig_from_corners, solve_room
 from scanner.ui import Terminal
 
 _BALLS_M, _RADIUS_M = 3.0, 0.12

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from scanner.capture import CAPTURE_FILE, open_capture
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 
 CAPTURES = Path(__file__).parents[2] / "shared" / "data"
 _MOST_READINGS = 5

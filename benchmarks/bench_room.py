@@ -33,11 +33,7 @@ from hw.errors import DeviceError
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
 from scanner.results import Decoded, GivenMatches
-from scanner.rooms.blended_cloud import blended
-from scanner.rooms.contents import SolvedRoom
-from scanner.rooms.corner_rig import rig_from_corners
-from scanner.rooms.floorplan import floor_plan
-from scanner.rooms.solve import solve_room
+from scanner.rooms import SolvedRoom, blended, floor_plan, rig_from_corners, solve_room
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))

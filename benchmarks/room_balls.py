@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from calib.pointcloud import fit_sphere
-from scanner.rooms.contents import Station
+from scanner.rooms import Station
 
 _FEWEST = 50
 

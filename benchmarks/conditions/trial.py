@@ -26,7 +26,7 @@ from conditions.judging import (
 from conditions.plain_decoder import plain_matches
 from hw.settings import PanelSettings, SimulatedRigSettings
 from hw.simulated import SimulatedRoom, panel_homography
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, write_calibration
 from scanner.patterns import Phase
 from scanner.results import CALIBRATION_FILE, read_verdict

@@ -11,7 +11,7 @@ from peer_photos import PEERS, two_view
 from calib.geometry import Intrinsics, Size
 from paper.captures import Setup
 from paper.experiment import Experiment, Figures, room_of, rooms
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 from scanner.io import MATCHES_FILE, read_calibration, read_image, read_matches
 from scanner.results import CALIBRATION_FILE
 

@@ -20,10 +20,10 @@ from scanner.rendering import (
     Pixels,
     between,
     css_colour,
+    png_of,
     shaded,
 )
-from scanner.rendering.colours import png_of
-from scanner.reporting.svg import HEIGHT, WIDTH, Plot, Scale
+from scanner.reporting import HEIGHT, WIDTH, Plot, Scale
 
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY_BLUE, ORANGE)
 _LEGEND_PX, _PER_LETTER_PX, _SAMPLE_PX = 24, 7.0, 22

@@ -16,8 +16,7 @@ from scanner.pipeline import decode
 from scanner.quantities import shown_unit
 from scanner.reconstruction import lenses_of
 from scanner.results import Decoded
-from scanner.targets.detection import Detected, NotFoundError, detect, on_board
-from scanner.targets.target import UNIT, Target
+from scanner.targets import UNIT, Detected, NotFoundError, Target, detect, on_board
 from scanner.ui import Progress
 
 _FEWEST_MATCHES = 300

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scanner.targets.target import TAG_SPACING, Target
+from scanner.targets import TAG_SPACING, Target
 
 Picture = NDArray[np.uint8]
 _MARKER = 0.73  # side of a ChArUco board's marker, in squares

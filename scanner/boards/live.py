@@ -16,7 +16,7 @@ from scanner.errors import InputError
 from scanner.pipeline import take
 from scanner.reconstruction import lenses_of
 from scanner.results import CAPTURES_FOLDER
-from scanner.targets.target import Target
+from scanner.targets import Target
 from scanner.ui import Terminal
 
 _WORTH_IT = 1.05  # least factor on the sigmas

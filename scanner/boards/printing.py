@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from scanner.boards.drawing import Picture, draw_target
 from scanner.errors import InputError
-from scanner.targets.target import CHARUCO_A4, KINDS, UNIT, Target, parse_target
+from scanner.targets import CHARUCO_A4, KINDS, UNIT, Target, parse_target
 
 SHEETS_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "LETTER": (215.9, 279.4)}
 _DPI = 600

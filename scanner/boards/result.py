@@ -12,7 +12,7 @@ from scanner.boards.page import rows, write_page
 from scanner.boards.verdict import verdict_on
 from scanner.io import write_calibration
 from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries, verdict_entries
-from scanner.targets.target import UNIT
+from scanner.targets import UNIT
 
 _NAMES = (
     "camera_log_focal",

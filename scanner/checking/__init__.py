@@ -1,1 +1,10 @@
 """A check of a rig before a scan, in seconds: devices, light, lenses, and how well this view will calibrate."""
+
+from scanner.checking.check import check_configured_rig
+from scanner.checking.devices import opened
+from scanner.checking.document import write_check
+from scanner.checking.exposure import propose_exposure
+from scanner.checking.light import Light, photograph_light
+from scanner.checking.report import CheckReport, CheckRow, State
+from scanner.checking.response import measure_ramp
+from scanner.checking.table import table_of

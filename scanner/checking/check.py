@@ -32,7 +32,9 @@ from scanner.ui import Progress
 _WHITES, _BLACKS = 6, 4
 
 
-def check(config: Config, terminal: Progress, on_row: OnRow | None = None, watch_s: float = 0.0) -> CheckReport:
+def check_configured_rig(
+    config: Config, terminal: Progress, on_row: OnRow | None = None, watch_s: float = 0.0
+) -> CheckReport:
     """Open the configured rig and check it; `on_row` is called with each row as soon as it is known.
 
     Drift is looked for over `watch_s` seconds, or as long as the rest of the check takes.

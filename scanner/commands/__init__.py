@@ -2,3 +2,6 @@
 
 `scan` alone is the main job; the others are named by the first argument.
 """
+
+from scanner.commands.arguments import NAMED
+from scanner.commands.main import main, parser_of

@@ -21,7 +21,7 @@ from scanner.commands.shared_arguments import (
     add_text,
 )
 from scanner.exporting import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS
-from scanner.viewing.opening import add_address
+from scanner.viewing import add_address
 
 NAMED: dict[str, Command] = {}
 

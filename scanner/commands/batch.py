@@ -10,8 +10,7 @@ from scanner.shown_text import harmless, shown
 from scanner.ui import Terminal
 
 if TYPE_CHECKING:
-    from scanner.batch import Processes
-    from scanner.batch.cluster import DaskWorkers
+    from scanner.batch import DaskWorkers, Processes
 
 _SIZE = re.compile(r"(\d{1,6}(?:\.\d{1,3})?) ?([MGT])(i?)B?", re.ASCII | re.IGNORECASE)
 # With less, a process would be ended by the smallest capture.

@@ -10,12 +10,13 @@ from scanner.boards import (
     capture_boards,
     check_live,
     parse_target,
+    printed_target,
     read_folders,
     save_result,
     summary,
     verdict_on,
+    write_pdf,
 )
-from scanner.boards.printing import printed_target, write_pdf
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.errors import InputError

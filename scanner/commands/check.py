@@ -4,10 +4,7 @@ import sys
 from argparse import Namespace
 from pathlib import Path
 
-from scanner.checking.check import check
-from scanner.checking.document import write_check
-from scanner.checking.report import CheckReport
-from scanner.checking.table import table_of
+from scanner.checking import CheckReport, check_configured_rig, table_of, write_check
 from scanner.configuration import load_config, set_keys
 from scanner.results import refuse_occupied
 from scanner.ui import Terminal, keep_off_the_terminal
@@ -24,7 +21,7 @@ def run(args: Namespace) -> None:
     config.principal_point(config.camera_size)
     if args.out:
         refuse_occupied(args.out)
-    report = check(config, terminal, None, args.watch)
+    report = check_configured_rig(config, terminal, None, args.watch)
     terminal.show(table_of(report, sys.stdout.encoding))
     if args.out:
         write_check(args.out, report)

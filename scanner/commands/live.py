@@ -13,15 +13,22 @@ from hw.rig import Rig
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from scanner.io import read_calibration
-from scanner.live.cloud import LiveCloud
-from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
-from scanner.live.texts import account_text, result_texts, round_texts
-from scanner.live.watching import Account
+from scanner.live import (
+    Account,
+    LiveCloud,
+    LiveResult,
+    Watcher,
+    Wishes,
+    account_text,
+    result_texts,
+    round_texts,
+    scan_live,
+)
 from scanner.quantities import parse_length, parse_seconds
 from scanner.results import default_out
 from scanner.shown_text import shown
 from scanner.ui import Terminal
-from scanner.viewing.opening import require_viser
+from scanner.viewing import require_viser
 
 _EVERY_S = 2.0
 
@@ -59,8 +66,8 @@ def _page(args: Namespace, terminal: Terminal) -> Iterator[Watcher]:
         yield Watcher()
         return
     require_viser()
-    from scanner.console.live_view import LiveView  # viser is an extra
-    from scanner.viewing.server import announce_page, serving
+    from scanner.console import LiveView  # viser is an extra
+    from scanner.viewing import announce_page, serving
 
     with serving(f"Live: {args.config.stem}", args.host, args.port) as served:
         served.server.gui.main_panel.dock_left()

@@ -5,9 +5,7 @@ from argparse import Namespace
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.errors import InputError
-from scanner.networks.job import scan_network
-from scanner.networks.solve import KnownDistance
-from scanner.networks.verdict import verdict_on
+from scanner.networks import KnownDistance, scan_network, verdict_on
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, REPORT_FILE, default_out
 from scanner.ui import Terminal
 

@@ -4,8 +4,7 @@ from argparse import Namespace
 
 from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
-from scanner.objects.jobs import scan_object
-from scanner.objects.verdict import verdict_on
+from scanner.objects import scan_object, verdict_on
 from scanner.quantities import shown_unit
 from scanner.results import default_out
 from scanner.ui import Terminal

@@ -6,8 +6,7 @@ from scanner.commands.outcome import conclusion
 from scanner.configuration import load_config
 from scanner.quantities import calibration_table, shown_unit
 from scanner.results import default_out
-from scanner.rooms.jobs import scan_room
-from scanner.rooms.verdict import verdict_on
+from scanner.rooms import scan_room, verdict_on
 from scanner.ui import Terminal
 
 

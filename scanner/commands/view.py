@@ -3,12 +3,12 @@
 from argparse import Namespace
 
 from scanner.ui import Terminal
-from scanner.viewing.opening import require_viser
+from scanner.viewing import require_viser
 
 
 def run(args: Namespace) -> None:
     """Serve until Ctrl-C. Raises InputError, KeyboardInterrupt."""
     require_viser()
-    from scanner.viewing.view import view  # viser is an extra
+    from scanner.viewing import view_result  # viser is an extra
 
-    view(args.result, args.host, args.port, Terminal(), browser=not args.no_browser)
+    view_result(args.result, args.host, args.port, Terminal(), browser=not args.no_browser)

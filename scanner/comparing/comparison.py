@@ -11,7 +11,7 @@ from calib.geometry import Calibration, Matches, Size, intersect
 from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_matches, refuse_other_sizes
-from scanner.measuring.scene_errors import rig_errors
+from scanner.measuring import rig_errors
 from scanner.quantities import UNKNOWN_UNIT, metres_per, parse_length
 from scanner.results import CALIBRATION_FILE, read_uncertainty
 

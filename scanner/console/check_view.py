@@ -5,11 +5,10 @@ from pathlib import Path
 
 import viser
 
-from scanner.checking.report import CheckReport, CheckRow, State
+from scanner.checking import CheckReport, CheckRow, State
 from scanner.configuration import set_keys
 from scanner.console.texts import grade_text, rows_text
-from scanner.viewing.texts import escaped
-from scanner.viewing.view_controls import PLAIN, failures_shown
+from scanner.viewing import PLAIN, escaped, failures_shown
 
 _WORST_FIRST = (State.FAILED, State.POOR, State.OK)
 

@@ -9,8 +9,7 @@ from scanner.configuration import check_text, write_text
 from scanner.errors import InputError
 from scanner.io import read_text
 from scanner.ui import failure_of
-from scanner.viewing.texts import bold, escaped
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing import PLAIN, bold, escaped
 
 
 class ConfigurationView:

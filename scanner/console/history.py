@@ -10,8 +10,7 @@ from scanner.comparing import COMPARE_PAGE, compare_files, headings, rows, summa
 from scanner.console.results import card_of, earlier_results
 from scanner.console.texts import card_html
 from scanner.results import LOG_FILE
-from scanner.viewing.texts import escaped, link_html
-from scanner.viewing.view_controls import PLAIN, failures_shown
+from scanner.viewing import PLAIN, escaped, failures_shown, link_html
 
 _NONE_YET = "none yet"
 _NEWEST = 8

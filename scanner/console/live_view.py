@@ -10,15 +10,9 @@ import viser
 
 from calib.geometry import Calibration
 from hw.rig import Frame
-from scanner.live.cloud import LiveCloud
-from scanner.live.jobs import Watcher, Wishes
-from scanner.live.texts import round_texts
-from scanner.live.watching import Account, Newest
+from scanner.live import Account, LiveCloud, Newest, Watcher, Wishes, round_texts
 from scanner.rendering import photograph
-from scanner.viewing.colouring import Colouring
-from scanner.viewing.result import CloudWithSigma, PlacedRig
-from scanner.viewing.scene import Scene
-from scanner.viewing.texts import bar_html, escaped
+from scanner.viewing import CloudWithSigma, Colouring, PlacedRig, Scene, bar_html, escaped
 
 log = logging.getLogger(__name__)
 

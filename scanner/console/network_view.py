@@ -13,9 +13,7 @@ from scanner.console.settings import Settings
 from scanner.console.texts import failures_html, pictures_html, stages_html
 from scanner.console.worker import Activity, Status
 from scanner.errors import InputError
-from scanner.networks.captures import Pair
-from scanner.networks.graph import network_graph
-from scanner.networks.sights import Sight, in_light
+from scanner.networks import Pair, Sight, in_light, network_graph
 from scanner.rendering import jpeg_uri
 
 _EVERY_S = 0.3

@@ -14,7 +14,7 @@ import viser
 from scanner.console.settings import plain_name
 from scanner.console.texts import guidance_text, status_text
 from scanner.console.worker import Activity, Status, Worker
-from scanner.viewing.view_controls import PLAIN
+from scanner.viewing import PLAIN
 
 _RATE_HZ = 22_050
 _TONES_HZ, _TONE_S, _FADE_S = (660.0, 880.0), 0.18, 0.02

@@ -20,10 +20,17 @@ from scanner.console.worker import Activity, Status, Worker
 from scanner.interruption import finishing
 from scanner.results import REFUSAL_FILE, Scan
 from scanner.ui import Terminal
-from scanner.viewing.first_look import first_look
-from scanner.viewing.panel import ResultPanel, reading
-from scanner.viewing.picking import KnownScale
-from scanner.viewing.server import Serving, add_style, announce_page, serving, wait
+from scanner.viewing import (
+    KnownScale,
+    ResultPanel,
+    Serving,
+    add_style,
+    announce_page,
+    preview_scan,
+    reading,
+    serving,
+    wait,
+)
 
 _WIDTH_PX = 380
 _LOOKED_EVERY_S = 1.0
@@ -95,7 +102,7 @@ class ConsolePage:
 
     def on_cloud(self, scan: Scan) -> None:
         """Show some of its points, until its result can be opened."""
-        self._result.open_unsaved(*first_look(scan))
+        self._result.open_unsaved(*preview_scan(scan))
         self._turn_to_result()
 
     def on_result(self, folder: Path) -> None:

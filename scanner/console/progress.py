@@ -12,7 +12,7 @@ from threading import Event
 from typing import TypeVar
 
 from hw.rig import Frame
-from scanner.networks.sights import frames_in
+from scanner.networks import frames_in
 
 T = TypeVar("T")
 

@@ -18,7 +18,7 @@ from scanner.results import (
     Grade,
     verdict_of,
 )
-from scanner.viewing.white_picture import white_picture
+from scanner.viewing import read_white_picture
 
 SCANS = Path("scans")
 _TO_SHOW = (MATCHES_FILE, ROOM_FILE, OBJECT_FILE, NETWORK_FILE, REFUSAL_FILE)
@@ -68,5 +68,5 @@ def card_of(folder: Path, made_s: float) -> Card:
         verdict = None
     grade, headline = (verdict.grade, verdict.headline) if verdict else (None, "")
     places = (folder, *sorted((folder / CAPTURES_FOLDER).glob("*/")))
-    picture = next((white for place in places if (white := white_picture(place, _SIDE)) is not None), None)
+    picture = next((white for place in places if (white := read_white_picture(place, _SIDE)) is not None), None)
     return Card(folder.name, made_s, grade, headline, "" if picture is None else jpeg_uri(picture))

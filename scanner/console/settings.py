@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
-from scanner.networks.captures import Pair
+from scanner.networks import Pair
 from scanner.patterns import Black, Pattern, Phase, White, draw
 from scanner.results import default_out
 

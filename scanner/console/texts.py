@@ -6,13 +6,13 @@ from datetime import datetime
 
 from markupsafe import escape
 
-from scanner.checking.report import CheckRow, State
+from scanner.checking import CheckRow, State
 from scanner.console.progress import Stage
 from scanner.console.results import Card
 from scanner.console.worker import Status
-from scanner.networks.sights import Sight
+from scanner.networks import Sight
 from scanner.results import SIGNS
-from scanner.viewing.texts import bold, escaped
+from scanner.viewing import bold, escaped
 
 _SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
 _WORTH_TELLING_S = 5.0

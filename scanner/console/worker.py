@@ -15,21 +15,15 @@ from typing import Any, Protocol
 
 from hw.errors import FrameLostError
 from hw.rig import Frame, Rig, settable_exposure
-from scanner.checking.check import check
-from scanner.checking.devices import opened
-from scanner.checking.report import CheckReport, CheckRow
+from scanner.checking import CheckReport, CheckRow, check_configured_rig, opened
 from scanner.console.asking import PageOperator
 from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
 from scanner.console.results import SCANS, newest_calibration, newest_result
 from scanner.console.settings import Settings, drawn
 from scanner.errors import InputError
 from scanner.jobs import scan
-from scanner.live.jobs import Watcher, Wishes, scan_live
-from scanner.live.texts import result_texts
-from scanner.networks.captures import Pair
-from scanner.networks.job import scan_network
-from scanner.networks.sights import Sight
-from scanner.networks.solve import KnownDistance
+from scanner.live import Watcher, Wishes, result_texts, scan_live
+from scanner.networks import KnownDistance, Pair, Sight, scan_network
 from scanner.results import LOG_FILE, Scan
 from scanner.ui import failure_of
 
@@ -195,7 +189,7 @@ class Worker:
             case Activity.CLOUDS:
                 self._clouds(progress)
             case Activity.CHECKING:
-                self._page.on_report(check(self.settings.load(), progress, self._page.on_row))
+                self._page.on_report(check_configured_rig(self.settings.load(), progress, self._page.on_row))
             case Activity.SCANNING:
                 captures = self.settings.captures
                 with self._leaving_result() as out:

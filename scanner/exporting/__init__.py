@@ -3,4 +3,31 @@
 A format is a row of `FORMATS` and a module with `export(request)`.
 """
 
-from scanner.exporting.formats import DEFAULT_GAMMA, DEFAULT_POINTS, FORMATS, Request
+from typing import TYPE_CHECKING
+
+from calib.deferred_imports import defer_imports
+
+if TYPE_CHECKING:
+    from scanner.exporting.formats import DEFAULT_GAMMA as DEFAULT_GAMMA
+    from scanner.exporting.formats import DEFAULT_POINTS as DEFAULT_POINTS
+    from scanner.exporting.formats import FORMATS as FORMATS
+    from scanner.exporting.formats import Request as Request
+    from scanner.exporting.glb import Piece as Piece
+    from scanner.exporting.glb import write_glb as write_glb
+    from scanner.exporting.glb import write_pieces as write_pieces
+    from scanner.exporting.open3d_module import open3d as open3d
+    from scanner.exporting.poisson import mesh_of as mesh_of
+    from scanner.exporting.poisson import reconstruct_surface as reconstruct_surface
+    from scanner.exporting.triangles import Mesh as Mesh
+
+# The command line asks for `FORMATS` alone.
+__all__, __getattr__, __dir__ = defer_imports(
+    __name__,
+    {
+        "formats": "DEFAULT_GAMMA DEFAULT_POINTS FORMATS Request",
+        "glb": "Piece write_glb write_pieces",
+        "open3d_module": "open3d",
+        "poisson": "mesh_of reconstruct_surface",
+        "triangles": "Mesh",
+    },
+)

@@ -14,7 +14,9 @@ from scanner.exporting.triangles import Mesh
 _Numbers = NDArray[np.floating]
 
 
-def poisson(points: _Numbers, normals: _Numbers, colours: NDArray[np.uint8], *, depth: int, scale: float) -> Any:
+def reconstruct_surface(
+    points: _Numbers, normals: _Numbers, colours: NDArray[np.uint8], *, depth: int, scale: float
+) -> Any:
     """Open3D's mesh of points and normals (N, 3) and RGB (N, 3): 2^`depth` cells to the side of a cube `scale` times as
     large as they reach. Raises InputError if Open3D cannot be loaded.
     """

@@ -8,8 +8,7 @@ import numpy as np
 from calib.numerics import Bools, Image, grey
 from calib.refusal import RefusalError
 from hw.rig import Rig
-from scanner.checking.light import Light, photograph_light
-from scanner.checking.response import measure_ramp
+from scanner.checking import Light, measure_ramp, photograph_light
 from scanner.configuration import Config
 from scanner.patterns import ProjectorResponse
 

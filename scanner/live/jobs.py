@@ -14,7 +14,7 @@ from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.open_rig import at_place, at_place_or_last, moves_by_itself, turns_by_itself
 from hw.rig import Rig
-from scanner.checking.devices import opened
+from scanner.checking import opened
 from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
@@ -26,7 +26,7 @@ from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
 from scanner.reconstruction import scaled
 from scanner.results import CAPTURES_FOLDER, Decoded, new_result
-from scanner.rooms.document import given_rig
+from scanner.rooms import given_rig
 from scanner.ui import SILENT, Progress, Terminal
 
 # Rounds without a usable cloud after which an unattended run gives up.

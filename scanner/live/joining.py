@@ -14,9 +14,9 @@ from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_ply
 from scanner.live.cloud import LiveCloud
 from scanner.live.sequence import LiveSequence
 from scanner.live.watching import Newest
-from scanner.objects.solve import advice_on, brief, outside_text, stations_outside
+from scanner.objects import advice_on, brief, outside_text, stations_outside
 from scanner.results import CALIBRATION_FILE, CAPTURE_FOLDER, CLOUD_FILE, Decoded, GivenMatches
-from scanner.rooms.live import Comparison
+from scanner.rooms import Comparison
 
 _FEWEST = 4  # stations of a thing; with fewer, background and thing are not separable
 _LEAVING_S = 60.0

@@ -12,7 +12,7 @@ from scanner.networks.sights import OnSight, nobody
 from scanner.networks.solve import KnownDistance, SolvedNetwork, refuse_unknown, solve_network
 from scanner.networks.verdict import verdict_on
 from scanner.results import new_result
-from scanner.rooms.jobs import writing_refusals
+from scanner.rooms import writing_refusals
 from scanner.ui import SILENT, Progress, Terminal
 
 

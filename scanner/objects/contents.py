@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration
 from calib.numerics import Floats
 from calib.objects import Alternative, Turntable
-from scanner.exporting.triangles import Mesh
-from scanner.rooms.contents import OutlierStation, Station
+from scanner.exporting import Mesh
+from scanner.rooms import OutlierStation, Station
 
 
 @dataclass(frozen=True, eq=False)

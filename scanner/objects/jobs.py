@@ -5,15 +5,13 @@ from pathlib import Path
 
 from calib.refusal import NoMeasurementError
 from scanner.configuration import Config
-from scanner.exporting.open3d_module import open3d
+from scanner.exporting import open3d
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.save import save_object
 from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on
 from scanner.results import new_result
-from scanner.rooms.document import given_rig, read_stations
-from scanner.rooms.jobs import writing_refusals
-from scanner.rooms.live import check_stations, take_object_stations
+from scanner.rooms import check_stations, given_rig, read_stations, take_object_stations, writing_refusals
 from scanner.ui import SILENT, Terminal
 
 

@@ -9,9 +9,8 @@ from calib.pointcloud import MergedCloud
 from scanner.objects.contents import SolvedObject, Surface
 from scanner.objects.verdict import verdict_on
 from scanner.quantities import percent, shown_unit
-from scanner.rendering import page, render
-from scanner.rendering.cloud_views import view_along
-from scanner.reporting.sections import Picture, ScaledMap, picture
+from scanner.rendering import page, render, view_along
+from scanner.reporting import Picture, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.page_parts import (
     HALF_PX,

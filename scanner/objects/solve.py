@@ -33,7 +33,7 @@ from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
 from scanner.results import Decoded, naming
-from scanner.rooms.contents import OutlierStation, RigStart, Station
+from scanner.rooms import OutlierStation, RigStart, Station
 from scanner.ui import Progress
 
 _LOOSE_DEG, _LOOSE_OF_SIZE = 0.5, 0.01

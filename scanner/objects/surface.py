@@ -8,11 +8,9 @@ from scipy.spatial import cKDTree
 
 from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import MergedCloud
-from scanner.exporting.poisson import mesh_of, poisson
-from scanner.exporting.triangles import Mesh
+from scanner.exporting import Mesh, mesh_of, reconstruct_surface
 from scanner.objects.contents import SolvedObject, Surface
-from scanner.rooms.blended_cloud import blended_of
-from scanner.rooms.mesh import CAMERA_FROM_ROOM
+from scanner.rooms import CAMERA_FROM_ROOM, blended_of
 from scanner.rooms.textures import part_of
 
 _AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size
@@ -83,7 +81,7 @@ def _sigma(solved: SolvedObject) -> float:
 def _closed(cloud: MergedCloud) -> Mesh:
     size = float(np.max(np.ptp(cloud.points, axis=0)))
     depth = int(np.clip(np.ceil(np.log2(_AROUND * size / cloud.grid)), 5, _DEEPEST))
-    mesh = poisson(cloud.points, cloud.normals, cloud.colours, depth=depth, scale=_AROUND)
+    mesh = reconstruct_surface(cloud.points, cloud.normals, cloud.colours, depth=depth, scale=_AROUND)
     cluster, _, area = mesh.cluster_connected_triangles()
     mesh.remove_triangles_by_mask(np.asarray(cluster) != int(np.argmax(np.asarray(area))))
     return mesh_of(mesh, cloud.unit)

@@ -1,12 +1,14 @@
 """Clouds, maps and photographs as pictures."""
 
 from scanner.rendering.cloud_views import (
+    Wireframe,
     frustum,
     frustum_lines,
     frustum_of_projector,
     render,
     rig_frusta,
     standard_views,
+    view_along,
 )
 from scanner.rendering.colours import (
     BLACK,
@@ -30,6 +32,7 @@ from scanner.rendering.colours import (
     between,
     css_colour,
     part_of,
+    png_of,
     shaded,
 )
 from scanner.rendering.downsampling import (

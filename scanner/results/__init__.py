@@ -2,7 +2,7 @@
 
 from scanner.results.finished_room import FinishedRoom, PlacedScan, read_finished_room
 from scanner.results.finished_scan import FinishedScan, read_calibration_of, read_finished_scan
-from scanner.results.leftovers import settle
+from scanner.results.leftovers import frames_in, kept_text, settle
 from scanner.results.names import (
     CALIBRATION_FILE,
     CAPTURE_FOLDER,
@@ -53,6 +53,7 @@ from scanner.results.stages import (
     titles_of,
 )
 from scanner.results.stated_uncertainty import (
+    COLUMNS,
     confidence_entries,
     covariance_entries,
     read_uncertainty,

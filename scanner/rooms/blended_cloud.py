@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calib.geometry import Calibration
 from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import NONE, MergedCloud, density
-from scanner.exporting.open3d_module import open3d
+from scanner.exporting import open3d
 from scanner.rooms.contents import SolvedRoom, Station
 
 _WINDOW = 7  # pixels

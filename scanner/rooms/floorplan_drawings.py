@@ -4,8 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from ezdxf.enums import TextEntityAlignment
-from ezdxf.filemanagement import new
 from markupsafe import Markup, escape
 
 from calib.numerics import Floats
@@ -102,6 +100,9 @@ _TEXT_OF_SIZE = 0.02
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:
     """Write the plan. Raises OSError."""
+    from ezdxf.enums import TextEntityAlignment  # which takes long to load
+    from ezdxf.filemanagement import new
+
     document = new("R2010", setup=True)
     document.header["$INSUNITS"] = _UNITS.get(plan.unit, 0)
     for layer, colour in ((WALLS, 7), (FURNITURE, 8), (DIMENSIONS, 3), (STATIONS, 5)):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calib.refusal import RefusalError
 from scanner.configuration import Config
-from scanner.exporting.open3d_module import open3d
+from scanner.exporting import open3d
 from scanner.results import REFUSAL_FILE, Verdict, new_result, provenance, verdict_entries, write_refusal
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.corner_rig import rig_from_corners

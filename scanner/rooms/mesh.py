@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
-from scanner.exporting.open3d_module import open3d
-from scanner.exporting.triangles import Mesh
+from scanner.exporting import Mesh, open3d
 from scanner.rooms.blended_cloud import denoised, grid_of, index_of
 from scanner.rooms.contents import SolvedRoom, Station
 

@@ -7,9 +7,8 @@ import numpy as np
 
 from calib.pointcloud import MergedCloud
 from scanner.quantities import percent, plain, rig_quantities, shown_unit
-from scanner.rendering import page, render
-from scanner.rendering.cloud_views import view_along
-from scanner.reporting.sections import Picture, ScaledMap, picture
+from scanner.rendering import page, render, view_along
+from scanner.reporting import Picture, ScaledMap, picture
 from scanner.results import Provenance
 from scanner.rooms.contents import SolvedRoom, Station
 from scanner.rooms.floorplan import FloorPlan

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from calib.geometry import Intrinsics
 from calib.pointcloud import MergedCloud
 from scanner.quantities import shown_unit
-from scanner.rendering import BLUE, frustum
-from scanner.rendering.cloud_views import Wireframe
-from scanner.reporting import maps
-from scanner.reporting.sections import ScaledMap, picture
+from scanner.rendering import BLUE, Wireframe, frustum
+from scanner.reporting import ScaledMap, maps, picture
 from scanner.rooms.contents import Station
 
 HALF_PX = 480

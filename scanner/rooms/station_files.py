@@ -6,8 +6,7 @@ from typing import Any
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Calibration, Motion
-from scanner.exporting.glb import write_pieces
-from scanner.exporting.triangles import Mesh
+from scanner.exporting import Mesh, write_pieces
 from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_ply
 from scanner.quantities import METRES
 from scanner.results import CALIBRATION_FILE, CAPTURES_FOLDER, CLOUD_FILE, Provenance, Verdict, confidence_entries

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Bools, Floats, Ints
-from scanner.exporting.glb import Piece
-from scanner.exporting.triangles import Mesh
+from scanner.exporting import Mesh, Piece
 from scanner.rooms.common_light import Shown, in_common_light
 from scanner.rooms.contents import Station
 from scanner.rooms.mesh import CAMERA_FROM_ROOM, filled

@@ -1,1 +1,58 @@
 """A finished result in 3-D, in the browser. Only scene, panel, server and view use viser."""
+
+from typing import TYPE_CHECKING
+
+from calib.deferred_imports import defer_imports
+
+if TYPE_CHECKING:
+    from scanner.viewing.colouring import Colouring as Colouring
+    from scanner.viewing.first_look import preview_scan as preview_scan
+    from scanner.viewing.opening import add_address as add_address
+    from scanner.viewing.opening import free_port as free_port
+    from scanner.viewing.opening import require_viser as require_viser
+    from scanner.viewing.origin_check import OriginCheck as OriginCheck
+    from scanner.viewing.panel import ResultPanel as ResultPanel
+    from scanner.viewing.panel import reading as reading
+    from scanner.viewing.picking import KnownScale as KnownScale
+    from scanner.viewing.result import CloudWithSigma as CloudWithSigma
+    from scanner.viewing.result import PlacedRig as PlacedRig
+    from scanner.viewing.result import ViewedCloud as ViewedCloud
+    from scanner.viewing.result import ViewedResult as ViewedResult
+    from scanner.viewing.scene import Scene as Scene
+    from scanner.viewing.served_files import ServedFiles as ServedFiles
+    from scanner.viewing.server import Serving as Serving
+    from scanner.viewing.server import add_style as add_style
+    from scanner.viewing.server import announce_page as announce_page
+    from scanner.viewing.server import serving as serving
+    from scanner.viewing.server import wait as wait
+    from scanner.viewing.texts import bar_html as bar_html
+    from scanner.viewing.texts import bold as bold
+    from scanner.viewing.texts import escaped as escaped
+    from scanner.viewing.texts import link_html as link_html
+    from scanner.viewing.texts import notes_text as notes_text
+    from scanner.viewing.texts import verdict_text as verdict_text
+    from scanner.viewing.view import view_result as view_result
+    from scanner.viewing.view_controls import PLAIN as PLAIN
+    from scanner.viewing.view_controls import failures_shown as failures_shown
+    from scanner.viewing.white_picture import read_white_picture as read_white_picture
+
+# Viser is optional, and the command line asks for `add_address` alone.
+__all__, __getattr__, __dir__ = defer_imports(
+    __name__,
+    {
+        "colouring": "Colouring",
+        "first_look": "preview_scan",
+        "opening": "add_address free_port require_viser",
+        "origin_check": "OriginCheck",
+        "panel": "ResultPanel reading",
+        "picking": "KnownScale",
+        "result": "CloudWithSigma PlacedRig ViewedCloud ViewedResult",
+        "scene": "Scene",
+        "served_files": "ServedFiles",
+        "server": "Serving add_style announce_page serving wait",
+        "texts": "bar_html bold escaped link_html notes_text verdict_text",
+        "view": "view_result",
+        "view_controls": "PLAIN failures_shown",
+        "white_picture": "read_white_picture",
+    },
+)

@@ -11,7 +11,7 @@ from scanner.viewing.decimation import DEFAULT_SHOWN, shuffled
 from scanner.viewing.result import PlacedRig, ViewedCloud
 
 
-def first_look(scan: Scan) -> tuple[ViewedCloud, int]:
+def preview_scan(scan: Scan) -> tuple[ViewedCloud, int]:
     """Return at most `DEFAULT_SHOWN` points of the result's first cloud, and how many points it has.
 
     This is the merged cloud, or that of the newest capture. It has no corner yet: the faces are still being measured.

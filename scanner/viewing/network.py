@@ -9,7 +9,7 @@ from scanner.errors import InputError
 from scanner.io import StoredDevice, read_cloud, read_network
 from scanner.results import CAPTURES_FOLDER, NETWORK_CLOUD_FILE, NETWORK_FILE
 from scanner.viewing.result import PlacedRig, ViewedCloud
-from scanner.viewing.white_picture import white_picture
+from scanner.viewing.white_picture import read_white_picture
 
 
 def network_cloud(folder: Path) -> ViewedCloud:
@@ -40,7 +40,7 @@ def _rig(camera: StoredDevice, projector: StoredDevice, unit: str, folder: Path)
         to_projector @ (camera.place.translation - projector.place.translation),
         unit,
     )
-    picture = white_picture(folder / CAPTURES_FOLDER / f"{camera.name}-{projector.name}")
+    picture = read_white_picture(folder / CAPTURES_FOLDER / f"{camera.name}-{projector.name}")
     return PlacedRig(
         calibration, camera.place.rotation, camera.place.translation, picture, (camera.name, projector.name)
     )

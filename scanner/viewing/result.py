@@ -36,7 +36,7 @@ from scanner.results import (
 )
 from scanner.viewing.corner import MeasuredCorner, measured_corner
 from scanner.viewing.decimation import shuffled
-from scanner.viewing.white_picture import white_picture
+from scanner.viewing.white_picture import read_white_picture
 
 ALL_CAPTURES, WHOLE_ROOM, WHOLE_THING = "All captures, merged", "The whole room", "The whole thing"
 _PLACING_POINTS = 100_000
@@ -254,7 +254,7 @@ def _up(corner: MeasuredCorner | None) -> Floats:
 
 def _picture(folder: Path, scan: FinishedScan) -> NDArray[np.uint8]:
     """The camera's picture of the lit scene, RGB, reduced: the recording's white one, or else the points' colours."""
-    recorded = white_picture(folder)
+    recorded = read_white_picture(folder)
     if recorded is not None:
         return recorded
     camera = scan.calibration.camera

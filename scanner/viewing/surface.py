@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from calib.geometry import Size
 from calib.numerics import Bools, Ints
 from calib.pointcloud import SeenPoints, image_triangles, index_grid
-from scanner.exporting.glb import write_glb
-from scanner.exporting.triangles import Mesh
+from scanner.exporting import Mesh, write_glb
 from scanner.viewing.result import CaptureCloud
 
 _MOST_POINTS = 300_000

@@ -7,7 +7,7 @@ from scanner.viewing.panel import ResultPanel, reading
 from scanner.viewing.server import add_style, announce_page, serving, wait
 
 
-def view(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
+def view_result(folder: Path, host: str, port: int | None, terminal: Terminal, *, browser: bool) -> None:
     """Serve a result until Ctrl-C, which raises KeyboardInterrupt. Raises InputError."""
     with terminal.step("Reading the result"):
         show = reading(folder)

@@ -8,7 +8,7 @@ from scanner.rendering import LONGEST_SIDE, Pixels, photograph
 from scanner.results import CAPTURE_FOLDER
 
 
-def white_picture(folder: Path, longest_side: int = LONGEST_SIDE) -> Pixels | None:
+def read_white_picture(folder: Path, longest_side: int = LONGEST_SIDE) -> Pixels | None:
     """RGB (H, W, 3), reduced; None where a result has no recording, or that no white picture."""
     try:
         white = open_capture(folder / CAPTURE_FOLDER).white()

@@ -7,7 +7,7 @@ import yaml
 
 from scanner.configuration import Config, load_config
 from scanner.errors import InputError
-from scanner.io.validation import known_keys
+from scanner.io import known_keys
 from tests.support.places import ROOT
 
 

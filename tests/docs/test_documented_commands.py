@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.io import write_png
 from scanner.patterns import Black, Pattern, White, draw, gray_sequence

@@ -18,8 +18,7 @@ _SQUARES = ("50mm", "50mm", "1e-300mm", "1e300mm", "1e-6", "1000km", "0", "nan",
 def board(folder: Path) -> Run:
     """`scan board`: boards at unusual poses, damaged frames and listings, and other boards than stated."""
     from calib.synthetic import BoardOptions, random_boards
-    from scanner.commands.arguments import NAMED
-    from scanner.commands.main import parser_of
+    from scanner.commands import NAMED, parser_of
     from scanner.io import read_calibration
     from scanner.targets import parse_target
     from tests.support.board_captures import CAMERA, PROJECTOR, write_board_capture
@@ -61,8 +60,7 @@ def board(folder: Path) -> Run:
 
 def batch(folder: Path) -> Run:
     """`scan batch` with lists of existing and missing captures, and the resulting table."""
-    from scanner.batch import Request, list_jobs, run_batch
-    from scanner.batch.work import Delivery, work
+    from scanner.batch import Delivery, Request, list_jobs, run_batch, work
     from scanner.ui import EXIT_INPUT, EXIT_REFUSED, Terminal
     from tests.support.small_capture import write_capture
 

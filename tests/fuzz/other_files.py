@@ -16,7 +16,7 @@ from tests.fuzz.mutations import Random, extreme, of_bytes, of_yaml
 def refusal(folder: Path) -> Run:
     """`refused.yaml`, and its card in the history."""
     from scanner.results import REFUSAL_FILE, Verdict, verdict_entries, verdict_of, write_refusal
-    from scanner.viewing.texts import notes_text, verdict_text
+    from scanner.viewing import notes_text, verdict_text
 
     path = folder / REFUSAL_FILE
     write_refusal(path, verdict_entries(Verdict("refused", "No", ("because", "of this"), "Again", ("a note",))))
@@ -32,7 +32,7 @@ def refusal(folder: Path) -> Run:
 
 def log(folder: Path) -> Run:
     """`scan.log`, from which the durations of the steps are read."""
-    from scanner.console.progress import durations_in
+    from scanner.console import durations_in
 
     path = folder / "scan.log"
     lines = [f"2024-01-01 00:00:0{n},123 INFO scanner.ui.terminal: Step {n}: {n}" for n in range(6)]
@@ -47,9 +47,7 @@ def log(folder: Path) -> Run:
 
 def row(folder: Path) -> Run:
     """A row of an earlier run of a batch, and its table."""
-    from scanner.batch import run_batch
-    from scanner.batch.listing import Job
-    from scanner.batch.rows import Row
+    from scanner.batch import Job, Row, run_batch
     from scanner.configuration import Config
     from scanner.ui import Terminal
 
@@ -87,8 +85,7 @@ def row(folder: Path) -> Run:
 
 def left_behind(folder: Path) -> Run:
     """A killed scan with a damaged state and listing: it is settled, and no live frame is lost."""
-    from scanner.results import settle
-    from scanner.results.leftovers import frames_in
+    from scanner.results import frames_in, settle
     from tests.support.small_capture import read_listing, write_capture
 
     write_capture(folder / "seed")
@@ -152,8 +149,7 @@ def compared(folder: Path) -> Run:
 
 def asked(folder: Path) -> Run:
     """Requests of a browser, by path and headers: only offered files are served."""
-    from scanner.viewing.origin_check import OriginCheck
-    from scanner.viewing.served_files import ServedFiles
+    from scanner.viewing import OriginCheck, ServedFiles
 
     result = folder / "results" / "a room"
     result.mkdir(parents=True)

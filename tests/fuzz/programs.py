@@ -18,9 +18,8 @@ def results(folder: Path) -> Run:
     from scanner.exporting import FORMATS, Request
     from scanner.io import read_calibration, write_ply
     from scanner.measuring import measure, read_scene, tables
-    from scanner.results import read_finished_scan
-    from scanner.results.stated_uncertainty import COLUMNS
-    from scanner.viewing.result import ViewedResult
+    from scanner.results import COLUMNS, read_finished_scan
+    from scanner.viewing import ViewedResult
     from tests.support.result_folder import write_result
 
     written = write_result(folder / "room", keep=lambda px: np.all(px % 16 < 1, axis=1, keepdims=False))

@@ -59,8 +59,7 @@ def calibration(folder: Path) -> Run:
     """`calibration.yaml`: numbers, uncertainty, and display."""
     from scanner.io import read_calibration, write_calibration
     from scanner.quantities import calibration_table
-    from scanner.results import read_uncertainty, read_verdict
-    from scanner.results.stated_uncertainty import COLUMNS
+    from scanner.results import COLUMNS, read_uncertainty, read_verdict
     from tests.support.cloud_scene import CAMERA, PROJECTOR
 
     path = folder / "calibration.yaml"

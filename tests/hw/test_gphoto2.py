@@ -20,11 +20,9 @@ from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from hw.timing import latency, synchronisation
 from scanner.capture import open_capture
-from scanner.commands import devices
-from scanner.commands.main import main
+from scanner.commands import devices, main
 from scanner.configuration import load_config
-from scanner.console.settings import Picture, Settings
-from scanner.console.worker import Activity, Worker
+from scanner.console import Activity, Picture, Settings, Worker
 from scanner.ui import Terminal
 from tests.support import fake_gphoto2
 from tests.support.fake_gphoto2 import Device, GPhoto2Error

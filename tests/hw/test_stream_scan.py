@@ -17,10 +17,9 @@ from hw.simulated import SimulatedRoom
 from hw.timing import frame_reader, stream_calibration
 from scanner import pipeline
 from scanner.capture import open_capture
+from scanner.commands import main
 from scanner.commands import scan as scan_command
-from scanner.commands.main import main
-from scanner.console.settings import Picture, Settings
-from scanner.console.worker import Activity, Worker
+from scanner.console import Activity, Picture, Settings, Worker
 from scanner.patterns import draw
 from tests.support.loopback_bench import after_frames
 from tests.support.notebook import Notebook, until

@@ -13,8 +13,7 @@ from hw.errors import DeviceError
 from hw.open_rig import open_rig
 from hw.optional_parts import RIG
 from hw.projector import ScreenProjector, list_screens
-from scanner.commands import devices
-from scanner.commands.main import main
+from scanner.commands import devices, main
 from scanner.configuration import load_config
 from scanner.errors import InputError
 from tests.support.places import ROOT

@@ -8,7 +8,7 @@ import yaml
 
 from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Floats
-from scanner.boards.drawing import draw_target
+from scanner.boards import draw_target
 from scanner.io import write_png
 from scanner.patterns import pattern_to_dict, sequence_for
 from scanner.targets import Target

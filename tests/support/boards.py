@@ -8,7 +8,7 @@ from calib.geometry import mapped
 from calib.numerics import Floats
 from calib.refinement import into_cells
 from calib.synthetic import SyntheticBoards
-from scanner.boards.drawing import draw_target
+from scanner.boards import draw_target
 from scanner.targets import Target
 
 

@@ -2,7 +2,7 @@
 
 from hw.rig import Rig
 from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
-from scanner.checking.report import CheckReport, CheckRow
+from scanner.checking import CheckReport, CheckRow
 from scanner.configuration import Config, load_config
 
 CAMERA, PROJECTOR = (306, 256), (214, 120)

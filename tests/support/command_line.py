@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from scanner.commands.main import main
+from scanner.commands import main
 
 
 def run(*arguments: object) -> int:

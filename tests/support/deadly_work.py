@@ -4,9 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from scanner.batch.listing import Job
-from scanner.batch.rows import Row
-from scanner.batch.work import Delivery, work
+from scanner.batch import Delivery, Job, Row, work
 
 POISON, ONCE = "poison", "once"
 

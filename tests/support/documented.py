@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from scanner.commands.main import _choose, parser_of
+from scanner.commands import parser_of
+from scanner.commands.main import _choose
 from scanner.configuration import load_config
 from tests.support.places import ROOT
 

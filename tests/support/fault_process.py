@@ -24,8 +24,8 @@ import numpy as np
 from hw.open_rig import OpenedRig
 from hw.rig import Capabilities, Frame, Rig
 from scanner import pipeline
+from scanner.commands import main
 from scanner.commands import scan as scan_command
-from scanner.commands.main import main
 from tests.support.small_capture import SIZE
 
 _NEW_MOUNTS, _NEW_USER = 0x00020000, 0x10000000

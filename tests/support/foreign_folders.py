@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.numerics import Image
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.patterns import Axis, Black, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
 

@@ -17,7 +17,7 @@ from hw.loopback import CameraProcess, LoopbackSettings, VirtualScreen, camera_p
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
 from scanner.capture import Recording, open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.patterns import Pattern, draw
 
 CAMERA, PROJECTOR = (306, 256), (320, 180)

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hw.rig import Frame, Rig
-from scanner.checking.report import CheckReport, CheckRow
-from scanner.console.worker import Status
-from scanner.live.jobs import Watcher
-from scanner.networks.sights import Sight
+from scanner.checking import CheckReport, CheckRow
+from scanner.console import Status
+from scanner.live import Watcher
+from scanner.networks import Sight
 from scanner.results import Scan
 
 

@@ -10,7 +10,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import Profile, SelfCalibration
 from scanner.capture import CaptureMetadata
 from scanner.decoding import Decoding, MaskReason
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.patterns import sequence_for
 from scanner.reporting import ReportInput
 from scanner.results import Decoded, Reconstructed, Refused, SelfCalibrated

@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from calib.numerics import Bools, Image
-from scanner.decoding import Decoder, Decoding
-from scanner.decoding.frame_corrections import FrameCorrections, corrections_of
-from scanner.decoding.planning import plan_sequence
-from scanner.decoding.samples import Samples
+from scanner.decoding import Decoder, Decoding, FrameCorrections, Samples, corrections_of, plan_sequence
 from scanner.patterns import Pattern, Phase, draw, phase_sequence
 
 Light = NDArray[np.floating[Any]]

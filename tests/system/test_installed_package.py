@@ -9,7 +9,7 @@ from zipfile import ZipFile
 
 import pytest
 
-from scanner.commands.arguments import NAMED
+from scanner.commands import NAMED
 from tests.support.bare_environment import built, environment, installed
 from tests.support.places import ROOT
 

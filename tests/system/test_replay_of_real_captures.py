@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_cloud
 from tests.support.places import REAL_CAPTURES
 

@@ -23,7 +23,7 @@ from scanner.decoding.checks.frame_consistency import (
     contradictions,
     total_contradiction,
 )
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, HALF, NEARLY_ALL, OUTLYING_SIGMAS
 from scanner.errors import InputError

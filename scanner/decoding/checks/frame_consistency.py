@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.numerics import Floats32, median, medians, robust_sigmas
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import HALF, HUBER_SIGMAS
 

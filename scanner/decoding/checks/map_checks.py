@@ -15,7 +15,7 @@ from scanner.decoding.axis_decoder import AxisDecoder, Measured
 from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
-from scanner.decoding.fringes.phase_unwrapping import disagreements
+from scanner.decoding.fringes import disagreements
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW, FEWEST_PIXELS, HALF

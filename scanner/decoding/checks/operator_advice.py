@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib.numerics import Image
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import BRIGHTEST, FEW
 

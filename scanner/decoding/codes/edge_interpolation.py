@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, Image, Ints, Words, compiled
 from scanner.decoding.codes.gray_code import cell_numbers, compared
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import GrayCode
 
 # Stripes of two cells are resolved down to one camera pixel each: at most this many cells lie between two pixels, and

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.numerics import Words
-from scanner.decoding.codes.gray_code import Interval, interval_of
+from scanner.decoding.codes import Interval, interval_of
 from scanner.decoding.fringes.phase_unwrapping import Orders, Tolerances, Wrapped, unwrap
 from scanner.decoding.sequence_plan import AxisPlan, GrayCode
 

@@ -16,7 +16,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats32, compiled, median
-from scanner.decoding.codes.gray_code import Interval
+from scanner.decoding.codes import Interval
 from scanner.decoding.mask_reasons import Against, Reasons
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS

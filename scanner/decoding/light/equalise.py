@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import Bools, Floats32, Ints, medians
-from scanner.decoding.fringes.single_fringe import is_unchecked
+from scanner.decoding.fringes import is_unchecked
 from scanner.decoding.light.brightness import (
     BANDS,
     LEAST_DIFFERENCE,

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats32, Image, Words, median
-from scanner.decoding.codes.gray_code import GrayFold, cell_numbers
+from scanner.decoding.codes import GrayFold, cell_numbers
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF
 
 # Cells are compared over this many pixels to either side, and their growth is averaged over a window of this side.

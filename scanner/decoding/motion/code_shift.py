@@ -14,8 +14,8 @@ import numpy as np
 
 from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Ints, evenly_spread, fit_huber
 from scanner.decoding.code_images import Signals
-from scanner.decoding.codes.gray_code import interval_of
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.codes import interval_of
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
 from scanner.decoding.significance import (

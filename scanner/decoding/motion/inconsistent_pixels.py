@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats32
 from scanner.decoding.discontinuities import SMALLEST_PATCH
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.photometric_constraints import RESTING, contradictions, frames_of_fine_bits
 from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan

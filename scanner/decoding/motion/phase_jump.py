@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.pixels import SeenFringes
 from scanner.decoding.samples import MOST_ALONG, TILE_PX, TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import erfinv
 
 from calib.numerics import Bools, Floats, Floats32, fit_reweighted, median, medians, quantile
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGMAS, REFITS, SIGNIFICANT_SIGMAS
 

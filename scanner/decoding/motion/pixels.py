@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, Ints, evenly_spread
 from scanner.decoding.code_images import Signals
-from scanner.decoding.codes.gray_code import interval_of
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.codes import interval_of
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.rigid import COLUMNS, shifts_by_motion
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan

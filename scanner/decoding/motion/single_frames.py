@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.numerics import LEVEL, SLOPE, Floats, Floats32, Ints
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.motion.device_motion import Disturbance, MotionFound
 from scanner.decoding.motion.frame_equations import FrameEquations, of_frames
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames

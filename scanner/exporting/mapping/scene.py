@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from calib.geometry import Motion
 from calib.numerics import Floats
 from scanner.errors import InputError
-from scanner.exporting.poisson import mesh_of, poisson
+from scanner.exporting.poisson import mesh_of, reconstruct_surface
 from scanner.exporting.triangles import Mesh, build_mesh
 from scanner.io import CloudPoints, StoredDevice, read_cloud, read_network
 from scanner.results import NETWORK_CLOUD_FILE, NETWORK_FILE, OBJECT_FILE, ROOM_FILE, read_finished_scan
@@ -74,7 +74,7 @@ def surface_through(cloud: CloudPoints, unit: str) -> Mesh | None:
     spacing = np.asarray(tree.query(points, _NEIGHBOURS)[0])[:, -1]
     cells = float(np.max(np.ptp(points, axis=0))) / float(np.median(spacing))
     depth = int(np.clip(np.ceil(np.log2(cells)), _SHALLOWEST, _DEEPEST))
-    mesh = poisson(points, cloud.normals[used], cloud.colours[used], depth=depth, scale=_AROUND)
+    mesh = reconstruct_surface(points, cloud.normals[used], cloud.colours[used], depth=depth, scale=_AROUND)
     vertices = np.asarray(mesh.vertices)
     if not np.isfinite(vertices).all():  # the points are too far apart for a surface
         return None

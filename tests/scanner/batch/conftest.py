@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from scanner.commands.main import main
+from scanner.commands import main
 from tests.support.small_room import CONFIG
 
 

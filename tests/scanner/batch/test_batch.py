@@ -18,7 +18,7 @@ from scanner.batch.cluster import dask_workers
 from scanner.batch.listing import Request, list_jobs
 from scanner.batch.processes import Processes
 from scanner.batch.running import CSV, PAGE, TABLE, run_batch
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.errors import StorageError
 from scanner.io import read_calibration
 from scanner.ui import Terminal, failure_of

@@ -12,7 +12,7 @@ from calib.boards import Board, calibrate_boards
 from calib.synthetic import random_boards
 from scanner.boards.calibrate import BoardCapture, FromBoards, Missing
 from scanner.boards.result import save_result
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import Config
 from scanner.errors import StorageError
 from scanner.io import read_calibration

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.synthetic import BoardOptions, SyntheticBoards, random_boards
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_image, write_png
 from scanner.targets import Target
 from tests.support.board_captures import CAMERA, PROJECTOR, write_board_capture

@@ -14,7 +14,7 @@ from hw.settings import SimulatedRigSettings
 from scanner import pipeline
 from scanner.capture import rig_placement as places
 from scanner.capture.recording import open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.decoding import SMOOTH_PX
 from scanner.errors import InputError

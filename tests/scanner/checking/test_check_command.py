@@ -14,12 +14,11 @@ from hw.aravis import AravisRigSettings
 from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
 from hw.simulated import SimulatedRoom
-from scanner.checking import check as checking
-from scanner.checking import devices
+from scanner.checking import check_configured_rig, devices
 from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.table import table_of
 from scanner.commands import check as command
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.ui import Terminal
 from tests.support.check_bench import OVERRIDES, PERIOD_US, changed, rig_in
@@ -197,7 +196,7 @@ def test_a_rig_that_stays_overexposed_fails(monkeypatch: pytest.MonkeyPatch) -> 
         raise OverexposedError("everything that white lights is overexposed")
 
     monkeypatch.setattr(devices, "open_rig", refuse)
-    report = checking.check(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), Terminal(quiet=True))
+    report = check_configured_rig(load_config(None, (*OVERRIDES, "rig={backend: aravis}")), Terminal(quiet=True))
     assert isinstance(report.failure, DeviceError)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_calibration, write_calibration, write_matches
 from scanner.results import covariance_entries, read_uncertainty
 from tests.support.known_rigs import Before, before, intrinsics_and_length, sigmas

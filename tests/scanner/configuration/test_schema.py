@@ -11,7 +11,7 @@ from calib.geometry import Size
 from hw.settings import SimulatedRigSettings
 from scanner.configuration.schema import Config, load_config
 from scanner.errors import InputError
-from scanner.io.validation import known_keys
+from scanner.io import known_keys
 from scanner.patterns import sequence_for
 from tests.support.places import ROOT
 

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from scanner.capture import open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.io import read_calibration
 from tests.support.browsing import PATIENCE_MS, Served, Visit, visiting

@@ -10,9 +10,8 @@ from scanner.console.settings import Settings
 from scanner.console.worker import Activity, Worker
 from scanner.io import read_cloud
 from scanner.results import CLOUD_FILE, Scan
+from scanner.viewing import ViewedCloud, preview_scan
 from scanner.viewing import first_look as module
-from scanner.viewing.first_look import first_look
-from scanner.viewing.result import ViewedCloud
 from tests.support.notebook import Notebook, until
 from tests.support.small_room import CONFIG
 
@@ -30,7 +29,7 @@ def test_the_preview_is_a_part_of_the_saved_cloud(config: Path, monkeypatch: pyt
     looks: list[tuple[ViewedCloud, int, bool]] = []
 
     def look(found: Scan) -> None:
-        looks.append((*first_look(found), Path("result").exists()))
+        looks.append((*preview_scan(found), Path("result").exists()))
 
     scan(load_config(config), Path("result"), on_cloud=look)
     ((some, count, exists),) = looks

@@ -10,8 +10,8 @@ from hw.rig import Frame
 from scanner.console import network_view
 from scanner.console.network_view import NetworkView
 from scanner.console.worker import Activity, Status
-from scanner.networks.sights import Sight
-from scanner.viewing.opening import free_port
+from scanner.networks import Sight
+from scanner.viewing import free_port
 
 
 class Clock:

@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from calib.geometry import Intrinsics
 from calib.pointcloud import View, build_cloud, merged
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_cloud, write_merged_ply
 from tests.support.browsing import Served, Visit, visiting
 from tests.support.result_folder import write_result

@@ -21,8 +21,7 @@ from scanner.console.operating import chime
 from scanner.console.progress import CancelledError, Stage, StagedProgress, durations_in
 from scanner.console.settings import Picture, Settings, plain_name
 from scanner.console.worker import Activity, Status, Worker
-from scanner.networks.captures import Pair
-from scanner.networks.sights import OnSight, Watched
+from scanner.networks import OnSight, Pair, Watched
 from scanner.patterns import White
 from scanner.results import read_verdict
 from scanner.ui import Progress

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Bools
-from scanner.decoding.codes.gray_code import GrayFold, cell_numbers
+from scanner.decoding.codes import GrayFold, cell_numbers
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.bit_repair import repair_bits
 from scanner.decoding.planning import plan_sequence

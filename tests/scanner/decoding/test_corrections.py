@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from scanner.decoding.fringes import Footprint, shading_shift
 from scanner.decoding.fringes.footprint import TYPICAL_PX2, footprint_of
-from scanner.decoding.fringes.footprint_shift import Footprint, log_amplitude, shading_shift
+from scanner.decoding.fringes.footprint_shift import log_amplitude
 from scanner.decoding.fringes.systematic_error import correct_systematic
 
 TILE = 48

@@ -5,13 +5,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from calib.numerics import Floats32
+from scanner.decoding.fringes import Footprint, shading_shift
 from scanner.decoding.fringes.footprint_shift import (
     CROSS,
-    Footprint,
     correct_curvature_shift,
     curvature_kernel,
     noise_gain2,
-    shading_shift,
     surrounded,
 )
 

@@ -9,7 +9,7 @@ import pytest
 from calib.numerics import Bools, Floats, Image
 from scanner.decoding import Decoding
 from scanner.decoding.checks.frame_consistency import Anomaly
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.photometric_constraints import contradictions

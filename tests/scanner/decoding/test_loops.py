@@ -11,10 +11,10 @@ from hypothesis.extra import numpy as arrays
 from calib.numerics import Image
 from scanner.decoding.axis_decoder import _measure
 from scanner.decoding.checks.code_checks import _changes, _note_changes
-from scanner.decoding.codes.gray_code import GrayFold
-from scanner.decoding.fringes.footprint_shift import Footprint, shading_shift
+from scanner.decoding.codes import GrayFold
+from scanner.decoding.fringes import Footprint, shading_shift
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
-from scanner.decoding.light.noise_model import NoiseModel
+from scanner.decoding.light import NoiseModel
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import Pattern, gray_sequence, phase_sequence
 

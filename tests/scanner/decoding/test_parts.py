@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
 from scanner.decoding import saturation_level
-from scanner.decoding.codes.gray_code import cell_numbers, interval_of
+from scanner.decoding.codes import cell_numbers, interval_of
 from scanner.decoding.discontinuities import SMALLEST_PATCH, small_patches
 from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap

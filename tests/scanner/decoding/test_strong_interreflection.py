@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanner.decoding.codes.gray_code import interval_of
+from scanner.decoding.codes import interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
 from scanner.decoding.mask_reasons import MaskReason

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Intrinsics
-from scanner.commands.main import main
+from scanner.commands import main
 from tests.support.cloud_scene import PROJECTOR
 from tests.support.result_folder import Written, write_result
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calib.pointcloud import SeenPoints, image_triangles
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.exporting.triangles import Mesh, build_mesh
 from tests.support.cloud_scene import SPHERE_RADIUS_M
 from tests.support.result_folder import Written, write_result

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from scanner.capture import open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.errors import InputError
 from scanner.io import read_calibration, read_cloud, read_image, read_matches, read_yaml
 from scanner.photos import read_photos

@@ -23,7 +23,7 @@ from scanner.live.first_look import FirstLook
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
 from scanner.live.rounds import best_sequence, rounds
 from scanner.live.watching import Account, Newest, watch
-from scanner.rooms.document import given_rig, read_stations
+from scanner.rooms import given_rig, read_stations
 from scanner.ui import Terminal
 from tests.scanner.live.test_clouds import DEPTHS, begun
 from tests.support.live_bench import CAMERA, PROJECTOR, LiveBench, calibration

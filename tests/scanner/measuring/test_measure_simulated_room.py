@@ -8,7 +8,7 @@ import pytest
 
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Room, place_room, true_calibration
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.quantities import Quantity
 
 CAMERA, PROJECTOR = (612, 512), (427, 240)

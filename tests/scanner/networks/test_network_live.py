@@ -11,7 +11,7 @@ from hw.errors import DeviceError
 from hw.rig import Frame
 from hw.simulated import SimulatedCamera
 from scanner.capture import open_capture
-from scanner.commands.main import main as scan
+from scanner.commands import main as scan
 from scanner.configuration import load_config
 from scanner.io import read_calibration
 

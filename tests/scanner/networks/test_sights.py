@@ -10,8 +10,7 @@ from hw.rig import Frame
 from scanner.capture import CaptureMetadata
 from scanner.networks.sights import Sight, Watched, frames_in
 from scanner.patterns import Black, White, pattern_to_dict
-from scanner.results import Decoded, GivenMatches
-from scanner.results.leftovers import kept_text
+from scanner.results import Decoded, GivenMatches, kept_text
 from scanner.ui import Terminal
 from tests.support.small_capture import PATTERNS, read_listing, write_capture, write_listing
 

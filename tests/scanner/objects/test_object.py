@@ -15,11 +15,9 @@ from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
 from scanner.objects.verdict import verdict_on
-from scanner.rooms.contents import RigStart
-from scanner.rooms.document import read_stations
-from scanner.rooms.mesh import CAMERA_FROM_ROOM
+from scanner.rooms import CAMERA_FROM_ROOM, RigStart, read_stations
 from scanner.ui import Terminal
-from scanner.viewing.result import ViewedResult
+from scanner.viewing import ViewedResult
 from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
 
 pytestmark = pytest.mark.xdist_group("objects")  # what the module shares is made once

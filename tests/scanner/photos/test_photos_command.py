@@ -9,9 +9,9 @@ import yaml
 from PIL import Image
 
 from calib.geometry import Calibration, intersect
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_calibration, read_cloud, read_matches
-from scanner.viewing.result import ViewedResult
+from scanner.viewing import ViewedResult
 from tests.support.painted_corner import CAMERA, FIRST, SECOND, THIRD, Walls, painted, photo, write_photos
 
 pytestmark = pytest.mark.xdist_group("photos command")

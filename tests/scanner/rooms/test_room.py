@@ -17,7 +17,7 @@ from scanner.io import read_calibration, read_cloud
 from scanner.results import read_finished_room
 from scanner.rooms.floorplan import floor_plan
 from scanner.rooms.verdict import verdict_on
-from scanner.viewing.result import ViewedResult
+from scanner.viewing import ViewedResult
 from tests.scanner.rooms.conftest import ORDER, SolvedExample
 
 

@@ -10,7 +10,7 @@ import pytest
 from calib.geometry import Calibration, Size
 from calib.rooms import Registration, StationView, register
 from scanner.capture import CaptureMetadata
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import Config
 from scanner.io import write_calibration, write_matches
 from scanner.results import Decoded, GivenMatches

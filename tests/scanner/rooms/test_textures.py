@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Floats
-from scanner.exporting.glb import Piece, write_pieces
+from scanner.exporting import Piece, write_pieces
 from scanner.results import GivenMatches
 from scanner.rooms.common_light import Shown, in_common_light
 from scanner.rooms.contents import SolvedRoom, Station

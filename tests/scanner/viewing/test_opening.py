@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hw.optional_parts import CONSOLE
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.errors import InputError
 from scanner.results import Verdict
 from scanner.viewing.opening import address, free_port, is_local, require_viser, warning

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from tests.support.loopback_bench import Loopback
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hw.simulated import SimulatedRoom
-from scanner.console.settings import Picture, Settings
-from scanner.console.worker import Activity, Worker
+from scanner.console import Activity, Picture, Settings, Worker
 from scanner.io import read_calibration
 from tests.support.loopback_bench import check_frames
 from tests.support.notebook import Notebook

@@ -12,7 +12,7 @@ from hw.open_rig import open_rig
 from hw.rig import Rig, exposure_control
 from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture
-from scanner.checking.exposure import propose_exposure
+from scanner.checking import propose_exposure
 from scanner.configuration import load_config
 from scanner.patterns import Black, Pattern, White, draw
 from tests.support.loopback_bench import CAMERA, CONFIG, PROJECTOR, Loopback, scan

@@ -20,7 +20,7 @@ from hw.loopback import Conditions, shown_on, virtual_screen
 from hw.open_rig import open_rig
 from hw.simulated import SimulatedRoom
 from scanner.capture import capture, open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.configuration import load_config
 from scanner.io import read_image, write_png
 from scanner.patterns import Black, White

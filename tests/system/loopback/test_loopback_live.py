@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw.simulated import SimulatedRoom
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.io import read_matches, write_calibration
 from tests.support.loopback_bench import Loopback
 

@@ -19,7 +19,7 @@ from hw.loopback import LitRoom, LoopbackSettings, loopback_network, own_address
 from hw.settings import SimulatedRigSettings
 from hw.simulated import Light
 from scanner.capture import open_capture
-from scanner.commands.main import main
+from scanner.commands import main
 from scanner.networks import job
 from tests.support.loopback_bench import Keeper, wrong_frames
 
