@@ -46,14 +46,14 @@ def run(*arguments: object) -> int:
 @pytest.fixture
 def report(monkeypatch: pytest.MonkeyPatch, usual: CheckReport) -> CheckReport:
     """The report that the command gets instead of running a check."""
-    monkeypatch.setattr(command, "check", lambda *_: usual)
+    monkeypatch.setattr(command, "check_configured_rig", lambda *_: usual)
     return usual
 
 
 def finding(
     monkeypatch: pytest.MonkeyPatch, rows: tuple[CheckRow, ...], failure: DeviceError | RefusalError | None
 ) -> None:
-    monkeypatch.setattr(command, "check", lambda *_: CheckReport(list(rows), failure=failure))
+    monkeypatch.setattr(command, "check_configured_rig", lambda *_: CheckReport(list(rows), failure=failure))
 
 
 def test_the_table_shows_the_findings(path: Path, report: CheckReport, capsys: pytest.CaptureFixture[str]) -> None:
