@@ -1,8 +1,9 @@
-"""Camera intrinsics → projector intrinsics through the corner, and back: the paper's sections 3.2 and 4.1, batched.
+"""Camera intrinsics → projector intrinsics through the corner, and back: the paper's sections 3.2 and 4.1, batched; and
+the resection of a device.
 
-A trial costs a 12 × 12 eigenproblem, whatever the number of matches: a point on face S with image x is B_S x with
-B_S = [K⁻¹; nᵀK⁻¹/d], so the normal matrix of the projector's DLT is Σ_S (I ⊗ B_S) G_S (I ⊗ B_Sᵀ) with the Gram
-matrix G_S of the face's homography.
+A trial costs a 12 × 12 eigenproblem, whatever the number of matches: a point on face S with image x is B_S x with B_S =
+[K⁻¹; nᵀK⁻¹/d], so the normal matrix of the projector's DLT is Σ_S (I ⊗ B_S) G_S (I ⊗ B_Sᵀ) with the Gram matrix G_S of
+the face's homography.
 """
 
 from collections.abc import Sequence
@@ -10,8 +11,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from calib.geometry import CornerImage, FaceGrams, corner_image, corner_planes, inverse_depths
-from calib.numerics import Floats, compiled
+from calib.geometry import CornerImage, FaceGrams, Motion, corner_image, corner_planes, homogeneous, inverse_depths
+from calib.numerics import Floats, compiled, normalisation
+
+# Of the largest eigenvalue, and over the smallest one: less, and points on one plane leave the device open.
+_TOLD, _OVER_NOISE = 1e-9, 30.0
 
 
 @dataclass(frozen=True)
@@ -138,3 +142,24 @@ def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float]
     matrices[:, :2, 2] = principal_point_px
     matrices[:, 2, 2] = 1.0
     return matrices
+
+
+def resected(points: Floats, pixels: Floats) -> tuple[Floats, Motion] | None:
+    """The matrix (3, 3) of a device without lens that sees points (N, 3) at pixels (N, 2), and the motion to it; None
+    of points on one plane, or behind it.
+    """
+    scale, centre = normalisation(pixels), points.mean(axis=0)
+    spread = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1))))
+    ideal = homogeneous(pixels) @ scale.T
+    solid = homogeneous((points - centre) / spread)
+    rows = np.zeros((2 * len(points), 12))
+    rows[0::2, 0:4], rows[0::2, 8:12] = solid, -ideal[:, :1] * solid
+    rows[1::2, 4:8], rows[1::2, 8:12] = solid, -ideal[:, 1:2] * solid
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    if values[1] < max(_TOLD * values[-1], _OVER_NOISE * values[0]):
+        return None
+    before = np.linalg.inv(scale) @ vectors[:, 0].reshape(3, 4)
+    matrix, rotation, translation = (each[0] for each in decompose(before[None]))
+    motion = Motion(rotation, spread * translation - rotation @ centre)
+    depths = points @ rotation[2] + motion.translation[2]
+    return (matrix, motion) if np.isfinite(rotation).all() and np.median(depths) > 0 else None

@@ -23,9 +23,8 @@ from calib.diagnostics.error_propagation import (
 from calib.diagnostics.morans_i import SpatialCorrelation, spatial_correlation
 from calib.diagnostics.next_best_view import NextView, best_next_view
 from calib.diagnostics.notes import FURTHER_CAPTURE, WORTH_A_CAPTURE, notes_on
-from calib.diagnostics.plane_form import PlaneForm, plane_form
 from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
-from calib.diagnostics.smooth_errors import footprint_offsets
+from calib.diagnostics.smooth_errors import PlaneForm, footprint_offsets, plane_form
 from calib.diagnostics.uncertainty import (
     NOWHERE,
     Along,

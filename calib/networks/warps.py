@@ -29,7 +29,7 @@ _BY_CHANCE = float(chdtri(PER_WARP, _CHANCE))
 _AS_LIKELY = 10.0  # of χ²: odds of 150 to 1
 _CERTAIN = 20.0  # odds
 _STRAINED = 3.0  # times the noise, across the lines on which walls that are not flat move cells
-# Beforehand, of a picture's aspect, as in `calib.refinement.picture_scale`, its skew, and its trapezoids: projectors,
+# Beforehand, of a picture's aspect, as in `calib.refinement.alternatives`, its skew, and its trapezoids: projectors,
 # even by themselves, make upright ones.
 _PROBABILITY = 0.01, 0.01, 0.1, 0.3
 _ROUNDS = 2

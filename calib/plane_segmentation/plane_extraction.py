@@ -5,8 +5,7 @@ import numpy as np
 
 from calib.numerics import Floats, Ints
 from calib.plane_segmentation.region_growing import grow, local_planes
-from calib.plane_segmentation.surfel_observations import Evidence
-from calib.plane_segmentation.surfels import Surfels
+from calib.plane_segmentation.surfels import Evidence, Surfels
 
 NO_PLANE = -1
 _SEEDS = 80

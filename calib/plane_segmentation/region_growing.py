@@ -1,6 +1,6 @@
 """Region growing: extend the plane through the patch around each surfel to all its inliers.
 
-A surfel is a column of `Evidence.rows` (surfel_observations.py). A symmetric matrix (3, 3) is stored as its six entries
+A surfel is a column of `Evidence.rows` (surfels.py). A symmetric matrix (3, 3) is stored as its six entries
 00, 01, 02, 11, 12, 22.
 """
 

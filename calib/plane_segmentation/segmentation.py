@@ -10,8 +10,7 @@ from calib.plane_segmentation.fundamental_matrix import first_geometry, largest_
 from calib.plane_segmentation.planar_bundle_adjustment import refine
 from calib.plane_segmentation.plane_extraction import covariances, find_planes, spill, without_uneven
 from calib.plane_segmentation.plane_parallax import TwoView
-from calib.plane_segmentation.surfel_observations import gather_evidence
-from calib.plane_segmentation.surfels import Surfels
+from calib.plane_segmentation.surfels import Surfels, gather_evidence
 
 # Initial standard deviations of the errors of lens model, decoder and uneven walls: the first that explains whole
 # surfaces is used, and then replaced by the measured one.

@@ -36,7 +36,7 @@ class SeenPoints:
 def image_triangles(points: SeenPoints, index: Ints) -> Ints:
     """Triangles (T, 3) of point indices, counter-clockwise as seen by the camera.
 
-    `index` (H, W): the point of each pixel, as in `pixel_index`. In a dense grid, each square of four neighbours gives
+    `index` (H, W): the point of each pixel, as in `pixel_grid`. In a dense grid, each square of four neighbours gives
     two triangles, or one if three of its pixels have points. Sparse points, as when the projector's pixels are larger
     than the camera's, are joined by a Delaunay triangulation of the image.
     """

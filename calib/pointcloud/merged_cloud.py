@@ -1,4 +1,4 @@
-"""Merges the clouds of several captures in the frame of their common corner."""
+"""Merges the clouds of several captures in the frame of their common corner, and keeps one point in each voxel."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,10 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import Floats, Ints, in_pieces
+from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
 from calib.pointcloud.corner_view import View
 from calib.pointcloud.organised_cloud import Cloud
-from calib.pointcloud.voxel_grid import nearest_in_voxels
+
+_INDEX_BITS = 32
+_INDEX, _TAG = (1 << _INDEX_BITS) - 1, (1 << 31) - 1
+# Teschner et al., "Optimized spatial hashing", 2003; and 2⁶⁴ over the golden ratio, as a signed number (Knuth).
+_PRIMES = (73856093, 19349663, 83492791)
+_GOLDEN = -7046029254386353131
 
 
 @dataclass(frozen=True)
@@ -88,3 +93,43 @@ def _pose(view: View, turn: int) -> Floats:
     """The pose (3, 4) of a view's camera in the corner's frame."""
     moved = view.in_corner(np.vstack([np.zeros(3), np.eye(3)]), turn)
     return np.column_stack([(moved[1:] - moved[0]).T, moved[0]])
+
+
+def nearest_in_voxels(points: Floats, distance: Floats, size: float) -> Ints:
+    """The sorted indices (M,) of the points with the least `distance` (N,) in each voxel with edges of `size`.
+
+    Points (N, 3) must be finite, at most 2³². Of equally near ones the first is kept.
+    """
+    slots = np.zeros(1 << int(np.ceil(np.log2(1.5 * len(points) + 1))), np.int64)
+    _enter(points, distance, size, slots)
+    kept = np.zeros(len(points), np.bool_)
+    _mark(slots, kept)
+    return np.flatnonzero(kept)
+
+
+@compiled
+def _enter(points: Floats, distance: Floats, size: float, slots: Ints) -> None:
+    """Insert points into a hash table with open addressing. A slot holds a tag and a point's index from 1, or 0."""
+    last = len(slots) - 1
+    for i in range(len(points)):
+        x, y, z = np.floor(points[i, 0] / size), np.floor(points[i, 1] / size), np.floor(points[i, 2] / size)
+        mixed = ((int(x) * _PRIMES[0]) ^ (int(y) * _PRIMES[1]) ^ (int(z) * _PRIMES[2])) * _GOLDEN
+        slot, tag = (mixed >> _INDEX_BITS) & last, mixed & _TAG
+        while slots[slot] != 0:
+            member = (slots[slot] & _INDEX) - 1
+            if slots[slot] >> _INDEX_BITS == tag and (
+                x == np.floor(points[member, 0] / size)
+                and y == np.floor(points[member, 1] / size)
+                and z == np.floor(points[member, 2] / size)
+            ):
+                break
+            slot = (slot + 1) & last
+        if slots[slot] == 0 or distance[i] < distance[(slots[slot] & _INDEX) - 1]:
+            slots[slot] = (tag << _INDEX_BITS) | (i + 1)
+
+
+@compiled
+def _mark(slots: Ints, kept: Bools) -> None:
+    for entry in slots:
+        if entry != 0:
+            kept[(entry & _INDEX) - 1] = True

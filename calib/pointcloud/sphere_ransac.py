@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Ints, robust_sigma
-from calib.pointcloud.pixel_index import NONE, without_gaps
+from calib.pointcloud.pixel_grid import NONE, without_gaps
 
 # A smaller image has too few points.
 _SMALLEST_IMAGE_PX = 4.0

@@ -1,12 +1,9 @@
 """Maximum-likelihood estimation: cells of matches, the model and its Jacobian, focal sweep, profile, lens terms."""
 
-from calib.refinement.alternatives import alternative
-from calib.refinement.column_prior import ColumnPrior
+from calib.refinement.alternatives import PictureScale, alternative
 from calib.refinement.distortion_from_planes import Straightened
 from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
 from calib.refinement.further_planes import with_further_planes
-from calib.refinement.known_rig import KnownRig
-from calib.refinement.lens_prior import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, LensPrior
 from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit, of_any_device
 from calib.refinement.match_cells import Cells, follow_one_plane, into_cells, joined
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
@@ -29,7 +26,7 @@ from calib.refinement.parameters import (
     predict,
 )
 from calib.refinement.photo_starts import photo_family
-from calib.refinement.picture_scale import PictureScale
+from calib.refinement.priors import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, ColumnPrior, KnownRig, LensPrior
 from calib.refinement.profile_likelihood import covariance_of, inverse_of
 from calib.refinement.refine import CLEARLY_WORSE, Refinement, explore, refine, settle, thin
 from calib.refinement.shared_corner import is_anticlockwise, oriented, reflected

@@ -11,11 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Ints, Quadratic, compiled
-from calib.refinement.column_prior import ColumnPrior
-from calib.refinement.known_rig import KnownRig
-from calib.refinement.lens_prior import ORDINARY_LENSES, LensPrior
 from calib.refinement.match_cells import Cells
 from calib.refinement.parameters import CAMERA, PER_CORNER, PER_PLANE, PER_POSE, PROJECTOR, SHARED, State, predict
+from calib.refinement.priors import ORDINARY_LENSES, ColumnPrior, KnownRig, LensPrior
 from calib.refusal import PHOTOS, RIG, Wording
 
 SQUARENESS_DEG = 0.3  # standard deviation of the angles between walls of ordinary rooms around 90°

@@ -12,13 +12,13 @@ import numpy as np
 
 from calib.geometry import Corner
 from calib.numerics import Bools, Floats, distinct
+from calib.refinement.alternatives import PictureScale, picture_scale
 from calib.refinement.focal_sweep import HOPELESS, SWEEP_CELLS, Family, minima, sweep_jointly, sweep_one, twins
 from calib.refinement.further_planes import mean_square, oblique_planes, unexplained, without
 from calib.refinement.likelihood import Fit, Knowledge, Prior
 from calib.refinement.match_cells import Cells
 from calib.refinement.noise_model import Noise, noise_of
 from calib.refinement.parameters import SHARED, State, intrinsic_distance
-from calib.refinement.picture_scale import PictureScale, picture_scale
 from calib.refinement.profile_likelihood import Valley, centred, trace_valley
 from calib.refinement.profile_minimiser import minimise
 from calib.refinement.shared_corner import Sameness, oriented, tie

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from calib.geometry import intersect
 from calib.numerics import biweight, blocks, robust_covariance, robust_sigma
 from calib.pointcloud.plane_fit import dihedral_angle_rad, fit_plane
-from calib.pointcloud.point_covariance import point_covariances
 from calib.pointcloud.sphere_fit import fit_sphere
+from calib.pointcloud.triangulation_errors import point_covariances
 from tests.support.cloud_scene import room
 
 CENTRE, RADIUS = np.array([0.3, -0.2, 2.5]), 0.0254

@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Floats, Ints
-from calib.pointcloud.voxel_grid import nearest_in_voxels
+from calib.pointcloud.merged_cloud import nearest_in_voxels
 
 
 def nearest_by_definition(points: Floats, distance: Floats, size: float) -> Ints:

@@ -1,15 +1,15 @@
-"""Residuals of triangulation: separates the calibration's smooth error from the decoder's.
+"""Errors of triangulated points: covariances from the decoder's noise, and how far the rays of a match miss each other.
 
-The rays of a match miss each other for two reasons. Errors of the calibration, mostly of its lens model, vary smoothly
-over both images; errors of the decoder do not. Only the latter are a reason to drop a point, so the smooth part is
-estimated from the matches and subtracted first.
+Rays miss for two reasons. Errors of the calibration, mostly of its lens model, vary smoothly over both images; errors
+of the decoder do not. Only the latter are a reason to drop a point, so the smooth part is estimated from the matches
+and subtracted first.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats, by_columns, compiled, fit_reweighted, huber_weights, robust_sigma
 
 _TREND_TERMS = 19
@@ -94,3 +94,27 @@ def _cubics(
         x, y = foot_x[i] * scale[2] - 1.0, foot_y[i] * scale[3] - 1.0
         projector = x * (bx + x * (bxx + x * bxxx + y * bxxy) + y * (bxy + y * bxyy)) + y * (by + y * (byy + y * byyy))
         trend[i] = constant + camera + projector
+
+
+def point_covariances(matches: Matches, calibration: Calibration) -> Floats:
+    """Covariance (N, 3, 3) of each triangulated point from `sigma_px` of its match, in the calibration's unit squared.
+
+    Errors of the calibration, which neighbouring points share, are not included. Raises ValueError if the matches have
+    no sigma.
+    """
+    if matches.sigma_px is None:
+        raise ValueError("these matches have no sigma_px")
+    by_sigma = matches.sigma_px[:, None, None] * by_projector_px(matches, calibration, matches.sigma_px)
+    covariance: Floats = np.einsum("nia,nja->nij", by_sigma, by_sigma)
+    return covariance
+
+
+def by_projector_px(matches: Matches, calibration: Calibration, step_px: Floats) -> Floats:
+    """Derivatives (N, 3, 2) of triangulated points by projector pixels: central differences over `step_px` (N,)."""
+    derivative = np.empty((len(matches), 3, 2))
+    for axis in (0, 1):
+        step = step_px[:, None] * np.eye(2)[axis]
+        ahead = intersect(replace(matches, projector_px=matches.projector_px + step), calibration).points
+        behind = intersect(replace(matches, projector_px=matches.projector_px - step), calibration).points
+        derivative[:, :, axis] = (ahead - behind) / (2 * step_px[:, None])
+    return derivative
