@@ -48,7 +48,7 @@ SWITCHED_OFF: dict[str, Off] = {
         ("sample_analysis", "swings_of", lambda *_: {}),
         ("code_images", "gains_of_pairs", lambda *_: {}),
     ),
-    "without taking motion back": (("motion.device_motion", "Disturbance.take_back", _nothing),),
+    "without taking motion back": (("motion.device_motion", "CoordinateShift.subtract_from", _nothing),),
     "with wrong bits left": (("axis_decoder", "resolve_contradictory_codes", _nothing),),
 }
 

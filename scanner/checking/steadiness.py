@@ -15,7 +15,7 @@ from calib.numerics import Floats, Ints, grey
 from hw.rig import Frame, Rig
 from scanner.checking.light import Light, photograph_light
 from scanner.checking.report import CheckRow, State
-from scanner.decoding.motion import Fit, fit_motion, moved_device, shifts_by_motion
+from scanner.decoding.motion import RigidFit, fit_motion, moved_device, shifts_by_motion
 from scanner.patterns import Axis, Pattern, Phase, phase_sequence
 from scanner.quantities import plain
 
@@ -68,7 +68,7 @@ def steadiness_row(rig: Rig, before: InitialState, now: Levels, projector_px: Fl
     return row_of(moved, float(percent), seconds)
 
 
-def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
+def row_of(fit: RigidFit, percent: float, seconds: float) -> CheckRow:
     """The row for a motion and a change of brightness within some seconds."""
     px = float(np.hypot(*fit.motion.reshape(2, -1)[:, :2].T).max())
     sure = fit.significance > _SURE
@@ -82,7 +82,7 @@ def row_of(fit: Fit, percent: float, seconds: float) -> CheckRow:
     return CheckRow(_NAME, State.POOR if advice else State.OK, finding, " ".join(advice))
 
 
-def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> Fit | None:
+def _moved(before: InitialState, now: Levels, projector_px: Floats, projector_size: tuple[int, int]) -> RigidFit | None:
     by_y, by_x = (np.gradient(projector_px, axis=axis) for axis in (0, 1))
     known = before.light.well_lit & np.isfinite(np.concatenate([projector_px, by_x, by_y], axis=2)).all(axis=2)
     row, column = np.nonzero(known)

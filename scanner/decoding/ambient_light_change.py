@@ -67,9 +67,9 @@ def without_change(
     for place, frame in enumerate(frames()):
         number = plan.shown[place]
         if place == plan.shown.index(number):
-            other, kept = (frame, 0) if light is None else (light, 1)
+            total, kept = (frame, 0) if light is None else (light, 1)
             weight = float(switch.weights[number])
-            light = cv2.addWeighted(other, kept, frame, weight, 0, dtype=cv2.CV_32F).reshape(frame.shape)
+            light = cv2.addWeighted(total, kept, frame, weight, 0, dtype=cv2.CV_32F).reshape(frame.shape)
     begin = plan.shown.index(switch.frame)
     for place, frame in enumerate(frames()):
         depth = cv2.CV_8U if frame.dtype == np.uint8 else cv2.CV_16U
@@ -104,7 +104,9 @@ def light_switch(
     `swing` (P,): range of each pixel's levels. `contradiction` measures the inconsistency of frames (frames, P).
     """
     weighted = [
-        (frame, *found) for frame in range(1, len(levels)) if (found := _light_weights(plan, levels, frame)) is not None
+        (frame, *weights)
+        for frame in range(1, len(levels))
+        if (weights := _light_weights(plan, levels, frame)) is not None
     ]
     if not weighted:
         return None
@@ -117,12 +119,12 @@ def light_switch(
     candidates = [candidate for candidate in candidates if _is_of_one_sign(candidate.light(levels) / swing)]
     if not candidates:
         return None
-    left = [contradiction(candidate.undone(levels)) for candidate in candidates]
-    least, best, before = min(left), candidates[int(np.argmin(left))], contradiction(levels)
+    remaining = [contradiction(candidate.undone(levels)) for candidate in candidates]
+    least, best, before = min(remaining), candidates[int(np.argmin(remaining))], contradiction(levels)
     # A change in the middle of a fringe's steps causes little contradiction, but changes the means of the steps.
     is_even = _spread_of_steps(plan, best.undone(levels)) <= HALF * _spread_of_steps(plan, levels)
     # A clear moment leaves a fifteenth of what others do.
-    near = [c.frame for c, rest in zip(candidates, left, strict=True) if AS_GOOD * rest <= least]
+    near = [c.frame for c, rest in zip(candidates, remaining, strict=True) if AS_GOOD * rest <= least]
     best = replace(best, beside=next((frame for frame in near if abs(frame - best.frame) == 1), None))
     return best if least <= HALF * before or (least < before and is_even) else None
 

@@ -20,12 +20,12 @@ from scanner.decoding.light.noise_model import NoiseModel
 from scanner.decoding.mask_reasons import (
     NOT_LIT,
     UNCERTAIN,
-    Against,
     MaskReason,
+    PixelFlags,
     Reasons,
-    note_contrast,
-    note_inverted_bits,
-    note_light,
+    flag_contrast,
+    flag_inverted_bits,
+    flag_light,
     reasons_of,
 )
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, GrayCode
@@ -62,12 +62,12 @@ class Coordinate:
 
 
 @dataclass(frozen=True)
-class Measured:
+class UnwrappedFringes:
     """Code interval and unwrapped fringes of one axis at P pixels.
 
-    `level` (P,): as `Signals.middle`. `units_px2`: per fringe, the variance of its coordinate at an amplitude of 1: at
-    black, and per grey level. `variances` (fringes, P): of the coordinates, from noise. `against` (P,): flags of
-    `Against`.
+    `level` (P,): as `Signals.threshold`. `units_px2`: per fringe, the variance of its coordinate at an amplitude of 1:
+    at black, and per grey level. `variances` (fringes, P): of the coordinates, from noise. `flags` (P,): flags of
+    `PixelFlags`.
     """
 
     interval: Interval
@@ -75,7 +75,7 @@ class Measured:
     units_px2: Sequence[Unit]
     variances: Floats32
     orders: Orders
-    against: Reasons
+    flags: Reasons
 
     def power(self, number: int) -> Floats32:
         """Return the squared amplitude of a fringe, (P,), recovered from its variance."""
@@ -86,13 +86,13 @@ class Measured:
     @property
     def well_lit(self) -> Bools:
         """(P,): the longest fringe is seen, and no fringe is saturated."""
-        lit: Bools = self.against & np.uint8(NOT_LIT) == 0
+        lit: Bools = self.flags & np.uint8(NOT_LIT) == 0
         return lit
 
     @property
     def certain(self) -> Bools:
         """(P,): well lit, with a fringe order that is consistent and unique."""
-        certain: Bools = self.against & np.uint8(NOT_LIT | UNCERTAIN) == 0
+        certain: Bools = self.flags & np.uint8(NOT_LIT | UNCERTAIN) == 0
         return certain
 
 
@@ -116,7 +116,9 @@ class AxisDecoder:
 
     @cached_property
     def _units_px2(self) -> list[Unit]:
-        """As in `Measured`: σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal shifts."""
+        """As in `UnwrappedFringes`: σ = (λ/2π) · gain · σ_I / amplitude, where the gain is √(2/N) for N equal
+        shifts.
+        """
         units = [(fringe.period / (2 * pi) * fringe.noise_gain) ** 2 for fringe in self.plan.fringes]
         return [(np.float32(unit * self.noise.at_black), np.float32(unit * self.noise.gain)) for unit in units]
 
@@ -129,32 +131,32 @@ class AxisDecoder:
         """Return the coordinate at every pixel."""
         return self._from_fringes(signals) if self.plan.fringes else self._from_codes(signals)
 
-    def measure(self, signals: Signals) -> Measured:
+    def measure(self, signals: Signals) -> UnwrappedFringes:
         """Unwrap the fringes at every pixel; for an axis with fringes."""
-        interval = interval_of(self.plan, signals.words, len(signals.middle))
+        interval = interval_of(self.plan, signals.words, len(signals.threshold))
         wrapped = self.wrapped(signals)
         orders = unwrap(self.plan, interval, wrapped, self.tolerances)
         if self.plan.corrects_bits:
             resolve_contradictory_codes(self.plan, signals.words, wrapped, self.tolerances, interval, orders)
-        variances, against = wrapped.variances, interval.against | orders.against
+        variances, flags = wrapped.variances, interval.flags | orders.flags
         del wrapped
         at_black, per_level = (np.float32(self.blurred**2) * unit for unit in self._units_px2[0])
-        seen = variances[0], at_black, per_level, signals.brightest, signals.middle
-        note_light(*seen, signals.peak, self._darkest_px2, np.float32(self.saturation), against)
+        light = variances[0], at_black, per_level, signals.white, signals.threshold
+        flag_light(*light, signals.peak, self._darkest_px2, np.float32(self.saturation), flags)
         if self.blurred > 1:
-            against[self._faintly_seen(variances[0], signals)] &= np.uint8(~Against.DARK & 255)
+            flags[self._faintly_seen(variances[0], signals)] &= np.uint8(~PixelFlags.DARK & 255)
         # Without a second period, nothing contradicts a bit that interreflection has inverted.
         for least in () if self.plan.corrects_bits else signals.least:
-            note_inverted_bits(*seen, least, against)
-        return Measured(interval, signals.middle, self._units_px2, variances, orders, against)
+            flag_inverted_bits(*light, least, flags)
+        return UnwrappedFringes(interval, signals.threshold, self._units_px2, variances, orders, flags)
 
     def wrapped(self, signals: Signals) -> Wrapped:
         """Return each fringe's position within its period, and its variance."""
-        shape = len(self.plan.fringes), len(signals.middle)
+        shape = len(self.plan.fringes), len(signals.threshold)
         positions, variances = (np.empty(shape, np.float32) for _ in range(2))
         for k, (fringe, ripple) in enumerate(zip(self.plan.fringes, self.ripple, strict=True)):
             px_per_radian = np.float32(fringe.period / (2 * pi))
-            (levels, weights), noise = signals.steps[k], (signals.middle, *self._units_px2[k])
+            (levels, weights), noise = signals.steps[k], (signals.threshold, *self._units_px2[k])
             _measure(levels, weights, *noise, px_per_radian, variances[k], positions[k])
             if ripple is not None:
                 _straighten(positions[k], px_per_radian * ripple, np.float32(len(ripple) / fringe.period))
@@ -162,16 +164,16 @@ class AxisDecoder:
 
     def _faintly_seen(self, variance: Floats32, signals: Signals) -> Bools:
         """(P,): stripes are resolved, and the longest fringe is a little above the noise."""
-        _, least_seen = least_contrasts(self.noise, signals.middle)
-        lit = 2 * (signals.brightest - signals.middle) > least_seen
+        _, least_seen = least_contrasts(self.noise, signals.threshold)
+        lit = 2 * (signals.white - signals.threshold) > least_seen
         # The stripes show that the pixel is lit, so that fewer standard deviations suffice.
-        seen: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
-        return seen
+        visible: Bools = lit & (variance <= np.float32((SIGNIFICANT_SIGMAS / OUTLYING_SIGMAS) ** 2) * self._darkest_px2)
+        return visible
 
     def _from_fringes(self, signals: Signals) -> Coordinate:
         measured = self.measure(signals)
         coordinates, variances = measured.orders.coordinates, measured.variances
-        reason, power, usable = reasons_of(measured.against), measured.power(self.finest), measured.certain
+        reason, power, usable = reasons_of(measured.flags), measured.power(self.finest), measured.certain
         del measured  # frees a quarter of the memory for decoding a tile
         brightness = log_amplitude(power)
         del power
@@ -194,16 +196,16 @@ class AxisDecoder:
         )
 
     def _from_codes(self, signals: Signals) -> Coordinate:
-        least_certain, least_seen = least_contrasts(self.noise, signals.middle)
+        least_certain, least_seen = least_contrasts(self.noise, signals.threshold)
         undecided = {
             number: _undecided(code, fine, least_certain)
             for number, (code, fine) in enumerate(zip(self.plan.codes, signals.fine, strict=True))
             if fine
         }
-        interval = interval_of(self.plan, signals.words, len(signals.middle), undecided)
+        interval = interval_of(self.plan, signals.words, len(signals.threshold), undecided)
         for least, contrast in zip(signals.least, signals.contrast, strict=True):
-            note_contrast(least, least_certain, contrast, least_seen, interval.against)
-        variance, reason = interval.variance(self.plan.cell), reasons_of(interval.against)
+            flag_contrast(least, least_certain, contrast, least_seen, interval.flags)
+        variance, reason = interval.variance(self.plan.cell), reasons_of(interval.flags)
         shape = signals.shape
         return Coordinate(interval.centre.reshape(shape), variance.reshape(shape), reason.reshape(shape))
 
@@ -216,11 +218,11 @@ def _undecided(code: GrayCode, fine: Mapping[int, Image], least_certain: Floats3
     return words
 
 
-def least_contrasts(noise: NoiseModel, middle: NDArray[np.generic]) -> tuple[Floats32, Floats32]:
+def least_contrasts(noise: NoiseModel, threshold: NDArray[np.generic]) -> tuple[Floats32, Floats32]:
     """Return the least contrast of a certain bit, and of a visible code, at each grey level half-way between lit and
     unlit.
     """
-    difference_sigma = np.float32(sqrt(2)) * noise.sigma(middle)
+    difference_sigma = np.float32(sqrt(2)) * noise.sigma(threshold)
     certain = np.maximum(np.float32(noise.stray), np.float32(_CERTAIN_BIT) * difference_sigma)
     return certain, np.maximum(np.float32(2 * noise.stray), np.float32(SIGNIFICANT_SIGMAS) * difference_sigma)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import STRIP_ROWS, WHOLE, Floats32, Image, Part, Words, in_slices
-from scanner.decoding.codes.gray_code import GrayFold
+from scanner.decoding.codes.gray_code import CodeWords
 from scanner.decoding.light.bits_without_inverse import levels_of_bit, white_of
 from scanner.decoding.light.equalise import gains_of_pairs
 from scanner.decoding.samples import Sample
@@ -22,14 +22,14 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 Frames = Callable[[Part], Iterator[tuple[int, NDArray[Any]]]]
 
 
-class FoldedFrames:
+class CodeImages:
     """The full-size images that the bits of a capture give, and its frames.
 
-    `codes`: words and contrasts. `brightest` (H, W): the white frame or, without one, the maximum over all frames.
-    `middle` (H, W): grey level half-way between lit and unlit; without black, that of a pair. `peak` (H, W): maximum
-    over the fringe frames, or as `brightest` without fringes. `log_exposure` (H, W): logarithm of each pixel's relative
-    exposure; None if all were exposed alike. `gains`: of the patterns that have an inverse. `white`: brightness of
-    white in the patterns relative to the white frame; if it differs from 1, `brightest` and `middle` are those of the
+    `codes`: words and contrasts. `white` (H, W): the white frame or, without one, the maximum over all frames.
+    `threshold` (H, W): grey level half-way between lit and unlit; without black, that of a pair. `peak` (H, W): maximum
+    over the fringe frames, or as `white` without fringes. `log_exposure` (H, W): logarithm of each pixel's relative
+    exposure; None if all were exposed alike. `gains`: of the patterns that have an inverse. `white_gain`: brightness of
+    white in the patterns relative to the white frame; if it differs from 1, `white` and `threshold` are those of the
     patterns.
 
     `sample`: of all frames. `read`: yields a part of the frames at some places in the capture.
@@ -40,68 +40,72 @@ class FoldedFrames:
     ) -> None:
         self.plan = self._shown = plan
         self._read = read
-        self._alike: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
+        self._equalisers: dict[int, Callable[[Image, Part], NDArray[Any]]] = {}
         self._first = {plan.shown.index(index): index for index in plan.shown}
         self.gains = gains_of_pairs(plan, sample)
         for pair, gains in self.gains.items():
             if gains.are_harmful:
                 self.equalise(pair, gains.equalised)
         levels = {index: sample.level(index) for index in self._first.values()}
-        brightest, middle = _light(plan, levels)
+        white, threshold = _light(plan, levels)
         alone = {frame for code in plan.codes for frame in code.unpaired.values()}
-        self._bits = {frame: levels_of_bit(levels[frame], middle, brightest) for frame in alone}
-        self.white = white_of([bit for bit in self._bits.values() if bit])
-        shape, dtype = sample.shape, middle.dtype
+        self._bits = {frame: levels_of_bit(levels[frame], threshold, white) for frame in alone}
+        self.white_gain = white_of([bit for bit in self._bits.values() if bit])
+        shape, dtype = sample.shape, threshold.dtype
         self.codes = [
-            GrayFold(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
+            CodeWords(code, shape, dtype, contrast=not axis.fringes) for axis in plan.axes for code in axis.codes
         ]
         self.log_exposure: Floats32 | None = None
-        self.brightest, self.middle = np.empty(shape, dtype), np.empty(shape, dtype)
-        self.peak = np.empty(shape, dtype) if plan.fringes else self.brightest
+        self.white, self.threshold = np.empty(shape, dtype), np.empty(shape, dtype)
+        self.peak = np.empty(shape, dtype) if plan.fringes else self.white
         in_slices(shape[0], STRIP_ROWS, self._fold)
 
     def _fold(self, rows: slice) -> None:
         """Fill in some rows."""
-        shown = dict(self.alike((rows, slice(None))))
-        thresholds = self.thresholds(shown)
-        for fold in self.codes:
-            fold.fold(shown, thresholds, rows)
-        brightest, middle = _light(self.plan, shown)
-        if self.white != 1:
-            of_white = 2 * self.white - 1, self.white - 1
-            brightest, middle = (cast(Image, cv2.addWeighted(brightest, of, middle, 1 - of, 0)) for of in of_white)
-        self.brightest[rows], self.middle[rows] = brightest, middle
-        steps = [shown[frame] for frame in self.plan.fringe_frames]
+        frames = dict(self.equalised((rows, slice(None))))
+        thresholds = self.thresholds(frames)
+        for code_words in self.codes:
+            code_words.fill(frames, thresholds, rows)
+        white, threshold = _light(self.plan, frames)
+        if self.white_gain != 1:
+            of_white = 2 * self.white_gain - 1, self.white_gain - 1
+            white, threshold = (cast(Image, cv2.addWeighted(white, of, threshold, 1 - of, 0)) for of in of_white)
+        self.white[rows], self.threshold[rows] = white, threshold
+        steps = [frames[frame] for frame in self.plan.fringe_frames]
         if steps:
             self.peak[rows] = _extreme(np.maximum, steps)
 
-    def thresholds(self, shown: Mapping[int, Image]) -> dict[int, Image]:
-        """Return the thresholds of bits without an inverse, by the frame's index, where all frames are `shown`."""
-        brightest, middle = _light(self._shown, shown)
-        return {frame: bit.threshold(middle, brightest) if bit else middle for frame, bit in self._bits.items()}
+    def thresholds(self, frames: Mapping[int, Image]) -> dict[int, Image]:
+        """Return the thresholds of bits without an inverse, by the frame's index, where all `frames` are shown."""
+        white, threshold = _light(self._shown, frames)
+        return {frame: bit.threshold(threshold, white) if bit else threshold for frame, bit in self._bits.items()}
 
-    def alike(self, part: Part = WHOLE, frames: Collection[int] | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
+    def equalised(
+        self, part: Part = WHOLE, frames: Collection[int] | None = None
+    ) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the index of each pattern, or of some, and a part of its image, equalised."""
         places = [place for place, index in self._first.items() if frames is None or index in frames]
         for place, frame in zip(places, self._read(part, places), strict=True):
             index = self._first[place]
-            yield index, self._alike[index](frame, part) if index in self._alike else frame
+            yield index, self._equalisers[index](frame, part) if index in self._equalisers else frame
 
     def equalise(self, group: Sequence[int], by: Callable[[int, Image, Part], NDArray[Any]]) -> None:
         """Equalise a group of frames from now on, each by its number in the group."""
-        self._alike |= {frame: partial(by, number) for number, frame in enumerate(group)}
+        self._equalisers |= {frame: partial(by, number) for number, frame in enumerate(group)}
 
-    def with_edges(self, axis: AxisPlan) -> GrayFold | None:
+    def with_edges(self, axis: AxisPlan) -> CodeWords | None:
         """Return the finest code of an axis whose stripe edges bound its cells; None with fringes, or if there is none.
 
         Most edges of an XOR code bound no cell. If blur removes the finest stripes, the edges of the next bit are
         displaced too.
         """
         whole = [] if self._shown.fringes else [code for code in self._shown.codes if code.base is None]
-        folds = [fold for fold in self.codes if fold.code in axis.codes and fold.code in whole]
-        return min(folds, key=lambda fold: fold.code.cell, default=None)
+        all_words = [
+            code_words for code_words in self.codes if code_words.code in axis.codes and code_words.code in whole
+        ]
+        return min(all_words, key=lambda code_words: code_words.code.cell, default=None)
 
-    def decode_as(self, codes: Sequence[GrayFold]) -> None:
+    def decode_as(self, codes: Sequence[CodeWords]) -> None:
         """Replace the codes by these, one for one."""
         x, y = (
             replace(axis, codes=tuple(n.code for o, n in zip(self.codes, codes, strict=True) if o.code in axis.codes))
@@ -113,20 +117,20 @@ class FoldedFrames:
         """Drop the fringes and decode the codes alone; white and black show what is lit."""
         x, y = (replace(axis, fringes=()) for axis in self.plan.axes)
         self.plan = replace(self.plan, x=x, y=y)
-        half = cv2.subtract(self.brightest, self.middle)
-        for fold in self.codes:
-            fold.contrast = cast(Image, cv2.add(half, half))
+        half = cv2.subtract(self.white, self.threshold)
+        for code_words in self.codes:
+            code_words.contrast = cast(Image, cv2.add(half, half))
 
 
-def _light(plan: SequencePlan, shown: Mapping[int, Image]) -> tuple[Image, Image]:
-    """Return the brightest level, and that half-way between lit and unlit, where all frames are `shown` (...)."""
-    brightest = _extreme(np.maximum, [*shown.values()]) if plan.white is None else shown[plan.white]
+def _light(plan: SequencePlan, frames: Mapping[int, Image]) -> tuple[Image, Image]:
+    """Return the brightest level, and that half-way between lit and unlit, where all `frames` (...) are shown."""
+    white = _extreme(np.maximum, [*frames.values()]) if plan.white is None else frames[plan.white]
     if plan.black is not None:
-        return brightest, _mean(brightest, shown[plan.black])
+        return white, _mean(white, frames[plan.black])
     if plan.complements:
         first = min(plan.complements, key=lambda pair: max(map(plan.shown.index, pair)))
-        return brightest, _mean(*(shown[frame] for frame in first))
-    return brightest, _mean(brightest, _extreme(np.minimum, [*shown.values()]))
+        return white, _mean(*(frames[frame] for frame in first))
+    return white, _mean(white, _extreme(np.minimum, [*frames.values()]))
 
 
 def _extreme(of: np.ufunc, images: Sequence[Image]) -> Image:
@@ -144,10 +148,10 @@ def _mean(first: Image, second: Image) -> Image:
 class Signals:
     """The signals of one axis at P pixels, which form an image of `shape` (H, W), row by row.
 
-    `words`: per code, (P,). `least` (codes, P): as in `GrayFold`, empty if the fringes correct wrong bits. `contrast`
-    (codes, P): as in `GrayFold`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
+    `words`: per code, (P,). `least` (codes, P): as in `CodeWords`, empty if the fringes correct wrong bits. `contrast`
+    (codes, P): as in `CodeWords`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
     `least` then covers the other bits. `steps`: per fringe, longest period first, the levels of its frames (N, P), and
-    the weights (2, N) with which they add up to its components. `brightest`, `middle` (P,): grey level when lit, and
+    the weights (2, N) with which they add up to its components. `white`, `threshold` (P,): grey level when lit, and
     half-way between lit and unlit. `peak` (P,): maximum over the fringes. `log_exposure` (P,): None if all pixels were
     exposed alike.
     """
@@ -158,8 +162,8 @@ class Signals:
     contrast: Floats32
     fine: list[dict[int, Image]]
     steps: list[tuple[NDArray[Any], Floats32]]
-    brightest: Floats32
-    middle: Floats32
+    white: Floats32
+    threshold: Floats32
     peak: Image
     log_exposure: Floats32 | None = None
 
@@ -170,7 +174,7 @@ class Signals:
 
 
 def signals_of(
-    folded: FoldedFrames,
+    code_images: CodeImages,
     select: Callable[[NDArray[Any]], NDArray[Any]],
     level: Callable[[int], NDArray[Any]],
     axes: Sequence[AxisPlan] | None = None,
@@ -178,36 +182,36 @@ def signals_of(
     """Return the signals of x, then of y, or of other `axes`, at the pixels that `select` picks from an (H, W) image,
     as a 2-D array, and at which `level` returns a frame.
     """
-    middle, peak, log_exposure = select(folded.middle), select(folded.peak), folded.log_exposure
-    shape = middle.shape[0], middle.shape[1]
-    brightest, half_lit = _stack([select(folded.brightest), middle], shape)
+    threshold, peak, log_exposure = select(code_images.threshold), select(code_images.peak), code_images.log_exposure
+    shape = threshold.shape[0], threshold.shape[1]
+    white, half_lit = _stack([select(code_images.white), threshold], shape)
     exposure = None if log_exposure is None else select(log_exposure).reshape(-1)
 
     def of_axis(axis: AxisPlan) -> Signals:
-        codes = [fold for fold in folded.codes if fold.code in axis.codes]
+        codes = [code_words for code_words in code_images.codes if code_words.code in axis.codes]
         return Signals(
             shape,
-            [select(fold.words).reshape(-1) for fold in codes],
-            _stack([] if axis.corrects_bits else [select(fold.least_needed) for fold in codes], shape),
-            _stack([select(fold.contrast) for fold in codes if fold.contrast is not None], shape),
-            [{bit: select(image).reshape(-1) for bit, image in fold.optional.items()} for fold in codes],
+            [select(code_words.words).reshape(-1) for code_words in codes],
+            _stack([] if axis.corrects_bits else [select(code_words.least_needed) for code_words in codes], shape),
+            _stack([select(code_words.contrast) for code_words in codes if code_words.contrast is not None], shape),
+            [{bit: select(image).reshape(-1) for bit, image in code_words.optional.items()} for code_words in codes],
             [
                 (np.stack([level(frame) for frame in fringe.frames]).reshape(len(fringe.frames), -1), fringe.weights32)
                 for fringe in axis.fringes
             ],
-            brightest,
+            white,
             half_lit,
             np.ascontiguousarray(peak).reshape(-1),
             exposure,
         )
 
-    return map(of_axis, axes or folded.plan.axes)
+    return map(of_axis, axes or code_images.plan.axes)
 
 
-def signals_in(folded: FoldedFrames, part: Part) -> Iterator[Signals]:
+def signals_in(code_images: CodeImages, part: Part) -> Iterator[Signals]:
     """Return the signals of x, then of y, in a part of the image."""
-    shown = dict(folded.alike(part, folded.plan.fringe_frames))
-    return signals_of(folded, lambda image: image[part], shown.__getitem__)
+    frames = dict(code_images.equalised(part, code_images.plan.fringe_frames))
+    return signals_of(code_images, lambda image: image[part], frames.__getitem__)
 
 
 def _stack(images: Sequence[NDArray[Any]], shape: tuple[int, int]) -> Floats32:

@@ -19,10 +19,10 @@ from calib.refinement import Shift
 from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import halves_of, motion_between
 from scanner.decoding.checked_maps import checked_maps
-from scanner.decoding.checks.epipolar_test import judge, suspecting
+from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies
 from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
-from scanner.decoding.code_images import FoldedFrames
+from scanner.decoding.code_images import CodeImages
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.frame_corrections import FrameCorrections, corrections_of, saturation_of
 from scanner.decoding.fringes.single_fringe import remark_on, shift_of
@@ -31,9 +31,9 @@ from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
 from scanner.decoding.light.noise_model import NoiseModel, measure_noise, needs_neighbours
 from scanner.decoding.motion import (
-    MotionFound,
-    blaming_motion,
-    blaming_shifts,
+    MotionEstimate,
+    attribute_to_motion,
+    attribute_to_shifts,
     refuse_period_slips,
     refuse_unexplained_motion,
     remarks_on,
@@ -72,7 +72,7 @@ class Decoding:
     modulation: float | None
     warnings: tuple[str, ...]
     flicker: float | None = None
-    motion: MotionFound | None = None
+    motion: MotionEstimate | None = None
     only_axis: Axis | None = None
     darkness: str | None = None
     footprint_px2: float = 0.0
@@ -156,8 +156,8 @@ class Decoder:
         if corrections != FrameCorrections():
             samples = self._sampled(frames, corrections)
         is_steady = is_merged or corrections.ghost is not None
-        found = self._decode(frames, corrections, samples, is_steady=is_steady)
-        return replace(found, noise=noise) if noise else found
+        decoding = self._decode(frames, corrections, samples, is_steady=is_steady)
+        return replace(decoding, noise=noise) if noise else decoding
 
     def _sampled(self, frames: Image, corrections: FrameCorrections) -> Samples:
         """Sample the corrected frames, from the kept ones (N, H, W)."""
@@ -184,37 +184,41 @@ class Decoder:
         """
         if self._texture is None:
             raise RuntimeError("no frames were kept")
-        folded = FoldedFrames(self._plan, samples.scattered, partial(corrections.undone, frames, self._plan))
+        code_images = CodeImages(self._plan, samples.scattered, partial(corrections.undone, frames, self._plan))
         if self._merger is not None:
-            folded.log_exposure = self._merger.log_exposure
-        observed = observe(folded, samples, self._projector_size)
-        blaming = partial(blaming_motion, lambda: observed.motion, observed.broken)
+            code_images.log_exposure = self._merger.log_exposure
+        observed = observe(code_images, samples, self._projector_size)
+        attributing = partial(attribute_to_motion, lambda: observed.motion, observed.phase_jump)
         anomalies: list[Anomaly] = []
-        with blaming(), suspecting(anomalies):
-            calibrated = check_and_calibrate(folded, samples.scattered, observed, anomalies, is_steady=is_steady)
+        with attributing(), annotate_errors(anomalies):
+            calibrated = check_and_calibrate(code_images, samples.scattered, observed, anomalies, is_steady=is_steady)
         if isinstance(calibrated, AmbientLightChange):
-            del folded, samples
+            del code_images, samples
             return self._without_ambient_change(frames, replace(corrections, switch=calibrated))
-        with blaming():
-            with suspecting(anomalies):
-                maps, by_pixel = checked_maps(folded, calibrated, observed, is_anomalous=bool(anomalies))
-                stripes = finest_stripes(folded, samples.scattered, maps)
+        with attributing():
+            with annotate_errors(anomalies):
+                maps, by_pixel = checked_maps(code_images, calibrated, observed, is_anomalous=bool(anomalies))
+                stripes = finest_stripes(code_images, samples.scattered, maps)
                 del samples
                 motion = observed.motion
                 if halves := halves_of(self._plan):
-                    seen = folded.plan, maps.projector_px, self._projector_size
-                    motion = motion_between(halves, folded.alike, *seen, motion)
+                    geometry = code_images.plan, maps.projector_px, self._projector_size
+                    motion = motion_between(halves, code_images.equalised, *geometry, motion)
                 cell_px = maps.projector_px
                 if motion is not None and motion.significant and not motion.is_too_large:
                     cell_px = cell_px if by_pixel else cell_px.copy()
-                    motion.shift.take_back(maps.projector_px)
+                    motion.shift.subtract_from(maps.projector_px)
                 # The folded images are as large as the matches and no longer needed.
-                plan, brightest = folded.plan, folded.brightest
-                del folded
-            with blaming_shifts(plan, observed.code_shifts):
-                with suspecting(anomalies):
-                    matches, reasons = match_kept(plan, maps, brightest, self._one_axis, None if by_pixel else cell_px)
-                judged = (judge(anomalies, reasons, matches, one_axis=self._one_axis is not None),) if anomalies else ()
+                plan, white = code_images.plan, code_images.white
+                del code_images
+            with attribute_to_shifts(plan, observed.code_shifts):
+                with annotate_errors(anomalies):
+                    matches, reasons = match_kept(plan, maps, white, self._one_axis, None if by_pixel else cell_px)
+                judged = (
+                    (assess_anomalies(anomalies, reasons, matches, one_axis=self._one_axis is not None),)
+                    if anomalies
+                    else ()
+                )
                 refuse_period_slips(plan, observed.code_shifts)
                 if observed.inconsistent is None:
                     refuse_unexplained_motion(
@@ -224,9 +228,9 @@ class Decoder:
         warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
         phase_remark = (remark_on(unchecked),) if unchecked else ()
-        found = Decoding(
+        decoding = Decoding(
             matches,
-            self._texture if self._merger is None else self._merger.alike(self._texture),
+            self._texture if self._merger is None else self._merger.to_shortest_exposure(self._texture),
             reasons,
             observed.noise,
             calibrated.modulation,
@@ -241,8 +245,8 @@ class Decoder:
             stripes=stripes,
         )
         for sentence in corrections.remarks(self._plan):
-            found = found.warning(sentence)
-        return found
+            decoding = decoding.warning(sentence)
+        return decoding
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from calib.numerics import Bools, Floats32, evenly_spread, median
-from scanner.decoding.axis_decoder import AxisDecoder, Measured, largest_variance
+from scanner.decoding.axis_decoder import AxisDecoder, UnwrappedFringes, largest_variance
 from scanner.decoding.code_images import Signals
 from scanner.decoding.fringes.gamma_ripple import ENOUGH_CYCLES, can_ripple, straightening
 from scanner.decoding.fringes.phase_unwrapping import disagreements, measured_tolerances, widest_tolerances
@@ -38,7 +38,7 @@ def calibrated_decoders(
         AxisDecoder(axis, noise, saturation, (None,) * len(axis.fringes), widest_tolerances(axis)) for axis in plan.axes
     ]
     plain, phases = zip(*map(_with_tolerances, raw, signals), strict=True)
-    found, ripples = [*plain], _ripples(chain(*phases))
+    chosen, ripples = [*plain], _ripples(chain(*phases))
     if ripples:
         rippled = [replace(decoder, ripple=tuple(map(ripples.get, decoder.plan.fringes))) for decoder in raw]
         straightened = [decoder for decoder, _ in map(_with_tolerances, rippled, signals)]
@@ -47,19 +47,19 @@ def calibrated_decoders(
             sum(new.tolerances.fringe_px) > sum(old.tolerances.fringe_px)
             for new, old in zip(straightened, plain, strict=True)
         )
-        found = found if worse else straightened
-    x, y = _with_response(found, signals, levels)
+        chosen = chosen if worse else straightened
+    x, y = _with_response(chosen, signals, levels)
     return x, y
 
 
-def agreeing(measured: Measured) -> Bools:
+def agreeing(measured: UnwrappedFringes) -> Bools:
     """(P,): the well lit pixels of a sample whose codes and fringes are consistent."""
     return measured.orders.agree & measured.interval.possible & measured.well_lit
 
 
 def measured_widely(
     decoders: tuple[AxisDecoder, AxisDecoder], signals: tuple[Signals, Signals]
-) -> list[tuple[AxisDecoder, Measured]]:
+) -> list[tuple[AxisDecoder, UnwrappedFringes]]:
     """Return the decoders of axes with fringes, each with what it measures with the widest tolerances."""
     return [
         (decoder, replace(decoder, tolerances=widest_tolerances(decoder.plan)).measure(part))
@@ -68,12 +68,12 @@ def measured_widely(
     ]
 
 
-def modulation(measured: Iterable[Measured]) -> float | None:
+def modulation(measured: Iterable[UnwrappedFringes]) -> float | None:
     """Return the median amplitude of the shortest fringes relative to the level half-way between lit and unlit.
 
     1 for a sharp image of a projector without black level in a dark room; None without fringes.
     """
-    shares = [np.sqrt(each.power(-1)[each.well_lit]) / np.maximum(each.level[each.well_lit], 1) for each in measured]
+    shares = [np.sqrt(axis.power(-1)[axis.well_lit]) / np.maximum(axis.level[axis.well_lit], 1) for axis in measured]
     return median(np.concatenate(shares)) if sum(map(len, shares)) else None
 
 
@@ -84,8 +84,8 @@ def _with_tolerances(decoder: AxisDecoder, signals: Signals) -> tuple[AxisDecode
     measured = decoder.measure(signals)
     chosen = agreeing(measured)
     variances = np.compress(chosen, measured.variances, axis=1)
-    found = disagreements(measured.orders, measured.interval, chosen)
-    tolerances = measured_tolerances(decoder.plan, found, variances)
+    distances = disagreements(measured.orders, measured.interval, chosen)
+    tolerances = measured_tolerances(decoder.plan, distances, variances)
     lit, finest = measured.well_lit, _finest_seen(decoder.plan, variances)
     least = signals.least[:, lit].min(axis=0) if len(signals.least) else np.empty(0, np.float32)
     blurred = weakened(decoder.plan, least, np.sqrt(measured.power(0)[lit]))
@@ -100,17 +100,15 @@ def _with_response(
     alone = [(decoder, part) for decoder, part in zip(decoders, signals, strict=True) if is_unchecked(decoder.plan)]
     if not alone:
         return decoders
-    lit: Bools = np.logical_and.reduce(
-        [d.measure(part).well_lit & (part.brightest < d.saturation) for d, part in alone]
-    )
-    seen = []
+    lit: Bools = np.logical_and.reduce([d.measure(part).well_lit & (part.white < d.saturation) for d, part in alone])
+    fringe_samples = []
     for decoder, part in alone:
         (fringe,) = decoder.plan.fringes
         cosine, sine = (component.astype(np.float64)[lit] for component in part.fringe(0))
         mean = levels[list(fringe.frames)].mean(axis=0, dtype=np.float64)
-        amplitude, level = (np.log(np.maximum(each, NEGLIGIBLE)) for each in (np.hypot(cosine, sine), mean[lit]))
-        seen.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
-    response = response_of(seen)
+        amplitude, level = (np.log(np.maximum(values, NEGLIGIBLE)) for values in (np.hypot(cosine, sine), mean[lit]))
+        fringe_samples.append(FringeSample(fringe, np.arctan2(sine, cosine), amplitude, level))
+    response = response_of(fringe_samples)
 
     def knowing(decoder: AxisDecoder) -> AxisDecoder:
         ripple = response.straightening(decoder.plan.fringes[0])
@@ -121,39 +119,39 @@ def _with_response(
 
 def _finest_seen(plan: AxisPlan, variances: Floats32) -> int:
     """Return the index of the shortest fringe that is resolved at nearly all sample pixels."""
-    seen = 0
+    finest = 0
     for number, (fringe, variance) in enumerate(zip(plan.fringes, variances, strict=True)):
         if variance.size and np.mean(variance <= np.float32(largest_variance(fringe))) >= NEARLY_ALL:
-            seen = number
-    return seen
+            finest = number
+    return finest
 
 
-def _ripples(seen: Iterable[_Phases]) -> dict[Fringe, Floats32]:
+def _ripples(samples: Iterable[_Phases]) -> dict[Fringe, Floats32]:
     """Return the phase correction of each fringe.
 
     Fringes of equal shifts and period share it on both axes and are measured together. If the pixels see too few cycles
     of a period, or too unevenly, the correction of the next shorter period is used.
     """
     groups: dict[tuple[int, float], list[_Phases]] = defaultdict(list)
-    for phases in seen:
+    for phases in samples:
         steps = len(phases.fringe.shifts)
         groups[steps, round(phases.fringe.shifts[0] * steps % 1, 6) % 1].append(phases)
-    found = {}
+    tables = {}
     for group in groups.values():
         table = None
         for period in sorted({phases.fringe.period for phases in group}):
-            alike = [phases for phases in group if phases.fringe.period == period]
-            if sum(each.cycles for each in alike) >= ENOUGH_CYCLES:
-                own = straightening(alike[0].fringe, [each.phases for each in alike])
+            same_period = [phases for phases in group if phases.fringe.period == period]
+            if sum(sample.cycles for sample in same_period) >= ENOUGH_CYCLES:
+                own = straightening(same_period[0].fringe, [sample.phases for sample in same_period])
                 table = table if own is None else own
             if table is not None:
-                found.update({each.fringe: table for each in alike})
-    return found
+                tables.update({sample.fringe: table for sample in same_period})
+    return tables
 
 
-def _phases(decoder: AxisDecoder, signals: Signals, measured: Measured) -> Iterator[_Phases]:
+def _phases(decoder: AxisDecoder, signals: Signals, measured: UnwrappedFringes) -> Iterator[_Phases]:
     # Judged by the fringes themselves, saturation would depend on the phase.
-    lit = measured.well_lit & (signals.brightest < decoder.saturation)
+    lit = measured.well_lit & (signals.white < decoder.saturation)
     agrees = agreeing(measured)
     for fringe, coordinate in zip(decoder.plan.fringes, measured.orders.coordinates, strict=True):
         if can_ripple(fringe) and agrees.any():

@@ -8,7 +8,7 @@ import numpy as np
 from calib.numerics import STRIP_ROWS, Bools, Floats32, Image, Ints, around, compiled, in_slices, lines_of, widened
 from scanner.decoding.axis_decoder import Coordinate, least_contrasts
 from scanner.decoding.checks.roughness import widen_between_edges
-from scanner.decoding.code_images import FoldedFrames
+from scanner.decoding.code_images import CodeImages
 from scanner.decoding.codes.edge_interpolation import CELLS_PER_PIXEL, Lines, interpolate, levels_of_bits
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.discontinuities import breaks
@@ -26,38 +26,42 @@ _KEPT, _UNDECIDED, _ISOLATED = (
 )
 
 
-def refine_by_edges(folded: FoldedFrames, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
+def refine_by_edges(code_images: CodeImages, maps: Maps, noise: NoiseModel, undecided: Bools) -> bool:
     """Interpolate coordinates between stripe edges, in place; return False if too few pixels lie between edges.
 
     Pixels that were `undecided` (H, W) are kept if they lie between edges. A pixel that is not between edges along an
     axis keeps its cell's centre there, if the cell is short and continues the pixels around it.
     """
-    measured = [number for number, axis in enumerate(folded.plan.axes) if axis.is_measured]
-    folds = [fold for number in measured if (fold := folded.with_edges(folded.plan.axes[number]))]
-    if len(folds) < len(measured):
+    measured = [number for number, axis in enumerate(code_images.plan.axes) if axis.is_measured]
+    all_words = [
+        code_words for number in measured if (code_words := code_images.with_edges(code_images.plan.axes[number]))
+    ]
+    if len(all_words) < len(measured):
         return False
     usable = _usable(maps, undecided)
     if not usable.any():
         return False
     part = around(usable)
-    seen, usable = maps.within(part), usable[part]
-    kept = seen.reason == _KEPT
+    view, usable = maps.within(part), usable[part]
+    kept = view.reason == _KEPT
     value = np.full((len(measured), *kept.shape), np.nan, np.float32)
     variance = np.full(value.shape, np.inf, np.float32)
-    shown = dict(folded.alike(part))
-    thresholds = folded.thresholds(shown)
-    for fold, *into in zip(folds, value, variance, strict=True):
-        levels = levels_of_bits(fold.code, shown, thresholds)
-        images = (image[part] for image in (fold.words, folded.middle, folded.brightest))
-        _interpolate(fold.code, noise, levels, [usable, *images, *into])
+    frames = dict(code_images.equalised(part))
+    thresholds = code_images.thresholds(frames)
+    for code_words, *into in zip(all_words, value, variance, strict=True):
+        levels = levels_of_bits(code_words.code, frames, thresholds)
+        images = (image[part] for image in (code_words.words, code_images.threshold, code_images.white))
+        _interpolate(code_words.code, noise, levels, [usable, *images, *into])
     between = np.isfinite(variance).all(axis=0)
     # With fewer pixels between edges, cell centres are kept everywhere.
     if np.count_nonzero(between & kept) < max(1.0, HALF * np.count_nonzero(kept)):
         return False
-    apart = np.array([_apart(v, fold.code.cell) for v, fold in zip(value, folds, strict=True)], np.float32)
-    _take_over(value, variance, np.array(measured), apart, usable, seen.projector_px, seen.variance, seen.reason)
-    _mask_breaks(folded.plan, seen)
-    widen_between_edges(folded.plan, maps)
+    apart = np.array(
+        [_apart(v, code_words.code.cell) for v, code_words in zip(value, all_words, strict=True)], np.float32
+    )
+    _take_over(value, variance, np.array(measured), apart, usable, view.projector_px, view.variance, view.reason)
+    _mask_breaks(code_images.plan, view)
+    widen_between_edges(code_images.plan, maps)
     return True
 
 
@@ -100,11 +104,11 @@ def _interpolate(
 
         def along(some: slice, turned: bool = turned) -> None:
             part = (slice(None), some) if turned else (some, slice(None))
-            lit, words, middle, brightest, *into = (_lines(image[part], turned) for image in images)
+            lit, words, threshold, white, *into = (_lines(image[part], turned) for image in images)
             if lit.any():
-                of_bits = np.stack([np.stack([image[part] for image in each]) for each in levels])
-                least, _ = least_contrasts(noise, middle)
-                interpolate(code, noise, Lines(words, lit, least, middle, brightest, _lines(of_bits, turned)), *into)
+                of_bits = np.stack([np.stack([image[part] for image in images_of_bits]) for images_of_bits in levels])
+                least, _ = least_contrasts(noise, threshold)
+                interpolate(code, noise, Lines(words, lit, least, threshold, white, _lines(of_bits, turned)), *into)
 
         in_slices(images[0].shape[turned], STRIP_ROWS, along)
     *_, value, variance = images

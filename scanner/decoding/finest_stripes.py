@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import MANY_PIXELS, Bools, Floats, Floats32, Ints, at_random
-from scanner.decoding.code_images import FoldedFrames
+from scanner.decoding.code_images import CodeImages
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.light.noise_model import STRAY_PART
 from scanner.decoding.mask_reasons import MaskReason
@@ -47,18 +47,18 @@ class FinestStripes:
         )
 
 
-def finest_stripes(folded: FoldedFrames, sample: Sample, maps: Maps) -> FinestStripes | None:
+def finest_stripes(code_images: CodeImages, sample: Sample, maps: Maps) -> FinestStripes | None:
     """Measure the stripes at kept pixels, of the sample if there are codes only; None if an axis has no suitable
     stripes.
     """
-    x, y = folded.plan.axes
+    x, y = code_images.plan.axes
     if x.fringes and y.fringes:
         pixels = at_random(maps.reason.size, MANY_PIXELS)
         finest = x.fringes[-1], y.fringes[-1]
         places = np.divmod(pixels, maps.reason.shape[1])
-        shown = dict(folded.alike(places, {*finest[0].frames, *finest[1].frames}))
+        frames = dict(code_images.equalised(places, {*finest[0].frames, *finest[1].frames}))
         of_x, of_y = (
-            np.hypot(*fringe.weights32 @ np.stack([shown[frame] for frame in fringe.frames], dtype=np.float32))
+            np.hypot(*fringe.weights32 @ np.stack([frames[frame] for frame in fringe.frames], dtype=np.float32))
             for fringe in finest
         )
         return _where_kept(pixels, of_x, of_y, (finest[0].period, finest[1].period), maps)
@@ -109,24 +109,24 @@ def _of_axis(axis: AxisPlan, levels: NDArray[Any], coordinate: Floats32) -> tupl
     return None
 
 
-def left_between(shift_px: Floats, period: float) -> Floats:
+def interpolation_contrast(shift_px: Floats, period: float) -> Floats:
     """Return the log contrast that linear interpolation between two pixels leaves of a wave of this
     period in pixels.
     """
     between = shift_px - np.floor(shift_px)
-    left: Floats = 0.5 * np.log(1 - 2 * between * (1 - between) * (1 - np.cos(2 * np.pi / period)))
-    return left
+    log_contrast: Floats = 0.5 * np.log(1 - 2 * between * (1 - between) * (1 - np.cos(2 * np.pi / period)))
+    return log_contrast
 
 
 def first_harmonics(count: int) -> Callable[[Floats, float], Floats]:
-    """Return `left_between` as a Fourier series without its mean, of `count` harmonics."""
+    """Return `interpolation_contrast` as a Fourier series without its mean, of `count` harmonics."""
     between = (np.arange(_STEPS) + 0.5) / _STEPS
 
     def series(shift_px: Floats, period: float) -> Floats:
-        left = left_between(between, period)
+        log_contrast = interpolation_contrast(between, period)
         total = np.zeros(len(shift_px))
         for n in range(1, count + 1):
-            half_swing = 2 * np.mean(left * np.cos(2 * np.pi * n * between))
+            half_swing = 2 * np.mean(log_contrast * np.cos(2 * np.pi * n * between))
             total += half_swing * np.cos(2 * np.pi * n * shift_px)
         return total
 

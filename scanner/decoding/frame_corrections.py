@@ -37,8 +37,8 @@ class FrameCorrections:
         wanted = every if places is None else places
         needed = wanted if self.ghost is None and self.switch is None else every
         read = partial(self._steady, frames, part, needed)
-        found = read() if self.switch is None else without_change(read, plan, self.switch)
-        return (image for place, image in zip(needed, found, strict=True) if place in wanted)
+        corrected = read() if self.switch is None else without_change(read, plan, self.switch)
+        return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
 
     def remarks(self, plan: SequencePlan) -> Iterator[str]:
         """Yield sentences for the operator."""
@@ -48,8 +48,8 @@ class FrameCorrections:
             yield f"{self.switch.description(plan)}, and was taken out. Better: leave the room's light as it is."
 
     def _steady(self, frames: Image, part: Part, places: Sequence[int]) -> Iterator[Image]:
-        seen = (frames[place][part] for place in places)
-        light = seen if self.response is None else map(self.response.light_of, seen)
+        parts = (frames[place][part] for place in places)
+        light = parts if self.response is None else map(self.response.light_of, parts)
         if self.ghost is None:
             return light
         rows = np.arange(frames.shape[1])[part[0]]
@@ -60,10 +60,10 @@ def corrections_of(plan: SequencePlan, frames: Image, sample: Sample) -> FrameCo
     """Estimate from a sample what affected all of the kept frames (N, H, W): a nonlinear response, and ghosting."""
     taken, saturation = sample.as_taken, saturation_of(plan, frames)
     lit = unclipped(taken, saturation)
-    seen = taken[:, lit]
+    lit_levels = taken[:, lit]
     top = np.iinfo(np.uint8).max if frames.dtype == np.uint8 else max(frame.max() for frame in _of(plan, frames, []))
-    response = camera_response(plan, seen.astype(np.float32), saturation, float(top))
-    light = response.light_of(seen) if response else seen
+    response = camera_response(plan, lit_levels.astype(np.float32), saturation, float(top))
+    light = response.light_of(lit_levels) if response else lit_levels
     return FrameCorrections(response, find_ghost(plan, light.astype(np.float32), sample.rows[lit]))
 
 

@@ -19,11 +19,11 @@ from scanner.decoding.sequence_plan import SequencePlan
 
 
 def match_kept(
-    plan: SequencePlan, maps: Maps, brightest: Image, one_axis: OneAxis | None, cell_px: Floats32 | None
+    plan: SequencePlan, maps: Maps, white: Image, one_axis: OneAxis | None, cell_px: Floats32 | None
 ) -> tuple[Matches, NDArray[np.uint8]]:
     """Return the matches, and for all pixels (H, W) the mask reason. Raises InputError; overwrites the maps.
 
-    `brightest`: (H, W) grey. `cell_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes;
+    `white`: (H, W) grey. `cell_px`: (H, W, 2) the centre of each pixel's cell, for one match per cell of the codes;
     None if each pixel has its own coordinate.
     """
     reasons = maps.reason
@@ -39,9 +39,9 @@ def match_kept(
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=small_patches(kept))
     else:
         if one_axis:
-            cells = one_axis.average_stripes(kept, maps, brightest)
+            cells = one_axis.average_stripes(kept, maps, white)
         else:
-            cells = average_cells(kept, cell_px, maps.projector_px, maps.variance, brightest)
+            cells = average_cells(kept, cell_px, maps.projector_px, maps.variance, white)
         np.copyto(reasons, np.uint8(MaskReason.ISOLATED), where=cells.rejected)
     kept = reasons == np.uint8(MaskReason.KEPT)
     if not one_axis:

@@ -46,7 +46,7 @@ CONTRADICTIONS = (MaskReason.INCONSISTENT, MaskReason.INDIRECT, MaskReason.OUTSI
 BROKEN = (*CONTRADICTIONS, MaskReason.ISOLATED)
 
 
-class Against(IntFlag):
+class PixelFlags(IntFlag):
     """Flags against a pixel along one axis; several may be set, and the first one determines the reason."""
 
     DARK = 1
@@ -60,22 +60,22 @@ class Against(IntFlag):
 
 
 # The flags without a reason of their own are contradictions.
-_REASONS = {flag: getattr(MaskReason, str(flag.name), MaskReason.INCONSISTENT) for flag in Against}
+_REASONS = {flag: getattr(MaskReason, str(flag.name), MaskReason.INCONSISTENT) for flag in PixelFlags}
 _TABLE = np.array(
-    [next((reason for flag, reason in _REASONS.items() if flag & found), MaskReason.KEPT) for found in range(256)],
+    [next((reason for flag, reason in _REASONS.items() if flag & flags), MaskReason.KEPT) for flags in range(256)],
     np.uint8,
 )
-UNCERTAIN = Against.DISAGREES | Against.AMBIGUOUS
-NOT_LIT = Against.DARK | Against.SATURATED
+UNCERTAIN = PixelFlags.DISAGREES | PixelFlags.AMBIGUOUS
+NOT_LIT = PixelFlags.DARK | PixelFlags.SATURATED
 
-_DARK, _SATURATED, _UNDECIDED, _INDIRECT, *_ = map(np.uint8, Against)
-_NOTHING, _DOUBTFUL = map(np.uint8, (Against(0), UNCERTAIN | Against.CONTRADICTORY))
+_DARK, _SATURATED, _UNDECIDED, _INDIRECT, *_ = map(np.uint8, PixelFlags)
+_NOTHING, _DOUBTFUL = map(np.uint8, (PixelFlags(0), UNCERTAIN | PixelFlags.CONTRADICTORY))
 _ZERO, _TWO, _FOUR = np.float32(0), np.float32(2), np.float32(4)
 
 
-def reasons_of(against: Reasons) -> Reasons:
+def reasons_of(flags: Reasons) -> Reasons:
     """Return the `MaskReason` of each pixel, from its flags (P,)."""
-    return cast(Reasons, cv2.LUT(against, _TABLE).reshape(against.shape))
+    return cast(Reasons, cv2.LUT(flags, _TABLE).reshape(flags.shape))
 
 
 def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints:
@@ -87,16 +87,16 @@ def count_reasons(reasons: Reasons, of_interest: Collection[MaskReason]) -> Ints
 
 
 @compiled
-def note_light(
+def flag_light(
     variance: Floats32,
     at_black: np.float32,
     per_level: np.float32,
-    brightest: Floats32,
-    middle: Floats32,
+    white: Floats32,
+    threshold: Floats32,
     peak: Image,
     darkest: np.float32,
     saturation: np.float32,
-    against: Reasons,
+    flags: Reasons,
 ) -> None:
     """Flag pixels where the longest fringe is not seen, or a fringe is clipped, and doubtful ones where direct light
     (twice the amplitude) is less than half of all light.
@@ -105,41 +105,41 @@ def note_light(
     (Nayar et al., SIGGRAPH 2006). Its square divides their variance: `at_black` and `per_level` are those of an
     amplitude of 1.
     """
-    for i in range(len(against)):
-        half_of_all, power = brightest[i] - middle[i], (at_black + per_level * middle[i]) / variance[i]
-        indirect = (half_of_all * half_of_all > _FOUR * power) & (against[i] & _DOUBTFUL != 0)
+    for i in range(len(flags)):
+        half_of_all, power = white[i] - threshold[i], (at_black + per_level * threshold[i]) / variance[i]
+        indirect = (half_of_all * half_of_all > _FOUR * power) & (flags[i] & _DOUBTFUL != 0)
         saturated = _SATURATED if np.float32(peak[i]) >= saturation else _NOTHING
-        against[i] |= saturated | (_DARK if variance[i] > darkest else _NOTHING) | (_INDIRECT if indirect else _NOTHING)
+        flags[i] |= saturated | (_DARK if variance[i] > darkest else _NOTHING) | (_INDIRECT if indirect else _NOTHING)
 
 
 @compiled
-def note_inverted_bits(
+def flag_inverted_bits(
     variance: Floats32,
     at_black: np.float32,
     per_level: np.float32,
-    brightest: Floats32,
-    middle: Floats32,
+    white: Floats32,
+    threshold: Floats32,
     least: Floats32,
-    against: Reasons,
+    flags: Reasons,
 ) -> None:
     """Flag pixels where global light exceeds direct light by at least a bit's contrast, and may have inverted the bit.
 
     `least` (P,): smallest contrast of a code's bits (Xu and Aliaga, 2007).
     """
-    for i in range(len(against)):
-        power = (at_black + per_level * middle[i]) / variance[i]
-        excess = _TWO * (brightest[i] - middle[i]) - _FOUR * np.sqrt(power)
-        against[i] |= _INDIRECT if (excess > _ZERO) & (least[i] <= excess) else _NOTHING
+    for i in range(len(flags)):
+        power = (at_black + per_level * threshold[i]) / variance[i]
+        excess = _TWO * (white[i] - threshold[i]) - _FOUR * np.sqrt(power)
+        flags[i] |= _INDIRECT if (excess > _ZERO) & (least[i] <= excess) else _NOTHING
 
 
 @compiled
-def note_contrast(
-    least: Floats32, least_certain: Floats32, contrast: Floats32, least_seen: Floats32, against: Reasons
+def flag_contrast(
+    least: Floats32, least_certain: Floats32, contrast: Floats32, least_seen: Floats32, flags: Reasons
 ) -> None:
     """Flag pixels where a code's smallest contrast is too small to decide its bit, or its largest
     is within the noise.
     """
-    for i in range(len(against)):
-        against[i] |= (_UNDECIDED if least[i] <= least_certain[i] else _NOTHING) | (
+    for i in range(len(flags)):
+        flags[i] |= (_UNDECIDED if least[i] <= least_certain[i] else _NOTHING) | (
             _DARK if contrast[i] <= least_seen[i] else _NOTHING
         )

@@ -22,10 +22,10 @@ _LEAST_SINE = 0.1
 
 @dataclass(frozen=True)
 class OneAxis:
-    """The `measured` axis, the `other` one, and the calibration that determines it."""
+    """The `measured` axis, the `derived` one, and the calibration that determines it."""
 
     measured: AxisPlan
-    other: AxisPlan
+    derived: AxisPlan
     calibration: Calibration
 
     @property
@@ -43,14 +43,14 @@ class OneAxis:
             row, column = np.nonzero(reason == np.uint8(MaskReason.KEPT))
             camera_px = np.stack([column, row + rows.start], axis=1).astype(np.float64)
             known_px = values[row, column, self._axis].astype(np.float64)
-            found = cross_epipolar_lines(camera_px, known_px, self._axis, self.calibration)
-            crossing = found.projector_px[:, 1 - self._axis]
-            inside = np.abs(crossing - (self.other.length - 1) / 2) <= self.other.length / 2 + EDGE_PX
-            conditions = [found.sine < _LEAST_SINE, ~(found.in_front & inside)]
+            crossings = cross_epipolar_lines(camera_px, known_px, self._axis, self.calibration)
+            crossing = crossings.projector_px[:, 1 - self._axis]
+            inside = np.abs(crossing - (self.derived.length - 1) / 2) <= self.derived.length / 2 + EDGE_PX
+            conditions = [crossings.sine < _LEAST_SINE, ~(crossings.in_front & inside)]
             masks = [np.uint8(MaskReason.ALONG_EPIPOLAR_LINE), np.uint8(MaskReason.OUTSIDE)]
             reason[row, column] = np.select(conditions, masks, np.uint8(MaskReason.KEPT))
             values[row, column, 1 - self._axis] = crossing
-            variance[row, column] /= np.maximum(found.sine, _LEAST_SINE) ** 2
+            variance[row, column] /= np.maximum(crossings.sine, _LEAST_SINE) ** 2
 
         in_slices(maps.reason.shape[0], STRIP_ROWS, fill)
 
@@ -66,9 +66,9 @@ class OneAxis:
         along[kept] = number * cell + (cell - 1) / 2
         cells = average_cells(kept, cut, cut, maps.variance, brightness)
         known_px = cells.projector_px[:, self._axis]
-        found = cross_epipolar_lines(cells.camera_px, known_px, self._axis, self.calibration)
-        there = found.in_front
-        return CellMatches(cells.camera_px[there], found.projector_px[there], cells.variance[there], cells.rejected)
+        crossings = cross_epipolar_lines(cells.camera_px, known_px, self._axis, self.calibration)
+        there = crossings.in_front
+        return CellMatches(cells.camera_px[there], crossings.projector_px[there], cells.variance[there], cells.rejected)
 
 
 def one_axis(plan: SequencePlan, calibration: Calibration | None) -> OneAxis | None:

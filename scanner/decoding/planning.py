@@ -31,11 +31,11 @@ def plan_sequence(
     determined.
     """
     index: dict[Pattern, int] = {}
-    shown = tuple(index.setdefault(pattern, len(index)) for pattern in patterns)
+    order = tuple(index.setdefault(pattern, len(index)) for pattern in patterns)
     width, height = projector_size
     x, y = _plan_axis("x", width, index), _plan_axis("y", height, index)
     _require_measured(x, y, calibrated=calibrated)
-    return SequencePlan(tuple(index), x, y, index.get(White()), index.get(Black()), shown)
+    return SequencePlan(tuple(index), x, y, index.get(White()), index.get(Black()), order)
 
 
 def _plan_axis(axis: Axis, length: int, index: Mapping[Pattern, int]) -> AxisPlan:
@@ -57,19 +57,19 @@ def _gray_codes(axis: Axis, length: int, index: Mapping[Pattern, int]) -> list[G
             group[pattern.inverted][pattern.bit] = frame
     codes = []
     of_xor: set[tuple[_Numbering, int]] = set()
-    for (numbering, base), shown in relative.items():
-        bits = frozenset({*shown[False], *shown[True]})
+    for (numbering, base), frames_of in relative.items():
+        bits = frozenset({*frames_of[False], *frames_of[True]})
         # The base, and the finer bits that are not relative to it, are shown plainly.
         for inverted, frames in plain[numbering].items():
-            shown[inverted] |= {bit: frame for bit, frame in frames.items() if bit not in bits}
-        if not any(base in frames for frames in shown.values()):
+            frames_of[inverted] |= {bit: frame for bit, frame in frames.items() if bit not in bits}
+        if not any(base in frames for frames in frames_of.values()):
             raise InputError(f"an XOR code along {axis} needs its base as well, the Gray code's bit {base}")
-        codes.append(replace(_code(axis, length, numbering, shown), base=base, relative=bits))
-        of_xor |= {(numbering, bit) for bit in {*shown[False], *shown[True]} - bits}
+        codes.append(replace(_code(axis, length, numbering, frames_of), base=base, relative=bits))
+        of_xor |= {(numbering, bit) for bit in {*frames_of[False], *frames_of[True]} - bits}
     # Bits that only belong to an XOR code are no Gray code of their own.
-    for numbering, shown in plain.items():
-        if {(numbering, bit) for bit in {*shown[False], *shown[True]}} - of_xor:
-            codes.append(_code(axis, length, numbering, shown))
+    for numbering, frames_of in plain.items():
+        if {(numbering, bit) for bit in {*frames_of[False], *frames_of[True]}} - of_xor:
+            codes.append(_code(axis, length, numbering, frames_of))
     return codes
 
 
@@ -77,12 +77,12 @@ def _nothing() -> _Shown:
     return {False: {}, True: {}}
 
 
-def _code(axis: Axis, length: int, numbering: _Numbering, shown: _Shown) -> GrayCode:
-    constant = constant_bits(axis, length, numbering, {*shown[False], *shown[True]})
-    return GrayCode(axis, *numbering, shown[False], shown[True], constant)
+def _code(axis: Axis, length: int, numbering: _Numbering, frames_of: _Shown) -> GrayCode:
+    constant = constant_bits(axis, length, numbering, {*frames_of[False], *frames_of[True]})
+    return GrayCode(axis, *numbering, frames_of[False], frames_of[True], constant)
 
 
-def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set[int]) -> int:
+def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], bits_shown: set[int]) -> int:
     """Return the value of the bits that were not shown; `key`: a code's bits, cell and offset.
 
     Raises InputError if such a bit is not constant along the axis, or the code does not fit it.
@@ -90,8 +90,8 @@ def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set
     bits, cell, offset = key
     if bits > (most := np.iinfo(np.uint32).bits):
         raise InputError(f"a Gray code of {bits} bits along {axis}; at most {most} are read")
-    if not all(0 <= bit < bits for bit in shown):
-        raise InputError(f"bits of a Gray code along {axis} must be 0 … {bits - 1}, found {sorted(shown)}")
+    if not all(0 <= bit < bits for bit in bits_shown):
+        raise InputError(f"bits of a Gray code along {axis} must be 0 … {bits - 1}, found {sorted(bits_shown)}")
     n = (np.arange(length) + offset) // cell
     if n[0] < 0 or n[-1] >= 1 << bits:
         raise InputError(
@@ -100,7 +100,7 @@ def constant_bits(axis: Axis, length: int, key: tuple[int, int, int], shown: set
         )
     words = n ^ (n >> 1)
     changing = int(np.bitwise_or.reduce(words) ^ np.bitwise_and.reduce(words)) & ((1 << bits) - 1)
-    missing = [bit for bit in range(bits) if bit not in shown]
+    missing = [bit for bit in range(bits) if bit not in bits_shown]
     lacking = [bit for bit in missing if changing >> (bits - 1 - bit) & 1]
     if lacking:
         numbers = ", ".join(map(str, lacking))
@@ -117,8 +117,8 @@ def _fringes(axis: Axis, index: Mapping[Pattern, int]) -> list[Fringe]:
         if isinstance(pattern, Phase) and pattern.axis == axis:
             groups[pattern.period].append((pattern.shift, frame))
     fringes = []
-    for period, shown in groups.items():
-        fringe = Fringe(axis, period, tuple(shift for shift, _ in shown), tuple(frame for _, frame in shown))
+    for period, steps in groups.items():
+        fringe = Fringe(axis, period, tuple(shift for shift, _ in steps), tuple(frame for _, frame in steps))
         angles = np.unique(np.round(np.mod(fringe.shifts, 1), 6) % 1)
         if len(angles) < 3 or fringe.noise_gain > 3:
             raise InputError(
@@ -144,11 +144,12 @@ def _require_determined(plan: AxisPlan) -> None:
     periods = [fringe.period for fringe in plan.fringes]
     repeat = repeat_length(periods, plan.length)
     if plan.fringes and repeat < plan.cell * (1 - 1e-9):
-        shown = ", ".join(f"{period:g}" for period in periods)
-        left = f"its Gray cells are {plan.cell:g} px long" if plan.codes else "there is no Gray code"
+        listed = ", ".join(f"{period:g}" for period in periods)
+        cells = f"its Gray cells are {plan.cell:g} px long" if plan.codes else "there is no Gray code"
         raise InputError(
-            f"the {plan.axis} coordinate is not determined: fringes of period {shown} px repeat every {repeat:g} px, "
-            f"and {left}; add a Gray code with cells of at most {repeat:g} px, or a period of at least {plan.length} px"
+            f"the {plan.axis} coordinate is not determined: fringes of period {listed} px repeat every {repeat:g} px, "
+            f"and {cells}; add a Gray code with cells of at most {repeat:g} px, or a period of at least {plan.length} "
+            "px"
         )
 
 

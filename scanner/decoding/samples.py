@@ -77,9 +77,9 @@ class Sample:
     def without(self, chosen: Bools) -> "Sample":
         """Return a sample without the chosen pixels (H, W)."""
         kept = ~self.of(chosen)
-        found = Sample(self.shape, self.pixels[kept], [sample.without(chosen) for sample in self.beside])
-        found._frames = {frame: levels[kept] for frame, levels in self._frames.items()}
-        return found
+        remaining = Sample(self.shape, self.pixels[kept], [sample.without(chosen) for sample in self.beside])
+        remaining._frames = {frame: levels[kept] for frame, levels in self._frames.items()}
+        return remaining
 
     @property
     def as_taken(self) -> Image:
@@ -96,28 +96,28 @@ class Sample:
         """(frames, ...): left − 2 · centre + right, or None without neighbours."""
         if not self.beside:
             return None
-        left, right = (sample.levels for sample in self.beside)
-        return left - 2 * self.levels + right
+        before, right = (sample.levels for sample in self.beside)
+        return before - 2 * self.levels + right
 
 
 class TileSample(Sample):
     """Square tiles on a regular grid over the image, tile by tile (P,)."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        (top, down, rows), (left, right, columns) = map(_tiles_along, shape)
+        (top, down, rows), (first_column, right, columns) = map(_tiles_along, shape)
         y = top + np.arange(rows)[:, None, None, None] * down + np.arange(TILE_PX)[:, None]
-        x = left + np.arange(columns)[:, None, None] * right + np.arange(TILE_PX)
+        x = first_column + np.arange(columns)[:, None, None] * right + np.arange(TILE_PX)
         super().__init__(shape, (y * shape[1] + x).reshape(-1))
         self.count = rows * columns
-        self.resting: Bools = np.ones(self.pixels.shape, np.bool_)
+        self.static: Bools = np.ones(self.pixels.shape, np.bool_)
 
     def number_of(self, plan: SequencePlan, place: int) -> int | None:
         """Return the place, for fringes."""
         return place if plan.shown[place] in plan.fringe_frames else None
 
     def leave_out(self, moved: Bools) -> None:
-        """Exclude the pixels of the image (H, W) where objects moved from the `resting` ones (P,)."""
-        self.resting = ~cast(Bools, self.of(moved))
+        """Exclude the pixels of the image (H, W) where objects moved from the `static` ones (P,)."""
+        self.static = ~cast(Bools, self.of(moved))
 
     @cached_property
     def camera_px(self) -> Floats:
@@ -191,11 +191,11 @@ class Samples:
         cls, plan: SequencePlan, shape: tuple[int, int], read: Callable[[Part], Iterator[Image]], *, neighbours: bool
     ) -> Self:
         """Return samples of images (H, W) of which `read` yields a part of all frames, in order."""
-        found = cls.of(shape, neighbours=neighbours)
-        for sample in found.each:
+        samples = cls.of(shape, neighbours=neighbours)
+        for sample in samples.each:
             for place, levels in enumerate(read((sample.rows, sample.pixels - sample.rows * shape[1]))):
                 sample.add(plan, place, levels)
-        return found
+        return samples
 
     def equalise(self, plan: SequencePlan, frames: Sequence[int], gains: Gains) -> None:
         """Divide some frames by their gains."""

@@ -41,9 +41,9 @@ class GrayCode:
         """Convert words of an XOR code to the plain code, and the reverse; any shape."""
         if self.base is None:
             return words
-        shown = sum(1 << self.bits - 1 - bit for bit in self.relative)
+        relative = sum(1 << self.bits - 1 - bit for bit in self.relative)
         base = words >> words.dtype.type(self.bits - 1 - self.base) & words.dtype.type(1)
-        return words ^ base * words.dtype.type(shown)
+        return words ^ base * words.dtype.type(relative)
 
     def without_finest(self, count: int) -> "GrayCode":
         """Return the code of longer cells without its `count` finest bits."""
@@ -202,14 +202,14 @@ class SequencePlan:
             pairs.append((self.white, self.black))
         return pairs
 
-    def shows_the_same(self, frame: int, other: int) -> bool:
+    def shows_the_same(self, frame: int, second: int) -> bool:
         """Whether two patterns are nearly the same picture, such as white and a bit that is 1 on most of the projector.
 
         If only part of the picture is visible, they may be identical there.
         """
         size = self.x.length, self.y.length
-        one, two = (draw(self.patterns[number], size).astype(np.int16) for number in (frame, other))
-        return float(np.abs(one - two).mean()) < _ALIKE * np.iinfo(np.uint8).max
+        first, two = (draw(self.patterns[number], size).astype(np.int16) for number in (frame, second))
+        return float(np.abs(first - two).mean()) < _ALIKE * np.iinfo(np.uint8).max
 
     def times_of(self, fringe: Fringe) -> tuple[Ints, Floats]:
         """Return the places (N,) at which the steps of a fringe are shown, with repeats, and the shifts (N,) there."""
@@ -229,8 +229,8 @@ class SequencePlan:
     def names(self, frames: Sequence[int]) -> str:
         """Return several frames' numbers and patterns, for messages."""
         chosen = sorted(set(frames))
-        shown = ", ".join(self.name(frame) for frame in chosen[:_MOST_NAMED])
-        return shown if len(chosen) <= _MOST_NAMED else f"{shown} and {len(chosen) - _MOST_NAMED} more"
+        listed = ", ".join(self.name(frame) for frame in chosen[:_MOST_NAMED])
+        return listed if len(chosen) <= _MOST_NAMED else f"{listed} and {len(chosen) - _MOST_NAMED} more"
 
 
 def describe(pattern: Pattern) -> str:

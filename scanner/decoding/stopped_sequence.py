@@ -91,7 +91,7 @@ def _exposures(patterns: Sequence[Pattern]) -> int:
 
 def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequence[Pattern]) -> dict[Pattern, Pattern]:
     """Return the patterns along an axis that can be decoded, and what each is decoded as."""
-    found: dict[Pattern, Pattern] = {}
+    decoded_as: dict[Pattern, Pattern] = {}
     codes: dict[tuple[int, int, int], list[Gray]] = defaultdict(list)
     relative: dict[tuple[int, int, int, int], list[Xor]] = defaultdict(list)
     for pattern in once:
@@ -99,26 +99,26 @@ def _decodable(axis: Axis, length: int, once: Sequence[Pattern], wanted: Sequenc
             codes[pattern.bits, pattern.cell, pattern.offset].append(pattern)
         elif isinstance(pattern, Xor) and pattern.axis == axis:
             relative[pattern.bits, pattern.cell, pattern.offset, pattern.base].append(pattern)
-    for (bits, cell, offset), shown in codes.items():
+    for (bits, cell, offset), patterns in codes.items():
         for lost in range(bits):
             code = bits - lost, cell << lost, offset
-            kept = [pattern for pattern in shown if pattern.bit < code[0]]
+            kept = [pattern for pattern in patterns if pattern.bit < code[0]]
             if kept and _complete(axis, length, code, {pattern.bit for pattern in kept}):
-                found |= {pattern: replace(pattern, bits=code[0], cell=code[1]) for pattern in kept}
+                decoded_as |= {pattern: replace(pattern, bits=code[0], cell=code[1]) for pattern in kept}
                 break
-    for (bits, cell, offset, base), others in relative.items():
-        relative_bits = {pattern.bit for pattern in others}
+    for (bits, cell, offset, base), xors in relative.items():
+        relative_bits = {pattern.bit for pattern in xors}
         plain = [pattern for pattern in codes[bits, cell, offset] if pattern.bit not in relative_bits]
         plain_bits = {pattern.bit for pattern in plain}
         if base in plain_bits and _complete(axis, length, (bits, cell, offset), plain_bits | relative_bits):
-            whole: list[Pattern] = [*plain, *others]
-            found |= {pattern: pattern for pattern in whole}
-    return found | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
+            whole: list[Pattern] = [*plain, *xors]
+            decoded_as |= {pattern: pattern for pattern in whole}
+    return decoded_as | {pattern: pattern for pattern in _whole_fringes(axis, once, wanted)}
 
 
-def _complete(axis: Axis, length: int, code: tuple[int, int, int], shown: set[int]) -> bool:
+def _complete(axis: Axis, length: int, code: tuple[int, int, int], bits: set[int]) -> bool:
     try:
-        constant_bits(axis, length, code, shown)
+        constant_bits(axis, length, code, bits)
     except InputError:
         return False
     return True
@@ -143,20 +143,23 @@ def _balanced(
     the calibration determines it better.
     """
     codes = [pattern for pattern in wanted if isinstance(pattern, Gray)]
-    fine = [any(isinstance(pattern, Phase) for pattern in found) for found in axes]
-    cut = [any(found.get(p) != p for p in codes if p.axis == axis) for axis, found in zip(_AXES, axes, strict=True)]
-    for one, other in ((0, 1), (1, 0)):
-        if fine[one] or not axes[other]:
+    fine = [any(isinstance(pattern, Phase) for pattern in decoded_as) for decoded_as in axes]
+    cut = [
+        any(decoded_as.get(p) != p for p in codes if p.axis == axis)
+        for axis, decoded_as in zip(_AXES, axes, strict=True)
+    ]
+    for first, second in ((0, 1), (1, 0)):
+        if fine[first] or not axes[second]:
             continue
-        if calibrated and (fine[other] or (cut[one] and not cut[other])):
-            axes[one] = {}
-        elif axes[one] and fine[other]:
-            axes[other] = _only_codes(axes[other])
+        if calibrated and (fine[second] or (cut[first] and not cut[second])):
+            axes[first] = {}
+        elif axes[first] and fine[second]:
+            axes[second] = _only_codes(axes[second])
     return axes
 
 
-def _only_codes(found: dict[Pattern, Pattern]) -> dict[Pattern, Pattern]:
-    return {shown: kept for shown, kept in found.items() if not isinstance(shown, Phase)}
+def _only_codes(decoded_as: dict[Pattern, Pattern]) -> dict[Pattern, Pattern]:
+    return {pattern: kept for pattern, kept in decoded_as.items() if not isinstance(pattern, Phase)}
 
 
 def _listed(wanted: Sequence[Pattern], decoded_as: Collection[Pattern]) -> str:
@@ -184,7 +187,7 @@ def _cost(plan: AxisPlan, *, by_edges: bool) -> str:
     if not plan.is_measured:
         return f"{plan.axis} follows from the calibration"
     if plan.fringes:
-        return f"{plan.axis} comes from fringes of {' and '.join(f'{each.period:g}' for each in plan.fringes)} px"
+        return f"{plan.axis} comes from fringes of {' and '.join(f'{fringe.period:g}' for fringe in plan.fringes)} px"
     cells = f"cells of {plan.cell:g} projector px (± {plan.cell / sqrt(12):.1f} px)"
     if not by_edges or all(code.base is not None for code in plan.codes):
         return f"{plan.axis} is known to {cells}"

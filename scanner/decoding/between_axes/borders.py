@@ -19,7 +19,7 @@ _AROUND_TILES = 3
 
 
 @dataclass(frozen=True)
-class Places:
+class TilePlanes:
     """Coordinates of T tiles: `projector_px` (T, 2) in their middles, and the `gradient` (T, 2, 2) by camera x and y.
 
     NaN where the coordinates are unknown or not smooth.
@@ -51,18 +51,18 @@ def _note_inside(projector_px: Floats32, last_px: Floats32, near_px: np.float32,
 
 
 def near_border(
-    projector_px: Floats32, places: Places, moved_px: Floats, size: tuple[int, int], reach_px: float
+    projector_px: Floats32, places: TilePlanes, moved_px: Floats, size: tuple[int, int], reach_px: float
 ) -> Bools:
     """Return the pixels (H, W) within `reach_px` camera px of the border of a picture of (width, height).
 
     The border is located from the coordinates (H, W, 2) less the `moved_px` (T, 2) of their tile, or from the planes of
     the tiles where coordinates are unknown.
     """
-    found = np.zeros(projector_px.shape[:2], np.bool_)
+    near = np.zeros(projector_px.shape[:2], np.bool_)
     steep = np.maximum(np.linalg.norm(places.gradient, axis=2), NEGLIGIBLE)
     last_px = np.array(size) - 1.0
-    _note_near(projector_px, places.projector_px, places.gradient, moved_px, steep, last_px, reach_px, TILE_PX, found)
-    return found
+    _note_near(projector_px, places.projector_px, places.gradient, moved_px, steep, last_px, reach_px, TILE_PX, near)
+    return near
 
 
 @compiled
@@ -75,29 +75,29 @@ def _note_near(
     last_px: Floats,
     reach_px: float,
     tile_px: int,
-    found: Bools,
+    near: Bools,
 ) -> None:
     """Mark pixels of T tiles; `at_centre` (T, 2): coordinates of their middles, `steep` (T, 2): norms of their
     gradients.
     """
-    columns = found.shape[1] // tile_px
-    for tile in range(found.shape[0] // tile_px * columns):
+    columns = near.shape[1] // tile_px
+    for tile in range(near.shape[0] // tile_px * columns):
         if not (np.isfinite(at_centre[tile]).all() and np.isfinite(gradient[tile]).all()):
             continue
-        top, left = tile // columns * tile_px, tile % columns * tile_px
+        top, first_column = tile // columns * tile_px, tile % columns * tile_px
         for y in range(tile_px):
             for x in range(tile_px):
-                seen = projector_px[top + y, left + x]
-                known = np.isfinite(seen[0]) and np.isfinite(seen[1])
+                coordinates = projector_px[top + y, first_column + x]
+                known = np.isfinite(coordinates[0]) and np.isfinite(coordinates[1])
                 inside_px = np.inf
                 for a in range(2):
-                    place = np.float64(seen[a])
+                    place = np.float64(coordinates[a])
                     if not known:
                         right, down = x - (tile_px - 1) / 2, y - (tile_px - 1) / 2
                         place = at_centre[tile, a] + gradient[tile, a, 0] * right + gradient[tile, a, 1] * down
                     place -= moved_px[tile, a]
                     inside_px = min(inside_px, min(place, last_px[a] - place) / steep[tile, a])
-                found[top + y, left + x] = abs(inside_px) < reach_px
+                near[top + y, first_column + x] = abs(inside_px) < reach_px
 
 
 def part_around(projector_px: Floats32) -> tuple[slice, slice]:
@@ -109,8 +109,8 @@ def part_around(projector_px: Floats32) -> tuple[slice, slice]:
     known = _known(projector_px)
     part = around(known if known.any() else ~known, 2 * _AROUND_TILES * TILE_PX)
     rows, columns = (
-        slice(each.start // TILE_PX * TILE_PX, min(size // TILE_PX, -(-each.stop // TILE_PX)) * TILE_PX)
-        for each, size in zip(part, known.shape, strict=True)
+        slice(span.start // TILE_PX * TILE_PX, min(size // TILE_PX, -(-span.stop // TILE_PX)) * TILE_PX)
+        for span, size in zip(part, known.shape, strict=True)
     )
     return rows, columns
 
@@ -129,7 +129,7 @@ def _around(pixels: Bools) -> Bools:
     return cv2.dilate(pixels.astype(np.uint8), disc).astype(np.bool_)
 
 
-def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
+def places_of_tiles(projector_px: Floats32, step_px: float) -> TilePlanes:
     """Fit planes to the coordinates (H, W, 2) of all camera pixels, in steps of `step_px`, NaN where unknown."""
     height, width, _ = projector_px.shape
     known = _known(projector_px)
@@ -142,16 +142,16 @@ def places_of_tiles(projector_px: Floats32, step_px: float) -> Places:
         borderType=cv2.BORDER_CONSTANT,
     ).reshape(-1, 5, 5)
     planes = np.linalg.solve(around[:, :3, :3] + 1e-6 * np.eye(3), around[:, :3, 3:])
-    left = np.trace(around[:, 3:, 3:] - around[:, 3:, :3] @ planes, axis1=1, axis2=2)
+    squares = np.trace(around[:, 3:, 3:] - around[:, 3:, :3] @ planes, axis1=1, axis2=2)
     count = around[:, 0, 0]
-    smooth = (count >= FEWEST_PIXELS) & (left < (MOST_ROUGH_PX**2 + 2 * step_px**2 / 12) * count)
+    smooth = (count >= FEWEST_PIXELS) & (squares < (MOST_ROUGH_PX**2 + 2 * step_px**2 / 12) * count)
     smooth_planes: Floats = np.where(smooth[:, None, None], planes, np.nan)
     offset = centres_of_tiles(known.shape).reshape(-1, 2) - np.array([width, height]) / 2
     at_centre: Floats = smooth_planes[:, 0] + np.einsum("ta,tac->tc", offset, smooth_planes[:, 1:])
-    return Places(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
+    return TilePlanes(at_centre, smooth_planes[:, 1:].transpose(0, 2, 1))
 
 
-def extrapolated(places: Places, shape: tuple[int, ...]) -> Places:
+def extrapolated(places: TilePlanes, shape: tuple[int, ...]) -> TilePlanes:
     """Extrapolate the planes to unknown tiles of an image of `shape` (H, W), from the nearest known tile."""
     rows, columns = (size // TILE_PX for size in shape)
     unknown = ~np.isfinite(places.gradient).all(axis=(1, 2))
@@ -169,4 +169,4 @@ def extrapolated(places: Places, shape: tuple[int, ...]) -> Places:
     projector_px = places.projector_px[nearest] + np.einsum("tac,tc->ta", gradient, centre - centre[nearest])
     beyond = far.reshape(-1) > _AROUND_TILES
     projector_px[beyond], gradient[beyond] = np.nan, np.nan
-    return Places(projector_px, gradient)
+    return TilePlanes(projector_px, gradient)

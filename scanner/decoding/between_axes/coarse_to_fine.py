@@ -12,7 +12,7 @@ from calib.numerics import Floats, Floats32, clustered_scatter, huber_weights
 from scanner.decoding.between_axes.borders import REACH_PX
 from scanner.decoding.between_axes.edges import Edges, Shown
 from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
-from scanner.decoding.motion import SUSPECTED_PX, Fit
+from scanner.decoding.motion import SUSPECTED_PX, RigidFit
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
 
@@ -62,14 +62,17 @@ class _Scales:
     coarsely: _TileObservations
 
 
-def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
+def motion_of(pictures: _Pictures, edges: Edges) -> RigidFit:
     """Return the motion from the earlier picture to the later one, of one device if the other has hardly moved."""
     blurred = cache(partial(_blurred, pictures))
     coarsely = _observe_beside(blurred, edges, _AT_REST, _COARSE_TO_FINE_PX[0])
     scales = _Scales(blurred, _observe(pictures, edges, edges.decoded, _AT_REST), coarsely)
     fit = _measured(scales, edges, _EXPECTED_PX)
     devices = np.split(np.arange(COLUMNS), [PER_DEVICE])
-    sure = [replace(fit, motion=fit.motion[one], covariance=fit.covariance[np.ix_(one, one)]) for one in devices]
+    sure = [
+        replace(fit, motion=fit.motion[columns], covariance=fit.covariance[np.ix_(columns, columns)])
+        for columns in devices
+    ]
     less, more = sorted((0, 1), key=lambda device: sure[device].significance)
     if not sure[less].significance < SIGNIFICANT_SIGMAS < sure[more].significance:
         return fit
@@ -78,7 +81,7 @@ def motion_of(pictures: _Pictures, edges: Edges) -> Fit:
     return replace(fit, motion=_measured(scales, edges, expected_px).motion)
 
 
-def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> Fit:
+def _measured(scales: _Scales, edges: Edges, expected_px: Floats) -> RigidFit:
     """Fit the motion, coarse to fine if it is large: of both devices if that is reliable, else of the camera alone."""
     fit = _least_squares(scales.at_rest, expected_px)
     step = _least_squares(scales.coarsely, expected_px)
@@ -105,7 +108,7 @@ def _blurred(pictures: _Pictures, blur_px: float) -> _Pictures:
     """Return the pictures (H, W) or, blurred, at half their size."""
     if not blur_px:
         return pictures
-    before, after = (_halved(one, blur_px) for one in pictures)
+    before, after = (_halved(picture, blur_px) for picture in pictures)
     return before, after
 
 
@@ -127,25 +130,25 @@ def _observe_beside(
 
 def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
     """Return the share of the squared difference of the pictures (H, W) at edges that a motion (8,) explains."""
-    shown = edges.beside(motion, _REACH_PX)
-    left, differ = (_observe(pictures, edges, shown, of).differ for of in (motion, _AT_REST))
-    return 1 - left / max(differ, 1e-12)
+    pixels = edges.beside(motion, _REACH_PX)
+    remaining, differ = (_observe(pictures, edges, pixels, of).differ for of in (motion, _AT_REST))
+    return 1 - remaining / max(differ, 1e-12)
 
 
 def _observe(
-    pictures: _Pictures, edges: Edges, shown: Shown, motion: Floats, *, anywhere: bool = False
+    pictures: _Pictures, edges: Edges, pixels: Shown, motion: Floats, *, anywhere: bool = False
 ) -> _TileObservations:
     """Observe what remains beside a motion (8,); a border that may be `anywhere` has no gain of its own, and no
     outliers.
     """
     of_scene, of_border = edges.warps(motion)
-    scene = shifts_of_tiles(pictures, shown.scene, of_scene)
-    border = shifts_of_tiles(pictures, shown.border, of_border, own_light=not anywhere)
-    known = np.isfinite(shown.of_border[border.tiles]).all(axis=(1, 2))
+    scene = shifts_of_tiles(pictures, pixels.scene, of_scene)
+    border = shifts_of_tiles(pictures, pixels.border, of_border, own_light=not anywhere)
+    known = np.isfinite(pixels.of_border[border.tiles]).all(axis=(1, 2))
     at_border = border.tiles[known]
     return _TileObservations(
         edges.centre[np.concatenate([scene.tiles, at_border])],
-        np.concatenate([edges.of_scene[scene.tiles], shown.of_border[at_border]]),
+        np.concatenate([edges.of_scene[scene.tiles], pixels.of_border[at_border]]),
         np.concatenate([scene.normal, border.normal[known]]),
         np.concatenate([scene.pull, border.pull[known]]),
         scene.differ + border.differ,
@@ -153,29 +156,29 @@ def _observe(
     )
 
 
-def _least_squares(seen: _TileObservations, expected_px: Floats) -> Fit:
+def _least_squares(tiles: _TileObservations, expected_px: Floats) -> RigidFit:
     """Fit the motion (8,) by robust least squares, with a prior for unobservable parts."""
-    design = seen.design
+    design = tiles.design
     expected = np.diag(1 / expected_px**2)
-    by_motion = seen.normal @ design
+    by_motion = tiles.normal @ design
     weight = np.ones(len(design))
     for _ in range(HUBER_ROUNDS):
         weighted = (weight[:, None, None] * design).reshape(-1, COLUMNS).T
         information = weighted @ by_motion.reshape(-1, COLUMNS)
-        motion = np.linalg.solve(information + expected, weighted @ seen.pull.reshape(-1)).astype(np.float64)
-        left = seen.pull - by_motion @ motion
-        chi = np.sqrt(np.maximum(_squares(seen.normal, left), 0.0))
+        motion = np.linalg.solve(information + expected, weighted @ tiles.pull.reshape(-1)).astype(np.float64)
+        residual = tiles.pull - by_motion @ motion
+        chi = np.sqrt(np.maximum(_squares(tiles.normal, residual), 0.0))
         # Half of all χ² of two degrees of freedom are less than 2 ln 2.
         scale = max(float(np.median(chi)) / sqrt(2 * log(2)), 1.0) if len(chi) else 1.0
-        weight = huber_weights(chi, seen.huber * scale)
-    across, down = (seen.centre_px // _GROUP_PX).astype(np.int64).T
+        weight = huber_weights(chi, tiles.huber * scale)
+    across, down = (tiles.centre_px // _GROUP_PX).astype(np.int64).T
     group = down * (1 + np.max(across, initial=0)) + across
-    scores = (weight[:, None, None] * design * left[:, :, None]).sum(axis=1)
+    scores = (weight[:, None, None] * design * residual[:, :, None]).sum(axis=1)
     inverse = np.linalg.inv(information + expected)
     covariance = inverse @ (clustered_scatter(scores, group) + scale**2 * information + expected) @ inverse
     covariance += _SYSTEMATIC_PX**2 * np.eye(COLUMNS)
-    gained = float(np.sum(weight * (_squares(seen.normal, seen.pull) - chi**2))) / scale**2
-    return Fit(motion, covariance, gained)
+    gained = float(np.sum(weight * (_squares(tiles.normal, tiles.pull) - chi**2))) / scale**2
+    return RigidFit(motion, covariance, gained)
 
 
 def _squares(normal: Floats, pull: Floats) -> Floats:

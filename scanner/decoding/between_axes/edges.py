@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32
-from scanner.decoding.between_axes.borders import Places, extrapolated, lit_in, near_border, seen_border
+from scanner.decoding.between_axes.borders import TilePlanes, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
 from scanner.decoding.motion import shifts_by_motion
 from scanner.decoding.motion.rigid import PER_DEVICE
@@ -39,7 +39,7 @@ class Edges:
 
     projector_px: Floats32
     step_px: float
-    places: Places
+    places: TilePlanes
     later: Floats
     size: tuple[int, int]
     camera_size: tuple[int, int]
@@ -100,7 +100,7 @@ class Edges:
         return centre
 
     @cached_property
-    def _around(self) -> Places:
+    def _around(self) -> TilePlanes:
         """Planes extrapolated to tiles that are partly lit or masked, and beyond the border."""
         return extrapolated(self.places, self.projector_px.shape[:2])
 

@@ -89,8 +89,8 @@ def evenly_lit(halves: tuple[Half, Half], frames: Iterable[tuple[int, Image]], s
             if weight := half.weights.get(number):
                 cv2.addWeighted(picture, 1, grey, weight, 0, dst=picture, dtype=cv2.CV_32F)
         if (pair := pair_of.get(number)) is not None:
-            other = of_pairs.get(pair)
-            of_pairs[pair] = grey if other is None else cast(Image, cv2.addWeighted(other, 0.5, grey, 0.5, 0))
+            previous = of_pairs.get(pair)
+            of_pairs[pair] = grey if previous is None else cast(Image, cv2.addWeighted(previous, 0.5, grey, 0.5, 0))
     return EvenlyLit(halves, pictures, of_pairs)
 
 

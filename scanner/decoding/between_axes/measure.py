@@ -16,8 +16,8 @@ from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.time_of_change import TimeOfChange, time_of_change
 from scanner.decoding.code_images import Frames
-from scanner.decoding.motion import SUSPECTED_PX, MotionFound
-from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, turns_px
+from scanner.decoding.motion import SUSPECTED_PX, MotionEstimate
+from scanner.decoding.motion.device_motion import LEAST_PX, CoordinateShift, turns_px
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, SIGNIFICANT_SIGMAS
@@ -46,7 +46,7 @@ class _Timing:
     last: int | None = None
 
     @property
-    def others(self) -> tuple[float, ...]:
+    def alternatives(self) -> tuple[float, ...]:
         """Alternative shares, one standard deviation away."""
         return (self.share - self.sigma, self.share + self.sigma) if self.sigma else ()
 
@@ -60,8 +60,8 @@ def motion_between(
     plan: SequencePlan,
     projector_px: Floats32,
     projector_size: tuple[int, int],
-    within: MotionFound | None,
-) -> MotionFound:
+    within: MotionEstimate | None,
+) -> MotionEstimate:
     """Return the motion of the devices between the two `halves` of a capture; sizes are (width, height).
 
     `projector_px` (H, W, 2): coordinates of all camera pixels, NaN where unknown. A larger motion `within` a half takes
@@ -81,19 +81,21 @@ def motion_between(
         projector_px, step_px, places, shares, projector_size, camera_size=sizes[0], origin=(columns.start, rows.start)
     )
     fit, timing = motion_of(lit.pictures, edges), _BETWEEN
-    for other in _within_halves(lit, edges):
-        of_other = motion_of(lit.pictures_of(other.before, other.after), edges)
+    for moment in _within_halves(lit, edges):
+        of_other = motion_of(lit.pictures_of(moment.before, moment.after), edges)
         # The pictures of the halves mix before and after, so that the motion looks smaller there.
         larger = np.hypot(*turns_px(of_other.motion)) > np.hypot(*turns_px(fit.motion))
         if larger and of_other.significance > SIGNIFICANT_SIGMAS:
-            fit, timing = of_other, _timing_of(lit, plan, other)
+            fit, timing = of_other, _timing_of(lit, plan, moment)
     _, camera_px = turns_px(fit.motion)
-    shift = Disturbance(np.outer(shares, timing.share * fit.motion), *sizes)
+    shift = CoordinateShift(np.outer(shares, timing.share * fit.motion), *sizes)
     size_px = _typical_px(shift, edges)
     significant = fit.significance > SIGNIFICANT_SIGMAS and size_px > LEAST_PX
-    spread = [Disturbance(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)]
+    spread = [
+        CoordinateShift(np.outer(shares, part), *sizes) for part in _independent(timing.share**2 * fit.covariance)
+    ]
     turns = np.diag(fit.covariance).reshape(-1, PER_DEVICE)[:, :2]  # pan and tilt of either device
-    between = MotionFound(
+    between = MotionEstimate(
         motion=fit.motion,
         significant=significant,
         slow=False,
@@ -102,7 +104,9 @@ def motion_between(
         size_px=size_px,
         explained=1.0,
         shift=shift,
-        others=tuple(Disturbance(np.outer(shares, one * fit.motion), *sizes) for one in timing.others),
+        alternatives=tuple(
+            CoordinateShift(np.outer(shares, alternative * fit.motion), *sizes) for alternative in timing.alternatives
+        ),
         unseen=tuple(spread if significant else [*spread, shift]),
         blind=bool(np.sqrt(turns).max() > SUSPECTED_PX / 2),
         largest_px=_LARGEST_PX if camera_px < _LARGEST_OF_CAMERA_PX else 0.0,
@@ -118,19 +122,19 @@ def _within_halves(lit: EvenlyLit, edges: Edges) -> Iterator[TimeOfChange]:
     """
     if not lit.of_pairs:
         return
-    seen = set()  # scene and border mostly agree
+    found_groups = set()  # scene and border mostly agree
     first = len(pairs_of(lit.halves[0].axis))
     # Relative widths: the stripes of a bit are half as wide as those of the coarser one before it.
     bits = {pair: (half.axis, bit) for half in lit.halves for bit, pair in pairs_of(half.axis).items()}
     stripes = [axis.cell * 2.0 ** (max(pairs_of(axis)) - bit) for axis, bit in (bits[pair] for pair in lit.of_pairs)]
-    shown = edges.beside(np.zeros(COLUMNS), REACH_PX)
-    for chosen in (shown.scene, shown.border):
+    pixels = edges.beside(np.zeros(COLUMNS), REACH_PX)
+    for chosen in (pixels.scene, pixels.border):
         moment = time_of_change([*lit.of_pairs.values()], chosen, first, stripes)
         if moment is None or min(len(moment.before), len(moment.after)) < _FEWEST_PAIRS:
             continue
         groups = moment.before, moment.after
-        if AS_GOOD * moment.gained > 1 and groups not in seen:
-            seen.add(groups)
+        if AS_GOOD * moment.gained > 1 and groups not in found_groups:
+            found_groups.add(groups)
             yield moment
 
 
@@ -157,7 +161,7 @@ def _independent(covariance: Floats) -> Floats:
     return rows
 
 
-def _typical_px(shift: Disturbance, edges: Edges) -> float:
+def _typical_px(shift: CoordinateShift, edges: Edges) -> float:
     """Return the root mean square shift of the coordinates over the known tiles."""
     places = edges.places
     known = np.isfinite(places.gradient).all(axis=(1, 2))

@@ -55,9 +55,9 @@ def shifts_of_tiles(
     # Levels are relative to one of the picture, to limit rounding errors.
     level = np.float32(before[TILE_PX // 2 :: TILE_PX, TILE_PX // 2 :: TILE_PX].mean())
     place = (warp.place + 0.5) / step - 0.5
-    seen = np.ascontiguousarray(chosen[::step, ::step])
+    usable = np.ascontiguousarray(chosen[::step, ::step])
     taps = np.stack([LEVEL, SLOPE]).astype(np.float32)
-    _sum_moments(before, after, seen, TILE_PX // step, place, warp.turned, taps, level, moments)
+    _sum_moments(before, after, usable, TILE_PX // step, place, warp.turned, taps, level, moments)
     in_pixels = step * np.array([1.0, 1.0, 1 / step, 1 / step, 1.0])
     moments *= np.outer(in_pixels, in_pixels)
     tiles = np.flatnonzero(moments[:, 0, 0] > _OF_LIGHT + _OF_SHIFT)
@@ -90,24 +90,24 @@ def _sum_moments_of(projector_px: Floats32, chosen: Bools, moments: Floats) -> N
     values = np.empty((count, TILE_PX * TILE_PX))
     for row in range(rows):
         for column in range(columns):
-            found = 0
+            filled = 0
             for y in range(row * TILE_PX, (row + 1) * TILE_PX):
                 for x in range(column * TILE_PX, (column + 1) * TILE_PX):
                     if chosen[y, x]:
-                        values[0, found], values[1, found], values[2, found] = 1.0, x - width / 2, y - height / 2
-                        values[3, found], values[4, found] = projector_px[y, x, 0], projector_px[y, x, 1]
-                        found += 1
-            if found:
-                _sum_products(values, found, moments[row, column])
+                        values[0, filled], values[1, filled], values[2, filled] = 1.0, x - width / 2, y - height / 2
+                        values[3, filled], values[4, filled] = projector_px[y, x, 0], projector_px[y, x, 1]
+                        filled += 1
+            if filled:
+                _sum_products(values, filled, moments[row, column])
 
 
 @compiled
-def _sum_products(values: Floats, found: int, sums: Floats) -> None:
-    """Fill the sums of products (N, N) of N lists (N, K), of which the first `found` entries count."""
+def _sum_products(values: Floats, count: int, sums: Floats) -> None:
+    """Fill the sums of products (N, N) of N lists (N, K), of which the first `count` entries count."""
     for a in range(len(values)):
         for b in range(a + 1):
             total = 0.0
-            for k in range(found):
+            for k in range(count):
                 total += values[a, k] * values[b, k]
             sums[a, b] = sums[b, a] = total
 
@@ -133,20 +133,20 @@ def _sum_moments(
     filtered = np.empty((4, TILE_PX, TILE_PX), np.float32)
     values = np.empty((5, tile_px * tile_px))
     for tile in range(len(moments)):
-        top, left = tile // columns * tile_px, tile % columns * tile_px
-        if not chosen[top : top + tile_px, left : left + tile_px].any():
+        top, first_column = tile // columns * tile_px, tile % columns * tile_px
+        if not chosen[top : top + tile_px, first_column : first_column + tile_px].any():
             continue
-        _sample(before, after, top, left, tile_px, place[tile], turned, around, mean, difference)
+        _sample(before, after, top, first_column, tile_px, place[tile], turned, around, mean, difference)
         _filter(mean, difference, taps, usual, across, filtered)
-        found = 0
+        count = 0
         for y in range(tile_px):
             for x in range(tile_px):
-                if chosen[top + y, left + x]:
-                    values[0, found] = 1.0
+                if chosen[top + y, first_column + x]:
+                    values[0, count] = 1.0
                     for a in range(4):
-                        values[1 + a, found] = filtered[a, y, x]
-                    found += 1
-        _sum_products(values, found, moments[tile])
+                        values[1 + a, count] = filtered[a, y, x]
+                    count += 1
+        _sum_products(values, count, moments[tile])
 
 
 @compiled
@@ -154,7 +154,7 @@ def _sample(
     before: Floats32,
     after: Floats32,
     top: int,
-    left: int,
+    first_column: int,
     tile_px: int,
     place: Floats,
     turned: Floats,
@@ -179,7 +179,7 @@ def _sample(
     for y in range(_WINDOW):
         row = min(max(top + y - _REACH, 0), height - 1)
         for x in range(_WINDOW):
-            mean[y, x] = before[row, min(max(left + x - _REACH, 0), width - 1)]
+            mean[y, x] = before[row, min(max(first_column + x - _REACH, 0), width - 1)]
         for x in range(_WINDOW):
             further, lower = np.float32(x) - middle, np.float32(y) - middle
             across = right + zoom * further - roll * lower
@@ -223,8 +223,8 @@ def _of_moments(moments: Floats, *, own_light: bool) -> tuple[Floats, Floats]:
         parameters += _OF_LIGHT
         rest = rest - moments[:, 2:, :2] @ solved(moments[:, :2, :2], moments[:, :2, 2:])
     normal, pull = rest[:, :2, :2], rest[:, :2, 2]
-    left = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, solved(normal, pull[..., None])[..., 0])
-    variance = np.maximum(left, 0.0) / (count - parameters)
+    residual = rest[:, 2, 2] - np.einsum("ta,ta->t", pull, solved(normal, pull[..., None])[..., 0])
+    variance = np.maximum(residual, 0.0) / (count - parameters)
     # The residual variance of a tile is at least the median of all, since a low one is due to chance.
     variance = np.maximum(variance, max(float(np.median(variance)) if len(variance) else 0.0, 1e-9))
     return normal / variance[:, None, None], pull / variance[:, None]
@@ -236,5 +236,5 @@ def solved(matrices: Floats, right: Floats) -> Floats:
     little = NEGLIGIBLE * (across + down) + 1e-12
     across, down = across + little, down + little
     first, second = right[:, 0], right[:, 1]
-    found: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
-    return found / (across * down - both**2)[:, None]
+    solution: Floats = np.stack([down * first - both * second, across * second - both * first], axis=1)
+    return solution / (across * down - both**2)[:, None]

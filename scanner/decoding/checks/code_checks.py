@@ -12,8 +12,8 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import Bools, Image, Ints, Words, compiled, lines_of
-from scanner.decoding.checks.frame_consistency import LEFT_BY_EXCHANGE, MOST_BROKEN, Anomaly
-from scanner.decoding.codes import GrayFold, cell_numbers
+from scanner.decoding.checks.frame_consistency import LEFT_BY_SWAP, MOST_BROKEN, Anomaly
+from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.light import STRAY_PART, NoiseModel
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
@@ -46,71 +46,80 @@ class _Changes:
         adjacent: Bools = step == 1
         return adjacent
 
-    def repaired(self, code: GrayCode, exchange: tuple[int, int]) -> "_Changes":
+    def repaired(self, code: GrayCode, swap: tuple[int, int]) -> "_Changes":
         """Return the changes with two bits, as displayed, exchanged; with one bit inverted if both are the same."""
-        first, second = (np.uint32(code.bits - 1 - bit) for bit in exchange)
+        first, second = (np.uint32(code.bits - 1 - bit) for bit in swap)
 
         def repair(words: Words) -> Words:
-            shown = code.relative_to_base(words)
-            differ = np.uint32(1) if first == second else (shown >> first ^ shown >> second) & np.uint32(1)
-            return code.relative_to_base(shown ^ (differ << first | differ << second))
+            displayed = code.relative_to_base(words)
+            differ = np.uint32(1) if first == second else (displayed >> first ^ displayed >> second) & np.uint32(1)
+            return code.relative_to_base(displayed ^ (differ << first | differ << second))
 
         return _Changes(repair(self.before), repair(self.after), self.bit)
 
 
 def check_codes(
     plan: SequencePlan,
-    folds: Sequence[GrayFold],
+    all_words: Sequence[CodeWords],
     noise: NoiseModel,
-    middle: Image,
-    brightest: Image,
+    threshold: Image,
+    white: Image,
     moved: Bools | None = None,
 ) -> list[Anomaly]:
     """Return the anomalies of Gray codes whose single-bit changes do not join neighbouring cells.
 
-    `middle` (H, W): grey level half-way between lit and unlit; `brightest` (H, W): grey level when lit; `moved` (H, W):
+    `threshold` (H, W): grey level half-way between lit and unlit; `white` (H, W): grey level when lit; `moved` (H, W):
     pixels to ignore. Raises InputError if exchanging two bits, or inverting one, removes the contradictions.
     """
-    found = []
-    bases = {(fold.code.axis, fold.code.cell, fold.code.offset) for fold in folds if fold.code.base is not None}
-    for fold, changes in chain.from_iterable(_sampled(fold, noise, middle, brightest, moved) for fold in folds):
+    anomalies = []
+    bases = {
+        (code_words.code.axis, code_words.code.cell, code_words.code.offset)
+        for code_words in all_words
+        if code_words.code.base is not None
+    }
+    for code_words, changes in chain.from_iterable(
+        _sampled(code_words, noise, threshold, white, moved) for code_words in all_words
+    ):
         wrong = changes[~changes.adjacent()]
         if len(wrong.bit) < FEWEST_COUNTED:
             continue
-        _require_unrepairable(plan, fold.code, changes, len(wrong.bit))
-        if fold.code.base is None and (fold.code.axis, fold.code.cell, fold.code.offset) in bases:
+        _require_unrepairable(plan, code_words.code, changes, len(wrong.bit))
+        if (
+            code_words.code.base is None
+            and (code_words.code.axis, code_words.code.cell, code_words.code.offset) in bases
+        ):
             continue  # interreflection may have flipped bits: the XOR code is checked instead
-        bits = [bit for bit in range(fold.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
+        bits = [bit for bit in range(code_words.code.bits) if _is_unrelated(changes.bit == bit, wrong, bit)]
         if bits:
             # Whether two cells are neighbours depends on the changing bit and on all finer ones.
-            suspects = fold.code.frames_of(range(min(bits), fold.code.bits))
+            suspects = code_words.code.frames_of(range(min(bits), code_words.code.bits))
             message = (
-                f"in the Gray code along {fold.code.axis}, cells that differ in bit {', '.join(map(str, bits))} only "
-                f"are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
+                f"in the Gray code along {code_words.code.axis}, cells that differ in bit {', '.join(map(str, bits))} "
+                f"only are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
             )
-            found.append(Anomaly(message, tuple(suspects)))
-    return found
+            anomalies.append(Anomaly(message, tuple(suspects)))
+    return anomalies
 
 
 def _sampled(
-    fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
-) -> Iterator[tuple[GrayFold, _Changes]]:
+    code_words: CodeWords, noise: NoiseModel, threshold: Image, white: Image, moved: Bools | None
+) -> Iterator[tuple[CodeWords, _Changes]]:
     """Yield the code and its changes, then those of a coarser code if single cells are not resolved.
 
     The finest bits are dropped until all pixels are smaller than cells. Errors in coarse bits then become visible.
     """
-    changes, are_single = _changes(fold, noise, middle, brightest, moved)
-    yield fold, changes
-    coarser = fold
-    while not are_single and fold.code.base is None and coarser.code.bits > FINE_BITS:
+    changes, are_single = _changes(code_words, noise, threshold, white, moved)
+    yield code_words, changes
+    coarser = code_words
+    while not are_single and code_words.code.base is None and coarser.code.bits > FINE_BITS:
         coarser = coarser.without_finest(1)
-        changes, are_single = _changes(coarser, noise, middle, brightest, moved)
-    if coarser is not fold:
+        changes, are_single = _changes(coarser, noise, threshold, white, moved)
+    if coarser is not code_words:
         yield coarser, changes
 
 
 def _changes(
-    fold: GrayFold, noise: NoiseModel, middle: Image, brightest: Image, moved: Bools | None
+    code_words: CodeWords, noise: NoiseModel, threshold: Image, white: Image, moved: Bools | None
 ) -> tuple[_Changes, bool]:
     """Return the single-bit changes between reliable pixels along some rows and columns of the image.
 
@@ -118,23 +127,24 @@ def _changes(
     """
     before, after = [np.empty(0, np.uint32)], [np.empty(0, np.uint32)]
     for is_transposed in (False, True):
-        words, least, level, white = (
-            lines_of(image.T if is_transposed else image) for image in (fold.words, fold.least, middle, brightest)
+        words, least, level, of_white = (
+            lines_of(image.T if is_transposed else image)
+            for image in (code_words.words, code_words.least, threshold, white)
         )
         least_clear = max(_LEAST_DIFFERENCE, STRAY_PART * float(np.quantile(least[:, ::FARTHEST_PX], BRIGHTEST)))
         certain = least > np.maximum(least_clear, np.float32(OUTLYING_SIGMAS * sqrt(2)) * noise.sigma(level))
-        swing = white.astype(np.float32) - level
+        swing = of_white.astype(np.float32) - level
         certain &= swing >= np.float32(LIT) * np.quantile(swing[:, ::FARTHEST_PX], BRIGHTEST)
         if moved is not None:
             certain &= ~lines_of(moved.T if is_transposed else moved)
-        one, next_one = np.empty((2, words.size), np.uint32)
-        single, changes = _note_changes(words.astype(np.uint32), certain, FARTHEST_PX, one, next_one)
+        word, next_one = np.empty((2, words.size), np.uint32)
+        single, changes = _note_changes(words.astype(np.uint32), certain, FARTHEST_PX, word, next_one)
         if single >= _MOSTLY_SINGLE * changes:
-            before.append(one[:single])
+            before.append(word[:single])
             after.append(next_one[:single])
     words_before, words_after = np.concatenate(before), np.concatenate(after)
     place = np.rint(np.log2(words_before ^ words_after)).astype(np.int64)
-    return _Changes(words_before, words_after, fold.code.bits - 1 - place), len(before) == 3
+    return _Changes(words_before, words_after, code_words.code.bits - 1 - place), len(before) == 3
 
 
 @compiled
@@ -160,11 +170,11 @@ def _note_changes(words: Words, certain: Bools, farthest: int, before: Words, af
 
 
 def _require_unrepairable(plan: SequencePlan, code: GrayCode, changes: _Changes, wrong: int) -> None:
-    exchanges = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
-    left = [np.count_nonzero(~changes.repaired(code, exchange).adjacent()) for exchange in exchanges]
-    if min(left) > LEFT_BY_EXCHANGE * wrong:
+    swaps = [*combinations(range(code.bits), 2), *((bit, bit) for bit in range(code.bits))]
+    wrong_after = [np.count_nonzero(~changes.repaired(code, swap).adjacent()) for swap in swaps]
+    if min(wrong_after) > LEFT_BY_SWAP * wrong:
         return
-    first, second = exchanges[int(np.argmin(left))]
+    first, second = swaps[int(np.argmin(wrong_after))]
     names = plan.names(code.frames_of((first, second)))
     if first == second:
         raise InputError(f"the code along {code.axis} makes sense only with the opposite of bit {first}; see {names}")

@@ -19,7 +19,7 @@ import numpy as np
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Floats32, Image, at_random
 from scanner.decoding.checks.frame_consistency import MOST_BROKEN, Anomaly
-from scanner.decoding.code_images import FoldedFrames
+from scanner.decoding.code_images import CodeImages
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
 from scanner.decoding.significance import FEWEST_PIXELS, SIGNIFICANT_SIGMAS
@@ -34,7 +34,7 @@ _FEWEST = _STEPS * FEWEST_PIXELS
 
 
 @contextmanager
-def suspecting(anomalies: Sequence[Anomaly]) -> Iterator[None]:
+def annotate_errors(anomalies: Sequence[Anomaly]) -> Iterator[None]:
     """Prepend the anomalies to the message of an InputError that is raised in the block."""
     try:
         yield
@@ -44,7 +44,9 @@ def suspecting(anomalies: Sequence[Anomaly]) -> Iterator[None]:
         raise InputError(f"{_description(anomalies)}; and {error}") from error
 
 
-def judge(anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, one_axis: bool = False) -> str:
+def assess_anomalies(
+    anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, one_axis: bool = False
+) -> str:
     """Return a sentence for the operator about anomalies that do no harm, from the `reasons` (H, W) of all pixels.
 
     `one_axis`: whether matches were placed on the lines of an epipolar geometry, which therefore cannot test them.
@@ -113,10 +115,10 @@ def from_epipolar_lines(matches: Matches, matrix: Floats) -> Floats:
     return distance / (np.hypot(lines[:, 0], lines[:, 1]) + 1e-12)
 
 
-def leave_out_stray_light(folded: FoldedFrames, maps: Maps) -> None:
+def leave_out_stray_light(code_images: CodeImages, maps: Maps) -> None:
     """Mask, in place, pixels without fringes whose contrast is too low for reliable codes."""
-    plan = folded.plan
-    contrasts = [fold.contrast for fold in folded.codes if fold.contrast is not None]
+    plan = code_images.plan
+    contrasts = [code_words.contrast for code_words in code_images.codes if code_words.contrast is not None]
     if plan.fringes or plan.only_axis is not None or not contrasts:
         return
     contrast: Image = np.min(contrasts, axis=0)

@@ -22,7 +22,7 @@ _WRONG_SHARE = 0.05
 MOST_BROKEN = 0.35
 # Exchanged frames are named, and a fringe is none, if a right sequence leaves more than this share of the
 # contradictions: all but those of noise and of the projector's and the camera's curves, which leave 0.05.
-LEFT_BY_EXCHANGE = 0.3
+LEFT_BY_SWAP = 0.3
 
 
 @dataclass(frozen=True)
@@ -48,45 +48,45 @@ class LitSample:
         return cls(levels, high - low, noise.sigma((high + low) / 2))
 
 
-def beyond_extremes(plan: SequencePlan, levels: Floats32) -> Iterator[tuple[int, Floats32]]:
+def range_residuals(plan: SequencePlan, levels: Floats32) -> Iterator[tuple[int, Floats32]]:
     """Yield white and black, each with how much brighter or darker the others are, from `levels` (frames, P)."""
     for frame, side in ((plan.white, 1), (plan.black, -1)):
         if frame is not None:
             yield frame, np.maximum(side * (levels - levels[frame]), 0)
 
 
-def uneven_pairs(plan: SequencePlan, levels: Floats32) -> Floats32:
+def pair_sum_residuals(plan: SequencePlan, levels: Floats32) -> Floats32:
     """Return how far the sums of pattern and inverse are from the usual one, (pairs, P); no pair if there is one."""
     pairs = np.array(plan.complements if len(plan.complements) > 1 else np.empty((0, 2), np.int64))
     sums: Floats32 = levels[pairs[:, 0]] + levels[pairs[:, 1]]
     return sums - medians(sums, axis=0) if len(sums) else sums
 
 
-def beside_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
+def sinusoid_residuals(fringe: Fringe, levels: Floats32) -> Floats32:
     """Return what the least-squares fit of a fringe leaves of its steps, (N, P), from `levels` (frames, P)."""
     steps = levels[list(fringe.frames)]
     return steps - (fringe.design @ fringe.weights).astype(np.float32) @ steps
 
 
-def total_contradiction(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
+def total_inconsistency(plan: SequencePlan, levels: Floats32, swing: Floats32) -> float:
     """Return the sum of squares of all residuals, in swings (P,), per pixel; `levels` (frames, P)."""
     # No light is negative: for a single pair of frames, only this shows before which of them the light changed.
-    residuals = [np.minimum(levels, 0), *(excess for _, excess in beyond_extremes(plan, levels))]
-    residuals += [uneven_pairs(plan, levels), *(beside_cosine(fringe, levels) for fringe in plan.fringes)]
+    residuals = [np.minimum(levels, 0), *(excess for _, excess in range_residuals(plan, levels))]
+    residuals += [pair_sum_residuals(plan, levels), *(sinusoid_residuals(fringe, levels) for fringe in plan.fringes)]
     if len(plan.fringes) > 1:
         sums = np.stack([np.sum(levels[list(fringe.frames)], axis=0) for fringe in plan.fringes])
         residuals.append(sums - medians(sums, axis=0))
-    return sum(float(np.sum((each / swing) ** 2)) for each in residuals) / len(swing)
+    return sum(float(np.sum((residual / swing) ** 2)) for residual in residuals) / len(swing)
 
 
-def contradictions(plan: SequencePlan, shown: LitSample) -> list[Anomaly]:
+def find_anomalies(plan: SequencePlan, sample: LitSample) -> list[Anomaly]:
     """Return all contradictions between the frames and the sequence."""
-    return [*_extremes(plan, shown), *_pairs(plan, shown), *_fringes(plan, shown)]
+    return [*_extremes(plan, sample), *_pairs(plan, sample), *_fringes(plan, sample)]
 
 
-def _extremes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
-    for frame, excess in beyond_extremes(plan, shown.levels):
-        beyond = excess > HALF * shown.swing
+def _extremes(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
+    for frame, excess in range_residuals(plan, sample.levels):
+        beyond = excess > HALF * sample.swing
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
@@ -97,8 +97,8 @@ def _extremes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
             )
 
 
-def _pairs(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
-    wrong = np.mean(np.abs(uneven_pairs(plan, shown.levels)) > HALF * shown.swing, axis=1)
+def _pairs(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
+    wrong = np.mean(np.abs(pair_sum_residuals(plan, sample.levels)) > HALF * sample.swing, axis=1)
     suspects = [
         frame for pair, share in zip(plan.complements, wrong, strict=False) for frame in pair if share > _WRONG_SHARE
     ]
@@ -110,28 +110,30 @@ def _pairs(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
         )
 
 
-def _fringes(plan: SequencePlan, shown: LitSample) -> Iterator[Anomaly]:
+def _fringes(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
     """Yield the fringes whose mean is uneven, or whose steps make no cosine; blurred ones cannot be checked."""
-    levels = {fringe: shown.levels[list(fringe.frames)] for fringe in plan.fringes}
+    levels = {fringe: sample.levels[list(fringe.frames)] for fringe in plan.fringes}
     # Scatter of the steps in standard deviations of the noise; a barely visible fringe has 3.
-    seen = [
-        fringe for fringe, steps in levels.items() if median(np.std(steps, axis=0, ddof=1) / shown.sigma) > HUBER_SIGMAS
+    visible = [
+        fringe
+        for fringe, steps in levels.items()
+        if median(np.std(steps, axis=0, ddof=1) / sample.sigma) > HUBER_SIGMAS
     ]
-    even = [fringe for fringe in seen if fringe.equal_steps]
+    even = [fringe for fringe in visible if fringe.equal_steps]
     means = [levels[fringe].mean(axis=0) for fringe in even]
-    usual = medians(np.stack(means), axis=0) if len(even) > 1 else shown.levels.min(axis=0)
-    relative_noise = median(shown.sigma / shown.swing)
+    usual = medians(np.stack(means), axis=0) if len(even) > 1 else sample.levels.min(axis=0)
+    relative_noise = median(sample.sigma / sample.swing)
     for fringe, mean in zip(even, means, strict=True):
         steps, amplitude = len(fringe.shifts), np.hypot(*fringe.weights[1:].astype(np.float32) @ levels[fringe])
-        spread = float(robust_sigmas(((mean - usual) / shown.swing)[None])[0])
+        spread = float(robust_sigmas(((mean - usual) / sample.swing)[None])[0])
         # N times the scatter of the mean is about an amplitude if one of N frames shows another pattern, 0.1 to 0.2 of
         # it from harmonics.
-        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > HALF * median(amplitude / shown.swing):
+        if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > HALF * median(amplitude / sample.swing):
             yield Anomaly(
                 f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 fringe.frames,
             )
-    for fringe in seen:
+    for fringe in visible:
         swings = levels[fringe] - fringe.weights[0].astype(np.float32) @ levels[fringe]
-        if np.mean(beside_cosine(fringe, shown.levels) ** 2) > LEFT_BY_EXCHANGE * np.mean(swings**2):
+        if np.mean(sinusoid_residuals(fringe, sample.levels) ** 2) > LEFT_BY_SWAP * np.mean(swings**2):
             yield Anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)

@@ -11,7 +11,7 @@ from math import sqrt
 import numpy as np
 
 from calib.numerics import MANY_PIXELS, Bools, Floats32, Ints, lines_of
-from scanner.decoding.axis_decoder import AxisDecoder, Measured
+from scanner.decoding.axis_decoder import AxisDecoder, UnwrappedFringes
 from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
@@ -33,7 +33,7 @@ _NEARLY = 0.25
 _MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: Measured) -> Iterator[Anomaly]:
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedFringes) -> Iterator[Anomaly]:
     """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample
     that was `measured` with the widest tolerances.
 
@@ -49,9 +49,9 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: Measured) 
         return
     for fringe, position in zip(axis.fringes[: decoder.finest + 1], measured.orders.coordinates, strict=False):
         expected = float(np.sinc(axis.cell / fringe.period))
-        found = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
-        if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and found < HALF * expected:
-            if found < _UNRELATED * expected:
+        cosine = np.mean(np.cos(2 * np.pi / fringe.period * (position - interval.centre)[lit]))
+        if axis.codes and axis.cell < fringe.period and expected > _INFORMATIVE and cosine < HALF * expected:
+            if cosine < _UNRELATED * expected:
                 raise InputError(
                     f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
                     f"some of these frames exchanged{_or_code(plan, axis)}?"
@@ -147,11 +147,11 @@ def _mirrored_axis(plan: SequencePlan, maps: Maps, kept: Bools) -> AxisPlan | No
         return None
     stride = max(1, round(sqrt(kept.size / MANY_PIXELS)))
     near, far, inner = np.s_[: -2 * reach : stride], np.s_[2 * reach :: stride], np.s_[reach:-reach:stride]
-    left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
-    whole = kept[left] & kept[right] & kept[above] & kept[below]
+    to_left, right, above, below = (inner, near), (inner, far), (near, inner), (far, inner)
+    whole = kept[to_left] & kept[right] & kept[above] & kept[below]
     if np.count_nonzero(whole) < FEWEST_PIXELS:
         return None
-    x_u, y_u = ((value[right] - value[left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
+    x_u, y_u = ((value[right] - value[to_left])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     x_v, y_v = ((value[below] - value[above])[whole] for value in np.moveaxis(maps.projector_px, 2, 0))
     if np.mean(x_u * y_v < x_v * y_u) <= 0.5:
         return None

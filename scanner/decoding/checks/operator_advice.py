@@ -24,7 +24,7 @@ def too_dark(levels: Image, noise: NoiseModel) -> str | None:
     `levels` (frames, P): of pixels sampled from the whole image.
     """
     swing = np.ptp(levels, axis=0)
-    change, bright = (float(np.quantile(each, BRIGHTEST)) for each in (swing, levels.max(axis=0)))
+    change, bright = (float(np.quantile(values, BRIGHTEST)) for values in (swing, levels.max(axis=0)))
     ratio = change / float(noise.sigma(np.array([bright]))[0])
     if ratio >= _DARK_RATIO:
         return None

@@ -70,14 +70,14 @@ def widen_between_edges(plan: SequencePlan, maps: Maps) -> None:
 def _roughness(maps: Maps) -> tuple[float, float]:
     """Return for x and y the median ratio of residual variance in small tiles to the stated one; 0 if there are few."""
     pixels = _in_tiles(maps)
-    seen = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
+    coordinates = maps.projector_px.reshape(-1, 2)[pixels].astype(np.float64)
     variance = maps.variance.reshape(-1)[pixels]
-    known = np.isfinite(seen).all(axis=2) & (maps.reason.reshape(-1)[pixels] == 0)
+    known = np.isfinite(coordinates).all(axis=2) & (maps.reason.reshape(-1)[pixels] == 0)
     enough = known.mean(axis=1) > HALF
     if np.count_nonzero(enough) < _FEWEST_TILES:
         return 0.0, 0.0
-    seen, variance, known = seen[enough], variance[enough], known[enough]
-    square = _residual_squares(np.where(known[..., None], seen, 0.0), known)
+    coordinates, variance, known = coordinates[enough], variance[enough], known[enough]
+    square = _residual_squares(np.where(known[..., None], coordinates, 0.0), known)
     cells = np.sum(np.where(known, variance, 0), axis=1)
     x, y = np.median(square / cells[:, None], axis=0)
     return float(x), float(y)
@@ -96,7 +96,7 @@ def _in_tiles(maps: Maps) -> Ints:
     return pixels
 
 
-def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
+def _residual_squares(coordinates: Floats, known: np.ndarray) -> Floats:
     """Return the residual sums of squares (T, 2) of quadratic fits to the `known` (T, P) coordinates (T, P, 2) of
     tiles.
     """
@@ -104,9 +104,9 @@ def _residual_squares(seen: Floats, known: np.ndarray) -> Floats:
     u, v = u.ravel() / _TILE_PX, v.ravel() / _TILE_PX
     terms = np.stack([np.ones(u.size), u, v, u * u, u * v, v * v], axis=1)
     weighted = terms.T * known[:, None, :]
-    surfaces = np.linalg.solve(weighted @ terms, weighted @ seen)
-    left = (seen - terms @ surfaces) * known[..., None]
-    squares: Floats = np.sum(left**2, axis=1)
+    surfaces = np.linalg.solve(weighted @ terms, weighted @ coordinates)
+    residual = (coordinates - terms @ surfaces) * known[..., None]
+    squares: Floats = np.sum(residual**2, axis=1)
     return squares
 
 

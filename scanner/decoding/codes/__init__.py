@@ -1,3 +1,3 @@
 """Gray codes: the projector cell that each pixel is in."""
 
-from scanner.decoding.codes.gray_code import GrayFold, Interval, cell_numbers, interval_of
+from scanner.decoding.codes.gray_code import CodeWords, Interval, cell_numbers, interval_of

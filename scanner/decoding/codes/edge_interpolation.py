@@ -47,15 +47,15 @@ _PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(5)
 class Lines:
     """L rows, or columns, of N pixels: (L, N) each.
 
-    `words`: of the code. `usable`: lit, and with a code. `least`: least contrast of a certain edge. `middle` and
-    `brightest`: as in `Signals`. `levels` (2, bits, L, N): as returned by `levels_of_bits`.
+    `words`: of the code. `usable`: lit, and with a code. `least`: least contrast of a certain edge. `threshold` and
+    `white`: as in `Signals`. `levels` (2, bits, L, N): as returned by `levels_of_bits`.
     """
 
     words: Words
     usable: Bools
     least: Floats32
-    middle: Image
-    brightest: Image
+    threshold: Image
+    white: Image
     levels: Image
 
 
@@ -67,8 +67,8 @@ def levels_of_bits(
     `frames`: by index. `thresholds`: per frame of a bit without an inverse, in place of the other image.
     """
     nothing = next(iter(frames.values()))  # pixels do not differ in a bit that was never shown: any image will do
-    shown = {bit: images for bit, *images in compared(code, frames, thresholds)}
-    bright, dark = zip(*(shown.get(bit, [nothing, nothing]) for bit in range(code.bits)), strict=True)
+    images_of = {bit: images for bit, *images in compared(code, frames, thresholds)}
+    bright, dark = zip(*(images_of.get(bit, [nothing, nothing]) for bit in range(code.bits)), strict=True)
     return list(bright), list(dark)
 
 
@@ -78,18 +78,18 @@ def interpolate(code: GrayCode, noise: NoiseModel, lines: Lines, value: Floats32
 
     The variance is infinite where nothing is known, and stays so where no edge is found.
     """
-    threshold = np.array([int(bit in code.normal) if bit in code.unpaired else -1 for bit in range(code.bits)])
+    threshold_side = np.array([int(bit in code.normal) if bit in code.unpaired else -1 for bit in range(code.bits)])
     numbers = cell_numbers(lines.words).astype(np.int32)
     _interpolate(
         numbers,
         lines.usable,
         lines.least,
-        lines.middle,
-        lines.brightest,
+        lines.threshold,
+        lines.white,
         value,
         variance,
         lines.levels,
-        threshold,
+        threshold_side,
         noise.at_black,
         noise.gain,
     )
@@ -100,24 +100,24 @@ def _interpolate(
     numbers: Ints,
     usable: Bools,
     least: Floats32,
-    middle: Image,
-    brightest: Image,
+    threshold: Image,
+    white: Image,
     value: Floats32,
     variance: Floats32,
     levels: Image,
-    threshold: Ints,
+    threshold_side: Ints,
     at_black: float,
     per_level: float,
 ) -> None:
     """Average the interpolated coordinates along lines (L, N) into `value`, in cells, and `variance`.
 
-    `numbers`: of the cells. `threshold` (bits,): which of a bit's two `levels` (2, bits, L, N) is a threshold; −1 for
-    none.
+    `numbers`: of the cells. `threshold_side` (bits,): which of a bit's two `levels` (2, bits, L, N) is a threshold; −1
+    for none.
     """
     edges = np.empty((_FOLLOWS + 1, numbers.shape[1]))
     for line in range(len(numbers)):
-        of_line = numbers[line], usable[line], least[line], levels[:, :, line], threshold
-        of_noise = middle[line], brightest[line], at_black, per_level
+        of_line = numbers[line], usable[line], least[line], levels[:, :, line], threshold_side
+        of_noise = threshold[line], white[line], at_black, per_level
         count = _list_edges(of_line, of_noise, edges)
         for k in range(1, count):
             if edges[_FOLLOWS, k]:
@@ -133,9 +133,9 @@ def _list_edges(
     edges: Floats,
 ) -> int:
     """List the edges along a line (N,) in columns of `edges` (rows, N); return their number."""
-    numbers, usable, least, levels, threshold = of_line
-    middle, brightest, at_black, per_level = of_noise
-    bits, most = len(threshold), 2 * CELLS_PER_PIXEL
+    numbers, usable, least, levels, threshold_side = of_line
+    threshold, white, at_black, per_level = of_noise
+    bits, most = len(threshold_side), 2 * CELLS_PER_PIXEL
     count, goes_on = 0, False
     for i in range(len(numbers) - 1):
         if not (usable[i] and usable[i + 1]):
@@ -148,16 +148,16 @@ def _list_edges(
         while (low ^ high) >> size > 1:
             size += 1
         bit, number = bits - 1 - size, (high >> size) << size
-        part, contrast = edge_between(levels[:, bit, i], levels[:, bit, i + 1], threshold[bit])
+        part, contrast = edge_between(levels[:, bit, i], levels[:, bit, i + 1], threshold_side[bit])
         if contrast < least[i]:
             continue
         if high - low > most:
             goes_on = False
             continue
-        level = np.float64(middle[i])
-        sharp = contrast / max(np.float64(brightest[i]) - level, 1.0)
+        level = np.float64(threshold[i])
+        sharp = contrast / max(np.float64(white[i]) - level, 1.0)
         place = i + _of_blurred(part, sharp)
-        noise = (_PAIR if threshold[bit] < 0 else _HALF) * (at_black + per_level * level) / (2.0 * contrast) ** 2
+        noise = (_PAIR if threshold_side[bit] < 0 else _HALF) * (at_black + per_level * level) / (2.0 * contrast) ** 2
         before = max(count - 1, 0)
         apart = abs(number - edges[_EDGE, before]) if goes_on else 0.0
         if goes_on and apart == 0 and place - edges[_PLACE, before] < _SAME_EDGE_PX:
@@ -172,18 +172,18 @@ def _list_edges(
 
 
 @compiled
-def edge_between(here: Image, there: Image, threshold: int) -> tuple[float, float]:
-    """Return where between two pixels their bright and dark levels (2,) cross, from 0 to 1, and the mean contrast,
-    in whole grey levels.
+def edge_between(here: Image, there: Image, threshold_side: int) -> tuple[float, float]:
+    """Return where between two pixels their bright and dark levels (2,) cross, from 0 to 1, and the mean contrast, in
+    whole grey levels.
 
-    `threshold`: which of the two levels is half-way between lit and unlit; −1 if neither is. Twice it then replaces
-    their sum, and the difference is half.
+    `threshold_side`: which of the two levels is half-way between lit and unlit; −1 if neither is. Twice it then
+    replaces their sum, and the difference is half.
     """
-    one, other = (1, 1) if threshold == 1 else (0, 0 if threshold == 0 else 1)
+    first, second = (1, 1) if threshold_side == 1 else (0, 0 if threshold_side == 0 else 1)
     difference, difference_there = abs(float(here[0]) - here[1]), abs(float(there[0]) - there[1])
-    near = difference * (float(there[one]) + there[other])
-    far = difference_there * (float(here[one]) + here[other])
-    contrast = np.floor((difference + difference_there) * (0.5 if threshold < 0 else 1.0) + 0.5)
+    near = difference * (float(there[first]) + there[second])
+    far = difference_there * (float(here[first]) + here[second])
+    contrast = np.floor((difference + difference_there) * (0.5 if threshold_side < 0 else 1.0) + 0.5)
     return near / max(near + far, 1e-6), float(contrast)
 
 
@@ -250,14 +250,14 @@ def _fill(edges: Floats, k: int, curved: float, numbers: Ints, value: Floats32, 
     slope = cells / length
     for i in range(int(np.ceil(start)), int(np.floor(edges[_PLACE, k])) + 1):
         share = (i - start) / length
-        found = first + share * cells
-        if abs(found - numbers[i] - 0.5) > 1.5:
+        coordinate = first + share * cells
+        if abs(coordinate - numbers[i] - 0.5) > 1.5:
             continue
         noise = (1 - share) ** 2 * edges[_SPREAD, k - 1] + share * share * edges[_SPREAD, k]
         own = slope * slope * noise + curved * curved
         if np.isinf(variance[i]):
-            value[i], variance[i] = found, own
+            value[i], variance[i] = coordinate, own
         else:
             part = variance[i] / (variance[i] + own)
-            value[i] += part * (found - value[i])
+            value[i] += part * (coordinate - value[i])
             variance[i] *= 1.0 - part

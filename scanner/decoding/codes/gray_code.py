@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats32, Image, Words, compiled
-from scanner.decoding.mask_reasons import Against, Reasons
+from scanner.decoding.mask_reasons import PixelFlags, Reasons
 from scanner.decoding.sequence_plan import FINE_BITS, AxisPlan, GrayCode
 
 _HALF, _ONE, _NOTHING = np.float32(0.5), np.float32(1), np.uint8(0)
 
 
-class GrayFold:
+class CodeWords:
     """The code word of each pixel, with the contrast of its bits.
 
     `words` (H, W): of the plain Gray code, bit 0 in place bits − 1, as in the pattern. `least` and `contrast` (H, W):
@@ -38,12 +38,12 @@ class GrayFold:
         words = next(kind for kind in (np.uint8, np.uint16, np.uint32) if np.iinfo(kind).bits >= code.bits)
         self.words: Words = np.full(shape, code.constant, words)
 
-    def fold(self, frames: Mapping[int, Image], thresholds: Mapping[int, Image], rows: slice = slice(None)) -> None:
+    def fill(self, frames: Mapping[int, Image], thresholds: Mapping[int, Image], rows: slice = slice(None)) -> None:
         """Fill in some rows, from their frames, and from the thresholds of bits without an inverse."""
         words = self.words[rows]
         for bit, bright, dark in compared(self.code, frames, thresholds):
-            shown = cv2.compare(bright, dark, cv2.CMP_GT).view(np.int8)  # all bits are set, or none
-            words |= shown.astype(words.dtype) & words.dtype.type(1 << self.code.bits - 1 - bit)
+            is_set = cv2.compare(bright, dark, cv2.CMP_GT).view(np.int8)  # all bits are set, or none
+            words |= is_set.astype(words.dtype) & words.dtype.type(1 << self.code.bits - 1 - bit)
             contrast = cv2.absdiff(bright, dark)
             if bit in self.code.unpaired:
                 contrast = cv2.add(contrast, contrast)
@@ -66,21 +66,21 @@ class GrayFold:
         for contrast in self.optional.values():
             np.maximum(contrast, least, out=contrast, where=where)
 
-    def without_finest(self, count: int, *, optional: bool = False) -> "GrayFold":
+    def without_finest(self, count: int, *, optional: bool = False) -> "CodeWords":
         """Return the coarser code without its `count` finest bits; its `least` covers all its bits.
 
         `optional`: a pixel may lack some of the remaining fine bits.
         """
-        other = copy(self)
-        other.code, other.fine = self.code.without_finest(count), {}
-        other.words = self.words >> self.words.dtype.type(count)
-        other.least = self.least.copy()
+        coarser = copy(self)
+        coarser.code, coarser.fine = self.code.without_finest(count), {}
+        coarser.words = self.words >> self.words.dtype.type(count)
+        coarser.least = self.least.copy()
         for bit, image in self.fine.items():
-            if bit < other.code.bits:
-                np.minimum(other.least, image, out=other.least)
+            if bit < coarser.code.bits:
+                np.minimum(coarser.least, image, out=coarser.least)
                 if optional:
-                    other.optional = {**other.optional, bit: image}
-        return other
+                    coarser.optional = {**coarser.optional, bit: image}
+        return coarser
 
 
 def compared(
@@ -100,13 +100,13 @@ def compared(
 class Interval:
     """The interval of each pixel by its Gray codes, `low` to `high` in projector pixels; arrays (P,).
 
-    `against`: flags of `Against`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two
+    `flags`: flags of `PixelFlags`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two
     codes do not overlap.
     """
 
     low: Floats32
     high: Floats32
-    against: Reasons
+    flags: Reasons
 
     @property
     def centre(self) -> Floats32:
@@ -121,13 +121,13 @@ class Interval:
     @property
     def possible(self) -> Bools:
         """True where the codes are neither outside nor contradictory."""
-        possible: Bools = self.against == 0
+        possible: Bools = self.flags == 0
         return possible
 
     @property
     def contradictory(self) -> Bools:
         """True where the intervals of two codes do not overlap."""
-        contradictory: Bools = self.against & np.uint8(Against.CONTRADICTORY) != 0
+        contradictory: Bools = self.flags & np.uint8(PixelFlags.CONTRADICTORY) != 0
         return contradictory
 
 
@@ -140,7 +140,7 @@ def interval_of(
     """
     first, last = np.float32(-0.5), np.float32(plan.length - 0.5)
     low, high = np.full(pixels, first), np.full(pixels, last)
-    against = np.empty(pixels, np.uint8)
+    flags = np.empty(pixels, np.uint8)
     for number, (code, of_code) in enumerate(zip(plan.codes, words, strict=True)):
         cell, before = np.float32(code.cell), np.float32(code.offset + 0.5)
         where = np.flatnonzero(undecided[number] if undecided and number in undecided else ())
@@ -151,9 +151,9 @@ def interval_of(
             low[where] = np.maximum(earlier[0], start * cell - before)
             high[where] = np.minimum(earlier[1], end * cell - before)
     # Blurred edges may leave a small gap between two codes' intervals.
-    flags = np.uint8(Against.OUTSIDE), np.uint8(Against.CONTRADICTORY)
-    _settle(first, last, np.float32(plan.cell / 2), *flags, low, high, against)
-    return Interval(low, high, against)
+    kinds = np.uint8(PixelFlags.OUTSIDE), np.uint8(PixelFlags.CONTRADICTORY)
+    _settle(first, last, np.float32(plan.cell / 2), *kinds, low, high, flags)
+    return Interval(low, high, flags)
 
 
 def cell_numbers(words: Words) -> Words:
@@ -175,10 +175,10 @@ def _widened(words: Words, undecided: Words) -> tuple[Floats32, Floats32]:
     resolved, and all cells that share the coarser bits are possible.
     """
     word, bits = words.astype(np.uint32), undecided.astype(np.uint32)
-    number, other = (cell_numbers(each).astype(np.float32) for each in (word, word ^ bits))
-    is_edge = (bits & (bits - np.uint32(1)) == 0) & (np.abs(other - number) == 1)
+    number, alternative = (cell_numbers(words_of).astype(np.float32) for words_of in (word, word ^ bits))
+    is_edge = (bits & (bits - np.uint32(1)) == 0) & (np.abs(alternative - number) == 1)
     size = np.exp2(np.floor(np.log2(bits)) + 1).astype(np.float32)
-    start = np.where(is_edge, np.minimum(number, other), np.floor(number / size) * size)
+    start = np.where(is_edge, np.minimum(number, alternative), np.floor(number / size) * size)
     return start, start + np.where(is_edge, np.float32(2), size)
 
 
@@ -209,7 +209,7 @@ def _settle(
     contradictory: np.uint8,
     low: Floats32,
     high: Floats32,
-    against: Reasons,
+    flags: Reasons,
 ) -> None:
     """Flag intervals outside `first` to `last`, and contradictory ones, which end before they
     begin; sort their ends.
@@ -217,6 +217,6 @@ def _settle(
     for i in range(len(low)):
         start, end = low[i], high[i]
         beyond = outside if (start >= last) | (end <= first) else _NOTHING
-        against[i] = beyond | (contradictory if start - end > slack else _NOTHING)
+        flags[i] = beyond | (contradictory if start - end > slack else _NOTHING)
         low[i] = min(start, end)
         high[i] = max(start, end)

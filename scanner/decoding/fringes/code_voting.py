@@ -39,9 +39,11 @@ def resolve_contradictory_codes(
     there = Wrapped(wrapped.positions[:, where], wrapped.variances[:, where])
     answers = list(_answers(plan, [of_code[where] for of_code in words]))
     followed = [unwrap(plan, answer, there, tolerances) for answer in answers]
-    agrees = np.array([f.against | answer.against for f, answer in zip(followed, answers, strict=True)]) == 0
-    found = np.stack([f.coordinates[-1] for f in followed])
-    first, last = (end(np.where(agrees, found, np.float32(np.nan)), axis=0) for end in (np.fmin.reduce, np.fmax.reduce))
+    agrees = np.array([f.flags | answer.flags for f, answer in zip(followed, answers, strict=True)]) == 0
+    coordinates = np.stack([f.coordinates[-1] for f in followed])
+    first, last = (
+        end(np.where(agrees, coordinates, np.float32(np.nan)), axis=0) for end in (np.fmin.reduce, np.fmax.reduce)
+    )
     # NaN, and so not clear, where none agrees.
     is_clear = last - first < np.float32(plan.fringes[-1].period / 2)
     best = np.argmax(agrees, axis=0)
@@ -50,7 +52,7 @@ def resolve_contradictory_codes(
         at = where[chosen]
         interval.low[at], interval.high[at] = answer.low[chosen], answer.high[chosen]
         orders.coordinates[:, at] = orders_of.coordinates[:, chosen]
-        interval.against[at] = orders.against[at] = 0
+        interval.flags[at] = orders.flags[at] = 0
 
 
 def _answers(plan: AxisPlan, words: Sequence[Words]) -> Iterator[Interval]:

@@ -46,14 +46,14 @@ def footprint_of(
     """
     tiles = _equations(shaded, log_lit, usable, tile_px)
     # An isotropic footprint has equal variances.
-    found, weight = tiles.vector[:, :2].sum(axis=1), tiles.matrix[:, :2, :2].sum(axis=(1, 2))
+    shift, weight = tiles.vector[:, :2].sum(axis=1), tiles.matrix[:, :2, :2].sum(axis=(1, 2))
     telling = weight > 0
     if np.count_nonzero(telling) <= len(UNITS):
         return Footprint.round(assumed_px2)
     long = _not_round(_Tiles(tiles.matrix[telling], tiles.vector[telling]))
     if long is not None:
         return long
-    variance, scatter = _weighted_median(found[telling] / weight[telling], weight[telling])
+    variance, scatter = _weighted_median(shift[telling] / weight[telling], weight[telling])
     if assumed_px2 and abs(variance) <= SIGNIFICANT_SIGMAS * scatter:
         share = _TYPICAL_SIGMA_PX2**2 / (_TYPICAL_SIGMA_PX2**2 + scatter**2)
         return Footprint.round(assumed_px2 + share * (variance - assumed_px2))
@@ -101,10 +101,10 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     for _ in range(MEDIAN_ROUNDS):
         total = np.einsum("t,tij->ij", weight, tiles.matrix)
         covariance = np.linalg.solve(total, weight @ tiles.vector)
-        left = tiles.vector - tiles.matrix @ covariance
-        off = np.linalg.norm(left, axis=1) / size
+        residual = tiles.vector - tiles.matrix @ covariance
+        off = np.linalg.norm(residual, axis=1) / size
         weight = huber_weights(off, float(np.median(off)))
-    response = np.linalg.solve(total, (weight[:, None] * left).T)
+    response = np.linalg.solve(total, (weight[:, None] * residual).T)
     uncertain = response @ response.T
     # Difference of the variances, and the covariance: both are zero for an isotropic footprint.
     apart = np.array([[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -112,8 +112,8 @@ def _not_round(tiles: _Tiles) -> Footprint | None:
     squared = float(difference @ np.linalg.solve(apart @ uncertain @ apart.T, difference))
     free = count - unknowns
     by_chance = fdtrc(2, free - 1, squared * (free - 1) / (2 * free))
-    found = Footprint(*covariance.tolist())
-    return found if by_chance < BY_CHANCE and found.largest_px2 < _LARGEST_PX2 else None
+    footprint = Footprint(*covariance.tolist())
+    return footprint if by_chance < BY_CHANCE and footprint.largest_px2 < _LARGEST_PX2 else None
 
 
 def _weighted_median(values: Floats, weights: Floats) -> tuple[float, float]:

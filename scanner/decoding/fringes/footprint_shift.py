@@ -143,8 +143,8 @@ def correct_curvature_shift(
 
 def _limits(wanted: tuple[slice, slice], shape: tuple[int, ...], by: int) -> tuple[int, int, int, int]:
     """Return first row, end row, first column, end column of the wanted part widened by `by` pixels."""
-    (top, bottom, _), (left, right, _) = (part.indices(size) for part, size in zip(wanted, shape, strict=True))
-    return max(0, top - by), min(shape[0], bottom + by), max(0, left - by), min(shape[1], right + by)
+    (top, bottom, _), (first_column, right, _) = (part.indices(size) for part, size in zip(wanted, shape, strict=True))
+    return max(0, top - by), min(shape[0], bottom + by), max(0, first_column - by), min(shape[1], right + by)
 
 
 @cache
@@ -160,9 +160,9 @@ def curvature_kernel(footprint: Footprint) -> NDArray[np.float32]:
 
 def noise_gain2(kernel: NDArray[np.float32]) -> np.float32:
     """Return the factor by which subtracting the kernel's output increases the variance of independent noise."""
-    left = -kernel.astype(np.float64)
-    left[_REACH, _REACH] += 1
-    return np.float32(np.sum(left**2))
+    residual = -kernel.astype(np.float64)
+    residual[_REACH, _REACH] += 1
+    return np.float32(np.sum(residual**2))
 
 
 @compiled
@@ -183,14 +183,21 @@ def _take_out(shift: Floats32, value: Floats32, variance: Floats32, gain: np.flo
 
 @compiled
 def _take_out_as_around(
-    shift: Floats32, surface: Bools, value: Floats32, variance: Floats32, top: int, bottom: int, left: int, right: int
+    shift: Floats32,
+    surface: Bools,
+    value: Floats32,
+    variance: Floats32,
+    top: int,
+    bottom: int,
+    first_column: int,
+    right: int,
 ) -> None:
     """Where the shift is unknown, subtract the mean of the known shifts nearby on the surface, if there are any.
 
-    In rows from `top` to `bottom`, columns from `left` to `right`.
+    In rows from `top` to `bottom`, columns from `first_column` to `right`.
     """
     for row in range(top, bottom):
-        for start in range(left, right, _STRETCH):
+        for start in range(first_column, right, _STRETCH):
             stop = min(start + _STRETCH, right)
             # Most stretches have none, which a vectorised loop finds out.
             of_surface, of_shift, unknown = surface[row, start:stop], shift[row, start:stop], np.uint8(0)

@@ -62,5 +62,5 @@ def _spectrum(angle: Floats) -> NDArray[np.complex128]:
 
 def _unevenness(spectrum: NDArray[np.complex128], steps: int) -> float:
     """Return the RMS non-uniformity at frequencies that harmonics cannot cause: scene and chance."""
-    others = [k for k in range(1, 3 * steps) if k % steps]
-    return float(np.sqrt(np.mean(np.abs(spectrum[others]) ** 2)))
+    frequencies = [k for k in range(1, 3 * steps) if k % steps]
+    return float(np.sqrt(np.mean(np.abs(spectrum[frequencies]) ** 2)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats32, compiled, median
 from scanner.decoding.codes import Interval
-from scanner.decoding.mask_reasons import Against, Reasons
+from scanner.decoding.mask_reasons import PixelFlags, Reasons
 from scanner.decoding.sequence_plan import AxisPlan
 from scanner.decoding.significance import FEWEST_PIXELS, REJECTED, SIGNIFICANT_SIGMAS
 
@@ -47,17 +47,17 @@ class Tolerances:
 class Orders:
     """Unwrapped `coordinates` (fringes, P), longest period first, in projector pixels.
 
-    `against` (P,): flags of `Against`. DISAGREES: no order explains all phases and the interval, the coordinates are
+    `flags` (P,): flags of `PixelFlags`. DISAGREES: no order explains all phases and the interval, the coordinates are
     invalid. AMBIGUOUS: another order explains them nearly as well.
     """
 
     coordinates: Floats32
-    against: Reasons
+    flags: Reasons
 
     @property
     def agree(self) -> Bools:
         """(P,): True where the coordinates are valid."""
-        agree: Bools = self.against & np.uint8(Against.DISAGREES) == 0
+        agree: Bools = self.flags & np.uint8(PixelFlags.DISAGREES) == 0
         return agree
 
 
@@ -91,20 +91,20 @@ def widest_tolerances(plan: AxisPlan) -> Tolerances:
     return Tolerances(interval / SIGNIFICANT_SIGMAS, between)
 
 
-def measured_tolerances(plan: AxisPlan, found: Disagreements, variances: Floats32) -> Tolerances:
+def measured_tolerances(plan: AxisPlan, distances: Disagreements, variances: Floats32) -> Tolerances:
     """Return the tolerances estimated from a sample that was unwrapped with the widest ones.
 
     `variances` (fringes, P): those of the sample's pixels.
     """
     widest = widest_tolerances(plan)
     interval = widest.interval_px
-    outside = found.outside_px[found.outside_px > 0]
+    outside = distances.outside_px[distances.outside_px > 0]
     if plan.codes and len(outside) >= FEWEST_PIXELS:
         floor = max(0.1, 0.005 * plan.cell)
         interval = min(interval, max(floor, SIGMA_PER_MEDIAN * median(outside)))
     between = []
     noises = [median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
-    for most, distance, noise in zip(widest.fringe_px, found.between_px, noises, strict=True):
+    for most, distance, noise in zip(widest.fringe_px, distances.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= FEWEST_PIXELS:
             total = SIGMA_PER_MEDIAN * median(distance)
@@ -118,23 +118,23 @@ def unwrap(plan: AxisPlan, interval: Interval, wrapped: Wrapped, tolerances: Tol
     periods = [np.float32(fringe.period) for fringe in plan.fringes]
     positions = wrapped.positions
     reach = plan.cell / 2 + SIGNIFICANT_SIGMAS * tolerances.interval_px
-    others = int(2 * reach / plan.fringes[0].period)
+    further = int(2 * reach / plan.fringes[0].period)
     # With a single order within reach, it is the nearest.
-    search = np.float32(reach if others else plan.fringes[0].period / 2)
+    search = np.float32(reach if further else plan.fringes[0].period / 2)
     coordinates = np.empty_like(positions)
     _first_order(positions[0], periods[0], search, interval.low, interval.high, coordinates[0])
     best_cost = _followed(coordinates, interval, wrapped, periods, tolerances)
-    if not others:
-        return Orders(coordinates, (best_cost == _INFINITE) * np.uint8(Against.DISAGREES))
+    if not further:
+        return Orders(coordinates, (best_cost == _INFINITE) * np.uint8(PixelFlags.DISAGREES))
     best, second_cost, trial = coordinates[0], np.full_like(best_cost, np.inf), coordinates.copy()
-    for _ in range(others):
+    for _ in range(further):
         trial[0] += periods[0]
         cost = _followed(trial, interval, wrapped, periods, tolerances)
         _choose(trial[0], cost, best, best_cost, second_cost)
     _followed(coordinates, interval, wrapped, periods, tolerances)
-    against = (best_cost == _INFINITE) * np.uint8(Against.DISAGREES)
-    against |= (second_cost < best_cost + np.float32(REJECTED)) * np.uint8(Against.AMBIGUOUS)
-    return Orders(coordinates, against)
+    flags = (best_cost == _INFINITE) * np.uint8(PixelFlags.DISAGREES)
+    flags |= (second_cost < best_cost + np.float32(REJECTED)) * np.uint8(PixelFlags.AMBIGUOUS)
+    return Orders(coordinates, flags)
 
 
 def _followed(

@@ -66,7 +66,7 @@ class Response:
         """Return the phase correction as a table over one cycle, both in radians."""
         return (self.probability @ _bent(fringe).ripples).astype(np.float32)
 
-    def left(self, fringe: Fringe) -> Floats:
+    def residual(self, fringe: Fringe) -> Floats:
         """Return the phase error left after correction if the exponent is one standard deviation larger, as such a
         table.
         """
@@ -74,22 +74,24 @@ class Response:
         return -(self.probability * relative) @ _bent(fringe).ripples
 
 
-def response_of(seen: Sequence[FringeSample]) -> Response:
+def response_of(samples: Sequence[FringeSample]) -> Response:
     """Estimate the response from the amplitude ripple of the fringes of one or both axes at the same pixels.
 
     With both axes their amplitudes are compared with each other, which cancels albedo and light; with one axis, with
     the mean of the frames.
     """
-    first = seen[0].fringe
+    first = samples[0].fringe
     steps = len(first.shifts)
     likelihood = np.ones(len(_EXPONENTS))
-    if all(each.fringe.equal_steps for each in seen) and len(seen[0].phases) >= FEWEST_PIXELS:
-        pair = seen if len({len(each.fringe.shifts) for each in seen}) < len(seen) else seen[:1]
-        found, sigma = _ripple([each.phases + 2 * pi * each.fringe.shifts[0] for each in pair], _relative(pair), steps)
+    if all(sample.fringe.equal_steps for sample in samples) and len(samples[0].phases) >= FEWEST_PIXELS:
+        pair = samples if len({len(sample.fringe.shifts) for sample in samples}) < len(samples) else samples[:1]
+        ripple, sigma = _ripple(
+            [sample.phases + 2 * pi * sample.fringe.shifts[0] for sample in pair], _relative(pair), steps
+        )
         bent = _bent(first)
         curves = bent.log_amplitudes - (bent.log_means if len(pair) == 1 else 0)
         expected = 2 * np.mean(curves * np.cos(steps * (CYCLE + 2 * pi * first.shifts[0])), axis=1)
-        likelihood = np.exp(-(((expected - found) / sigma) ** 2) / 2) + np.finfo(float).tiny
+        likelihood = np.exp(-(((expected - ripple) / sigma) ** 2) / 2) + np.finfo(float).tiny
     return Response(likelihood / likelihood.sum())
 
 
@@ -112,11 +114,11 @@ class Unchecked:
         return self._by_true_phase(1 + slope)
 
     @cached_property
-    def left_px(self) -> Floats32:
+    def residual_px(self) -> Floats32:
         """The coordinate error for one standard deviation of the response, as a table over one cycle, in projector
         pixels.
         """
-        return self._by_true_phase(self.fringe.period / (2 * pi) * self.response.left(self.fringe))
+        return self._by_true_phase(self.fringe.period / (2 * pi) * self.response.residual(self.fringe))
 
     def add_to(self, variance: Floats32, coordinate: Floats32) -> None:
         """Add the systematic errors to the variance (P,) of the coordinates, which holds their noise; in place."""
@@ -124,7 +126,7 @@ class Unchecked:
         indirect_px = _INDIRECT_CYCLES * self.fringe.period * sqrt(self.fringe.period / self.axis.length)
         variance += np.float32(indirect_px**2)
         variance *= self.stretch[place] ** 2
-        variance += self.left_px[place] ** 2
+        variance += self.residual_px[place] ** 2
 
     def _by_true_phase(self, of_measured: Floats) -> Floats32:
         true = CYCLE + self.response.straightening(self.fringe)
@@ -142,9 +144,9 @@ def shift_of(unchecked: Sequence[Unchecked]) -> Shift:
     def shift(camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
         del camera_px, gradient
         shifts = np.zeros_like(projector_px)
-        for each in unchecked:
-            axis = 0 if each.axis.axis == "x" else 1
-            shifts[:, axis] = each.left_px[_place(projector_px[:, axis], each.fringe.period)]
+        for axis_error in unchecked:
+            axis = 0 if axis_error.axis.axis == "x" else 1
+            shifts[:, axis] = axis_error.residual_px[_place(projector_px[:, axis], axis_error.fringe.period)]
         return shifts
 
     return shift
@@ -158,8 +160,8 @@ def _place(coordinate: NDArray[np.floating[Any]], period: float) -> NDArray[np.i
 
 def remark_on(unchecked: Sequence[Unchecked]) -> str:
     """Return the remark for the operator."""
-    axes = " and ".join(each.axis.axis for each in unchecked)
-    fringe, response = max((each.fringe for each in unchecked), key=lambda each: each.period), unchecked[0].response
+    axes = " and ".join(error.axis.axis for error in unchecked)
+    fringe, response = max((error.fringe for error in unchecked), key=lambda error: error.period), unchecked[0].response
     return (
         f"{UNCHECKED} the single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps along {axes}. "
         f"Its amplitude tells of a brightness curve of exponent {response.exponent:.2g} ± {response.sigma:.1g}, which "
@@ -182,10 +184,10 @@ class _Bent:
 
 @lru_cache(maxsize=4)
 def _bent(fringe: Fringe) -> _Bent:
-    shown = (1 + np.cos(CYCLE + 2 * pi * np.array(fringe.shifts)[:, None])) / 2
+    pattern = (1 + np.cos(CYCLE + 2 * pi * np.array(fringe.shifts)[:, None])) / 2
     parts = []
     for exponent in _EXPONENTS:
-        levels = shown**exponent
+        levels = pattern**exponent
         cosine, sine = fringe.weights[1:] @ levels
         off = np.angle((cosine + 1j * sine) * np.exp(-1j * CYCLE))
         # Resample from evenly spaced true phases to evenly spaced measured phases.
@@ -195,9 +197,9 @@ def _bent(fringe: Fringe) -> _Bent:
     return _Bent(*np.moveaxis(np.array(parts), 1, 0))
 
 
-def _relative(seen: Sequence[FringeSample]) -> Floats:
+def _relative(samples: Sequence[FringeSample]) -> Floats:
     """Return the logarithm (P,) of the amplitude relative to that of the other axis, or else to the mean level."""
-    return seen[0].log_amplitude - (seen[1].log_amplitude if len(seen) > 1 else seen[0].log_mean)
+    return samples[0].log_amplitude - (samples[1].log_amplitude if len(samples) > 1 else samples[0].log_mean)
 
 
 def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[float, float]:
@@ -212,8 +214,8 @@ def _ripple(angles: Sequence[Floats], relative: Floats, steps: int) -> tuple[flo
         return first - second[0] if second else first
 
     telling = [of_both(wave, k) for k in (steps, steps - 1, steps + 1) for wave in (np.cos, np.sin)]
-    others = [of_both(np.cos, 2 * steps), np.ones_like(relative)]
-    others += [wave(k * angle) for angle in angles for k in range(1, steps - 1) for wave in (np.cos, np.sin)]
-    terms = np.stack([*telling, *others])
-    found, *chance = fit_reweighted(terms, relative, biweight, np.ones_like(relative), MEDIAN_ROUNDS)[: len(telling)]
-    return float(found), hypot(_LEAST_RIPPLE, float(np.sqrt(np.mean(np.square(chance)))))
+    nuisance = [of_both(np.cos, 2 * steps), np.ones_like(relative)]
+    nuisance += [wave(k * angle) for angle in angles for k in range(1, steps - 1) for wave in (np.cos, np.sin)]
+    terms = np.stack([*telling, *nuisance])
+    ripple, *chance = fit_reweighted(terms, relative, biweight, np.ones_like(relative), MEDIAN_ROUNDS)[: len(telling)]
+    return float(ripple), hypot(_LEAST_RIPPLE, float(np.sqrt(np.mean(np.square(chance)))))

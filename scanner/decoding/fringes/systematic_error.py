@@ -106,10 +106,10 @@ def _compare(
     for block in range(share.shape[0]):
         of_row[:] = _ZERO
         for row in range(2 * block, min(2 * block + 2, height)):
-            one, other, chosen = longer[row], shorter[row], usable[row]
+            of_longer, of_shorter, chosen = longer[row], shorter[row], usable[row]
             of_one, of_other = longer_variance[row], shorter_variance[row]
             for i in range(width):
-                apart = one[i] - other[i]
+                apart = of_longer[i] - of_shorter[i]
                 beyond = apart * apart - of_one[i] - of_other[i]
                 of_excess[i] += beyond if chosen[i] else _ZERO
                 of_distance[i] += apart if chosen[i] else _ZERO

@@ -34,22 +34,22 @@ class BitLevels:
     bright: float
     away: float
 
-    def threshold(self, middle: Image, white: Image) -> Image:
+    def threshold(self, half_lit: Image, white: Image) -> Image:
         """Return the threshold from half-way level and white, (H, W); the half-way level itself if
         it is close enough.
         """
         if self.away < _ALIKE:
-            return middle
+            return half_lit
         of_white = self.dark + self.bright - self.of_black
-        return cast(Image, cv2.addWeighted(middle, self.of_black - of_white, white, of_white, 0))
+        return cast(Image, cv2.addWeighted(half_lit, self.of_black - of_white, white, of_white, 0))
 
 
-def levels_of_bit(frame: Image, middle: Image, white: Image) -> BitLevels | None:
+def levels_of_bit(frame: Image, half_lit: Image, white: Image) -> BitLevels | None:
     """Fit the levels of a frame, given the half-way level and white, at pixels of a sample (P,).
 
     None if too few pixels have either level, or the levels are not distinct.
     """
-    level, half_way, brightest = (image.astype(np.float32) for image in (frame, middle, white))
+    level, half_way, brightest = (image.astype(np.float32) for image in (frame, half_lit, white))
     lit = lit_by(brightest - half_way)
     half = np.maximum((brightest - half_way)[lit], np.float32(0.5))
     relative, black = level[lit] / (2 * half), (half_way[lit] - half) / (2 * half)

@@ -46,7 +46,7 @@ _LEAST_VARIETY = 0.3
 
 
 @dataclass(frozen=True)
-class Places:
+class LitRows:
     """The ascending `rows` (P,) of lit pixels in an image of `height`."""
 
     rows: NDArray[np.int64]
@@ -87,7 +87,7 @@ class Gains:
         divided: Floats32 = image.astype(np.float32) / _as_rows_of(image, self._in(part)[frame])
         return divided
 
-    def within(self, places: Places) -> "Gains":
+    def within(self, places: LitRows) -> "Gains":
         """Return the gains; if banded, such as leave nothing of frames in the rows beyond those of lit pixels."""
         beyond = np.full_like(self.of_rows, inf)
         lit = slice(places.rows[0], places.rows[-1] + 1)
@@ -103,7 +103,7 @@ def _as_rows_of(image: Image, values: Floats) -> Floats32:
     return values.astype(np.float32).reshape(-1, *[1] * (image.ndim - 1))
 
 
-def left_by_gains(levels: Floats32, common: Floats32) -> Floats:
+def residual_of_gains(levels: Floats32, common: Floats32) -> Floats:
     """Return what is left of the `common` light (P,) without frames (N, P), each of the brightness that leaves least.
 
     By least squares relative to the light.
@@ -112,13 +112,13 @@ def left_by_gains(levels: Floats32, common: Floats32) -> Floats:
     return common * _without(frames, np.ones(len(common)))
 
 
-def gains_of_pair(levels: Floats32, common: Floats32, places: Places) -> Gains:
+def gains_of_pair(levels: Floats32, common: Floats32, places: LitRows) -> Gains:
     """Return the gains of a pattern and its inverse (2, P), which add up to twice the `common` light (P,)."""
     nothing = np.zeros((1, len(common)), np.float32)
     return _gains([_weights(levels, common, places, nothing, _ties(len(levels)), is_pair=True)])
 
 
-def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: Places) -> Gains:
+def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: LitRows) -> Gains:
     """Return the gains of the steps (N, P) of an evenly stepped fringe around the `common` light (P,).
 
     All 1 if few cycles are in view, where harmonics of a nonlinear response could be mistaken for gains.
@@ -131,30 +131,34 @@ def gains_of_fringe(fringe: Fringe, levels: Floats32, common: Floats32, places: 
     ties = _ties(size)
     nothing = np.zeros((1, len(common)), np.float32)
     # Phases and variety can only be judged on equalised frames.
-    found, alike = Gains(np.ones((count, 1))), levels
+    gains, equalised = Gains(np.ones((count, 1))), levels
     for _ in range(_GUESSES):
-        guesses = [(_weights(alike[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups]
-        found = _gains(guesses, before=found)
-        if not found.are_harmful:
-            found = Gains(np.ones((count, 1)))
+        guesses = [
+            (_weights(equalised[group], common, places, nothing, ties, is_guess=True)[0], 0.0) for group in groups
+        ]
+        gains = _gains(guesses, before=gains)
+        if not gains.are_harmful:
+            gains = Gains(np.ones((count, 1)))
             break
-        alike = (levels / found.of_rows[back]).astype(np.float32)
+        equalised = (levels / gains.of_rows[back]).astype(np.float32)
     # Rows of different gain differ in phase as well, so that part of the harmonic goes with their differences.
     for _ in range(PASSES):
-        cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), alike, axes=1)
+        cosine, sine = np.tensordot(fringe.weights[1:].astype(np.float32), equalised, axes=1)
         phase = np.arctan2(sine, cosine)
         staying = 2 if len(ties) else size
         mistaken = 2 * _HARMONICS[staying] * _unevenness(phase, staying)
         harmonic = np.stack([np.cos(size * phase), np.sin(size * phase)])
-        before = found
-        found = _gains([_weights(alike[group], common, places, harmonic, ties) for group in groups], mistaken, before)
-        differ = float(np.mean(np.ptp(np.log(found.of_rows), axis=0)))
+        before = gains
+        gains = _gains(
+            [_weights(equalised[group], common, places, harmonic, ties) for group in groups], mistaken, before
+        )
+        differ = float(np.mean(np.ptp(np.log(gains.of_rows), axis=0)))
         if mistaken > np.clip(_MOST_MISTAKEN_OF * differ, *_MOST_MISTAKEN):
             return Gains(np.ones((count, 1)))
-        if np.array_equal(found.of_rows, before.of_rows):
+        if np.array_equal(gains.of_rows, before.of_rows):
             break  # mostly without gains: further passes repeat this one
-        alike = (levels / Gains(found.of_rows[back]).at(places.rows)).astype(np.float32)
-    return Gains(found.of_rows[back])
+        equalised = (levels / Gains(gains.of_rows[back]).at(places.rows)).astype(np.float32)
+    return Gains(gains.of_rows[back])
 
 
 def _ties(steps: int) -> Floats:
@@ -182,16 +186,16 @@ def flicker_of(groups: Sequence[Gains]) -> float | None:
     return sqrt(squares / freedom) if freedom else None
 
 
-def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before: Gains | None = None) -> Gains:
+def _gains(weighted: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before: Gains | None = None) -> Gains:
     """Return the gains from the weights (frames, rows or 1) of groups of common light, each with its error; 1 if
     insignificant.
 
     `mistaken`: an error common to all groups. `before`: gains that were already divided out of the frames.
     """
-    rows = max(weights.shape[1] for weights, _ in found)
-    weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in found])
+    rows = max(weights.shape[1] for weights, _ in weighted)
+    weights = np.concatenate([np.broadcast_to(of_group, (len(of_group), rows)) for of_group, _ in weighted])
     weights = weights if before is None else weights / before.of_rows
-    if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in found) + mistaken:
+    if np.any(weights <= 0) or np.ptp(np.log(weights)) <= max(error for _, error in weighted) + mistaken:
         return Gains(np.ones((len(weights), 1)))
     logs = -np.log(weights)
     return Gains(np.exp(logs - logs.mean(axis=0)))
@@ -200,7 +204,7 @@ def _gains(found: Sequence[tuple[Floats, float]], mistaken: float = 0.0, before:
 def _weights(
     levels: Floats32,
     common: Floats32,
-    places: Places,
+    places: LitRows,
     harmonic: Floats32,
     ties: Floats,
     *,
@@ -226,8 +230,8 @@ def _weights(
     undetermined = np.ones((count, 1)), inf
     if np.count_nonzero(kept) < FEWEST_PIXELS:
         return undetermined
-    seen = design[:, kept]
-    if not is_guess and _variety(np.mean(seen**2, axis=1), np.mean(seen, axis=1)) < _LEAST_VARIETY:
+    usable = design[:, kept]
+    if not is_guess and _variety(np.mean(usable**2, axis=1), np.mean(usable, axis=1)) < _LEAST_VARIETY:
         return undetermined
     for _ in range(2):
         terms = _least_squares(
@@ -239,18 +243,18 @@ def _weights(
     if is_guess:  # without light there is nothing to divide by
         return (_weights_from(terms[:, None]), inf) if terms[0] else undetermined
     design, target, rows = design[:, kept], target[kept], places.rows[kept]
-    left = _without(harmonic[:, kept].astype(np.float64), target - terms @ design)
-    noise = float(np.mean(left**2)) + 1e-12
+    residual = _without(harmonic[:, kept].astype(np.float64), target - terms @ design)
+    noise = float(np.mean(residual**2)) + 1e-12
     # A nonlinear camera makes the sum deviate as well.
     if is_pair and noise > AS_GOOD * np.mean(_without(design[:1], target) ** 2):
         return undetermined
     # Noise in the regressors biases the weights towards each other, by its share of their variance.
     regressors = np.concatenate([design, *tied[..., kept]], axis=1)
-    spread = float(np.linalg.eigvalsh(regressors @ regressors.T / len(left))[1])
+    spread = float(np.linalg.eigvalsh(regressors @ regressors.T / len(residual))[1])
     if spread <= 0:  # identical frames without light
         return undetermined
-    error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(left))) + 2 * noise / spread
-    bands = _bands(design, left, noise)
+    error = count * SIGNIFICANT_SIGMAS * sqrt(noise / (spread * len(residual))) + 2 * noise / spread
+    bands = _bands(design, residual, noise)
     if bands is None:
         return _weights_from(terms[:, None]), error
     starts = starts_of_bands(len(rows))
@@ -289,22 +293,22 @@ def starts_of_bands(count: int) -> NDArray[np.int64]:
     return np.arange(BANDS) * count // BANDS
 
 
-def _bands(design: Floats, left: Floats, noise: float) -> Floats | None:
+def _bands(design: Floats, residual: Floats, noise: float) -> Floats | None:
     """Return the deviation of each band's terms from the common ones (bands, terms); None if insignificant or
     undetermined.
     """
-    starts = starts_of_bands(len(left))
-    counts = np.diff(starts, append=len(left))
+    starts = starts_of_bands(len(residual))
+    counts = np.diff(starts, append=len(residual))
     if counts.min() < _FEWEST_PER_BAND:
         return None
     squares = np.moveaxis(np.add.reduceat(design[:, None] * design, starts, axis=2), 2, 0)
-    products = np.add.reduceat(design * left, starts, axis=1).T
+    products = np.add.reduceat(design * residual, starts, axis=1).T
     prior = np.eye(len(design)) * noise / _BAND_SIGMA**2
-    found = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
-    explained = 2 * np.sum(found * products) - np.einsum("bi,bij,bj", found, squares, found)
+    deviations = np.linalg.solve(squares + prior, products[..., None])[..., 0].astype(np.float64)
+    explained = 2 * np.sum(deviations * products) - np.einsum("bi,bij,bj", deviations, squares, deviations)
     means = np.add.reduceat(design, starts, axis=1).T / counts[:, None]
     is_told = np.median(_variety(np.diagonal(squares, axis1=1, axis2=2) / counts[:, None], means)) > _LEAST_VARIETY
-    return found if is_told and explained > (1 - _BANDED) * noise * len(left) else None
+    return deviations if is_told and explained > (1 - _BANDED) * noise * len(residual) else None
 
 
 def _variety(squares: Floats, means: Floats) -> Floats:

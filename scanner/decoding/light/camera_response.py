@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.numerics import SIGMA_PER_MEDIAN, TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, median
-from scanner.decoding.light.brightness import left_by_gains
+from scanner.decoding.light.brightness import residual_of_gains
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, NEGLIGIBLE, OUTLYING_SIGMAS
 from scanner.patterns import Xor
@@ -76,11 +76,11 @@ def camera_response(plan: SequencePlan, levels: Floats32, saturation: float, top
     """
     if levels.shape[1] < FEWEST_PIXELS:
         return None
-    seen: Floats32 = levels / np.float32(top)
+    relative: Floats32 = levels / np.float32(top)
     if len(plan.complements) >= MAJORITY:
-        light = _of_inverses(plan, evenly_spread(seen, TRIAL_PIXELS, axis=-1))
+        light = _of_inverses(plan, evenly_spread(relative, TRIAL_PIXELS, axis=-1))
     else:
-        light = _of_bits(plan, seen)
+        light = _of_bits(plan, relative)
     return None if light is None else CameraResponse(light / light[-1], top, saturation)
 
 
@@ -106,12 +106,12 @@ def _fit(groups: list[Floats], swing: Floats, stiffness: float) -> _Fit:
     """
     light = _levelling(np.concatenate([sums - sums.mean(axis=0) for sums in groups]), swing, stiffness)
     before, after = (sum(_unevenness(sums @ g, swing @ g) for sums in groups) for g in (_LINEAR, light))
-    seen = np.concatenate(groups).mean(axis=(0, 1))
-    seen /= seen.sum()
+    density = np.concatenate(groups).mean(axis=(0, 1))
+    density /= density.sum()
     slopes = np.gradient(light) / np.gradient(_LINEAR) * np.mean(swing @ _LINEAR) / np.mean(swing @ light)
-    if seen @ (slopes < FEW) > FEW:
+    if density @ (slopes < FEW) > FEW:
         return _Fit(light, before, inf)
-    return _Fit(light, before, after * exp(-2 * float(seen @ np.log(np.maximum(slopes, _LEAST_SLOPE)))))
+    return _Fit(light, before, after * exp(-2 * float(density @ np.log(np.maximum(slopes, _LEAST_SLOPE)))))
 
 
 def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
@@ -122,43 +122,43 @@ def _fit_in_one_light(sums: Floats, swing: Floats) -> _Fit:
     that must go at least.
     """
     stiffness = 1 / len(swing)
-    best = alike = _fit([sums], swing, stiffness)
-    for light in (_LINEAR, alike.light):
+    best = common = _fit([sums], swing, stiffness)
+    for light in (_LINEAR, common.light):
         of_light, of_swing = sums @ light, swing @ light
-        left = [
+        uneven = [
             _unevenness(of_light[:place], of_swing) + _unevenness(of_light[place:], of_swing)
             for place in range(1, len(sums))
         ]
-        place = 1 + int(np.argmin(left))
+        place = 1 + int(np.argmin(uneven))
         best = min(best, _fit([sums[:place], sums[place:]], swing, stiffness), key=lambda fit: fit.after)
-    is_changed = best.after < alike.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
-    return best if is_changed else alike
+    is_changed = best.after < common.after * min(HALF, (len(sums) * len(swing)) ** (-1 / len(sums)))
+    return best if is_changed else common
 
 
-def _of_inverses(plan: SequencePlan, seen: Floats32) -> Floats | None:
-    """Return the values (_LEVELS,) of the g that makes the sums of pairs equal at pixels `seen` (frames, P), if one
-    does.
+def _of_inverses(plan: SequencePlan, levels: Floats32) -> Floats | None:
+    """Return the values (_LEVELS,) of the g that makes the sums of pairs equal at pixels of `levels` (frames, P), if
+    one does.
     """
-    pairs = seen[np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1])))]
-    darkest, brightest = seen.min(axis=0), seen.max(axis=0)
+    pairs = levels[np.array(sorted(plan.complements, key=lambda pair: plan.shown.index(pair[1])))]
+    darkest, brightest = levels.min(axis=0), levels.max(axis=0)
     if _unevenness(pairs.sum(axis=1), brightest - darkest) < _NOTABLE:
         return None
     fit = _fit_in_one_light(_sums_of(pairs), _interpolation(brightest) - _interpolation(darkest))
     # A change of ambient light may explain everything. Other causes, as a dark white frame, leave much, and brightness
     # of the frames is likelier if it leaves less.
-    most = _left_by_gains(pairs, brightest - darkest)
+    most = _uneven_by_gains(pairs, brightest - darkest)
     return fit.light if fit.is_likely(_NOTABLE) and fit.after <= most else None
 
 
-def _of_bits(plan: SequencePlan, seen: Floats32) -> Floats | None:
+def _of_bits(plan: SequencePlan, levels: Floats32) -> Floats | None:
     """Return the same for fine bits without inverses, from narrow stripes or else from wide ones; None without such
     bits.
     """
     by_axis = _fine_bits(plan)
     if not by_axis or plan.white is None or plan.black is None:
         return None
-    ends = seen[[plan.white, plan.black]]
-    evidence = chain(_of_narrow_stripes(seen, ends, by_axis), _of_wide_stripes(seen, ends, by_axis))
+    ends = levels[[plan.white, plan.black]]
+    evidence = chain(_of_narrow_stripes(levels, ends, by_axis), _of_wide_stripes(levels, ends, by_axis))
     for sums, swing, stiffness, notable in evidence:
         # Bits are darker than white and black if stripes lose light, or if white differs in patterns.
         if np.all(swing @ _LINEAR > 0) and np.sum((sums - sums[0]) @ _LINEAR) > 0:
@@ -172,25 +172,25 @@ def _of_bits(plan: SequencePlan, seen: Floats32) -> Floats | None:
 _Evidence = Iterator[tuple[Floats, Floats, float, float]]
 
 
-def _of_narrow_stripes(seen: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
+def _of_narrow_stripes(levels: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
     """Yield averages over groups of equally bright pixels, of which each fine bit lights half.
 
     `ends` (2, P): white and black.
     """
     bits = [frame for frames in by_axis for frame in frames]
-    ordered = _interpolation(np.concatenate([ends, seen[bits]])[:, np.argsort(ends[0])])
-    starts = np.arange(_GROUPS) * seen.shape[1] // _GROUPS
-    counts = np.diff(starts, append=seen.shape[1])
+    ordered = _interpolation(np.concatenate([ends, levels[bits]])[:, np.argsort(ends[0])])
+    starts = np.arange(_GROUPS) * levels.shape[1] // _GROUPS
+    counts = np.diff(starts, append=levels.shape[1])
     white, black, *of_bits = np.add.reduceat(ordered, starts, axis=1) / counts[:, None]
     yield np.stack([white + black, *(2 * bit for bit in of_bits)]), white - black, 1 / _GROUPS, _NOTABLE_OF_BITS
 
 
-def _of_wide_stripes(seen: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
+def _of_wide_stripes(levels: Floats32, ends: Floats32, by_axis: list[list[int]]) -> _Evidence:
     """Yield pairs of single pixels: the brightest and the darkest of an axis's fine bits, and white and black (2, P).
 
     Other surfaces send as much light to both, half of what they send to white, so that these are at medium levels.
     """
-    pairs = np.array([ends, *([seen[frames].max(axis=0), seen[frames].min(axis=0)] for frames in by_axis)])
+    pairs = np.array([ends, *([levels[frames].max(axis=0), levels[frames].min(axis=0)] for frames in by_axis)])
     swings = pairs[:, 0] - pairs[:, 1]
     wide = np.flatnonzero(np.all(swings[1:] > HALF * swings[0], axis=0) & (swings[0] > 0))
     if len(wide) >= FEWEST_PIXELS:
@@ -212,10 +212,10 @@ def _fine_bits(plan: SequencePlan) -> list[list[int]]:
     return [frames for frames in by_axis if frames]
 
 
-def _left_by_gains(pairs: Floats32, swing: Floats32) -> float:
+def _uneven_by_gains(pairs: Floats32, swing: Floats32) -> float:
     """Return how uneven the sums of pairs (N, 2, P) are, in swings (P,), once all frames are equally bright."""
     usual = pairs.sum(axis=1).mean(axis=0)
-    return _unevenness(np.stack([left_by_gains(pair, usual) for pair in pairs]), swing.astype(np.float64))
+    return _unevenness(np.stack([residual_of_gains(pair, usual) for pair in pairs]), swing.astype(np.float64))
 
 
 def _sums_of(pairs: Floats32) -> Floats:

@@ -18,7 +18,7 @@ from scanner.decoding.light.brightness import (
     LEAST_DIFFERENCE,
     PASSES,
     Gains,
-    Places,
+    LitRows,
     gains_of_fringe,
     gains_of_pair,
     starts_of_bands,
@@ -46,7 +46,7 @@ def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], 
     }
     ends = [(plan.white, plan.black)] if plan.white is not None and plan.black is not None else []
     pairs = sorted({*plan.complements} - {*ends}, key=lambda pair: max(map(plan.shown.index, pair)))
-    found: dict[tuple[int, int], Gains] = {}
+    gains_of: dict[tuple[int, int], Gains] = {}
     bits: dict[tuple[int, int], Bools] = {}
     swing, total = np.zeros((2, *sample.rows.shape), np.float32)
     lit = np.arange(0)
@@ -55,9 +55,9 @@ def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], 
         if number:
             common = total[lit] / np.float32(2 * number)
             is_known = pair in coarser and bits.keys() >= {*coarser[pair]}
-            of_coarser = [bits[each][lit] for each in coarser[pair]] if is_known else None
-            places = Places(sample.rows[lit], sample.shape[0])
-            gains = found[pair] = _gains_of_pair(levels[:, lit], common, places, of_coarser)
+            of_coarser = [bits[pair_of_bit][lit] for pair_of_bit in coarser[pair]] if is_known else None
+            places = LitRows(sample.rows[lit], sample.shape[0])
+            gains = gains_of[pair] = _gains_of_pair(levels[:, lit], common, places, of_coarser)
             if gains.are_harmful:
                 levels /= gains.at(sample.rows).astype(np.float32)
         bits[pair] = levels[0] > levels[1]
@@ -65,10 +65,10 @@ def gains_of_pairs(plan: SequencePlan, sample: Sample) -> dict[tuple[int, int], 
         if number < MAJORITY:
             swing = np.maximum(swing, np.abs(levels[0] - levels[1]))
             lit = lit_by(swing)
-    return found
+    return gains_of
 
 
-def _gains_of_pair(levels: Floats32, common: Floats32, places: Places, coarser: Sequence[Bools] | None) -> Gains:
+def _gains_of_pair(levels: Floats32, common: Floats32, places: LitRows, coarser: Sequence[Bools] | None) -> Gains:
     """Return the gains of a pair (2, P), from its stripes if all `coarser` bits (P,) of the code are known, or from the
     light that it has in `common` with others.
     """
@@ -87,8 +87,8 @@ def _is_steady(levels: Floats32, common: Floats32) -> bool:
     if len(common) < FEWEST_PIXELS:
         return True
     sums, differences = levels[0] + levels[1], levels[0] - levels[1]
-    left = sums - (common @ sums) / max(common @ common, np.float32(NEGLIGIBLE)) * common
-    products, squares = np.add.reduceat([differences * left, differences**2], starts_of_bands(len(common)), axis=1)
+    residual = sums - (common @ sums) / max(common @ common, np.float32(NEGLIGIBLE)) * common
+    products, squares = np.add.reduceat([differences * residual, differences**2], starts_of_bands(len(common)), axis=1)
     squares += np.float32(NEGLIGIBLE)
     # A gain between the frames of a pair correlates their sum with their difference by as much as its half.
     is_even = abs(products.sum()) < LEAST_DIFFERENCE / 2 * squares.sum()
@@ -134,7 +134,7 @@ def _cells(coarser: Sequence[Bools], pixels: int) -> tuple[Ints, Ints]:
     return number[of_pixel], count[full]
 
 
-def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Fringe, Gains]:
+def swings_of(plan: SequencePlan, levels: Floats32, places: LitRows) -> dict[Fringe, Gains]:
     """Return, for each evenly stepped fringe, the gains of its steps.
 
     `levels` (frames, P): of lit pixels. Empty for a single fringe, as the offset is known only from other fringes.
@@ -142,21 +142,21 @@ def swings_of(plan: SequencePlan, levels: Floats32, places: Places) -> dict[Frin
     even = [fringe for axis in plan.axes for fringe in axis.fringes if fringe.equal_steps and not is_unchecked(axis)]
     if len(even) < 2:
         return {}
-    found: dict[Fringe, Gains] = {}
+    gains_of: dict[Fringe, Gains] = {}
     means = [levels[list(fringe.frames)].mean(axis=0) for fringe in even]
     # The offset of a fringe comes from the others, so that an error in one affects the rest; hence the passes.
     for _ in range(PASSES):
         for number, fringe in enumerate(even):
-            of_fringe, others = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
-            common = medians(np.stack(others), axis=0)
+            of_fringe, usual_means = levels[list(fringe.frames)], means[:number] + means[number + 1 :]
+            common = medians(np.stack(usual_means), axis=0)
             is_steady = _are_steps_steady(fringe, of_fringe, common)
             steady = Gains(np.ones((len(of_fringe), 1)))
             gains = steady if is_steady else gains_of_fringe(fringe, of_fringe, common, places)
             means[number] = (of_fringe / gains.at(places.rows)).mean(axis=0).astype(np.float32)
-            found[fringe] = gains
-        if not any(gains.are_harmful for gains in found.values()):
+            gains_of[fringe] = gains
+        if not any(gains.are_harmful for gains in gains_of.values()):
             break
-    return found
+    return gains_of
 
 
 def _are_steps_steady(fringe: Fringe, levels: Floats32, common: Floats32) -> bool:
@@ -183,7 +183,7 @@ def outlier_groups(
 
     `groups`: the frames of pairs and fringes, and whether they differed. Those that did not are the reference, if any.
     """
-    for kind in ([one for one in groups if len(one[0]) == 2], [one for one in groups if len(one[0]) > 2]):
+    for kind in ([group for group in groups if len(group[0]) == 2], [group for group in groups if len(group[0]) > 2]):
         means = np.array([np.mean([np.mean(sample.level(frame)) for frame in frames]) for frames, _ in kind])
         differed = np.array([differ for _, differ in kind], np.bool_)
         if differed.any():

@@ -86,14 +86,14 @@ class ExposureMerger:
 
     def _merged(self, name: str, taken: Sequence[tuple[float | None, Image]]) -> Image:
         frames = sorted(((exposure or 0.0, image) for exposure, image in taken), key=lambda frame: -frame[0])
-        found = [exposure for exposure, _ in frames]
+        exposures_us = [exposure for exposure, _ in frames]
         if self._choice is None:
-            self._exposures_us = found
+            self._exposures_us = exposures_us
             self._choice = self._choose([image for _, image in frames])
-        if not np.allclose(found, self._exposures_us, rtol=_SAME) or len(set(found)) < self._count:
+        if not np.allclose(exposures_us, self._exposures_us, rtol=_SAME) or len(set(exposures_us)) < self._count:
             raise InputError(
                 f"{name}: expected exposures that differ and are those of the first pattern, "
-                f"{_listed(self._exposures_us)}, found {_listed(found)}"
+                f"{_listed(self._exposures_us)}, found {_listed(exposures_us)}"
             )
         merged = frames[0][1]
         for chosen, (_, image) in zip(self._choice, frames[1:], strict=True):
@@ -113,7 +113,7 @@ class ExposureMerger:
             result[chosen > 0] = ratio
         return result
 
-    def alike(self, image: Image) -> Image:
+    def to_shortest_exposure(self, image: Image) -> Image:
         """Scale a merged image to the shortest exposure."""
         log_exposure = self.log_exposure
         if log_exposure is None:

@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 
 from calib.numerics import TRIAL_PIXELS, Floats32, Image, evenly_spread, medians
 from scanner.decoding.light.bits_without_inverse import TAILS
-from scanner.decoding.light.brightness import left_by_gains
+from scanner.decoding.light.brightness import residual_of_gains
 from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS, HALF, MAJORITY
@@ -122,8 +122,8 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
 
     The share is 0 if it is not significant, None if a small share improves nothing.
     """
-    seen = evenly_spread(levels, TRIAL_PIXELS, axis=-1)
-    if not seen.size:
+    sample = evenly_spread(levels, TRIAL_PIXELS, axis=-1)
+    if not sample.size:
         return None, 0.0
     kinds = plan.complements, [fringe.frames for fringe in plan.fringes if fringe.equal_steps]
     sums = [groups for groups in kinds if len(groups) > 1]
@@ -132,16 +132,16 @@ def _share_and_unevenness(plan: SequencePlan, levels: Floats32) -> tuple[float |
         # The worst sum is left out: a ghost affects all, a single brighter frame only one. Residuals of the steps from
         # a cosine are not used, because a nonlinear response leaves more.
         swing = np.ptp(pictures, axis=0)
-        off = np.concatenate([[0.0], *(np.mean((sums_off(pictures, each) / swing) ** 2, axis=1) for each in sums)])
+        off = np.concatenate([[0.0], *(np.mean((sums_off(pictures, groups) / swing) ** 2, axis=1) for groups in sums)])
         return float(off.sum() - off.max())
 
-    at_first = uneven(seen)
-    if uneven(without_previous(plan, seen, _LEAST)) >= at_first:
+    at_first = uneven(sample)
+    if uneven(without_previous(plan, sample, _LEAST)) >= at_first:
         return None, at_first
-    share, left = share_of_previous(plan, seen, uneven, _MOST)
+    share, remaining = share_of_previous(plan, sample, uneven, _MOST)
     # With only two sums, as of one fringe per axis, single frames of random exposure reach a quarter by chance.
     most = _LEFT if sum(map(len, sums)) > 2 else HALF * _LEFT
-    return (share if _LEAST < share < _MOST - _LEAST and left < most * at_first else 0.0), at_first
+    return (share if _LEAST < share < _MOST - _LEAST and remaining < most * at_first else 0.0), at_first
 
 
 def late_frame(plan: SequencePlan, levels: Floats32) -> tuple[float, int] | None:
@@ -149,37 +149,37 @@ def late_frame(plan: SequencePlan, levels: Floats32) -> tuple[float, int] | None
 
     `levels` (frames, P): of some lit pixels in all frames.
     """
-    seen = levels / np.ptp(levels, axis=0)
+    relative = levels / np.ptp(levels, axis=0)
     best, least = None, 1.0
-    for frames, off, most in _unusual(plan, seen):
+    for frames, off, most in _unusual(plan, relative):
         for frame in frames:
             place = plan.shown.index(frame)
-            if place == 0 or float(np.std(seen[plan.shown[place - 1]])) < _LEAST_VARIETY:
+            if place == 0 or float(np.std(relative[plan.shown[place - 1]])) < _LEAST_VARIETY:
                 continue
-            share, rest = share_of_previous(plan, seen, off, _MOST_LATE, (frame,))
-            if plan.shown[place - 1] not in frames and rest > _OF_BRIGHTNESS * _off_once_alike(seen, frames):
+            share, rest = share_of_previous(plan, relative, off, _MOST_LATE, (frame,))
+            if plan.shown[place - 1] not in frames and rest > _OF_BRIGHTNESS * _off_once_equalised(relative, frames):
                 continue
             if rest < least * most and _LEAST_LATE < share < _MOST_LATE - _LEAST_LATE:
                 best, least = (share, place), rest / most
     return best
 
 
-def _unusual(plan: SequencePlan, seen: Floats32) -> Iterator[tuple[tuple[int, ...], Off, float]]:
+def _unusual(plan: SequencePlan, relative: Floats32) -> Iterator[tuple[tuple[int, ...], Off, float]]:
     """Yield pairs and single bits of unusual contradiction, with its measure and how much of it may remain, given
     levels (frames, P).
     """
     pairs = plan.complements
     if len(pairs) >= MAJORITY:
-        squares = np.mean((sums_off(seen, pairs) / 2) ** 2, axis=1)
+        squares = np.mean((sums_off(relative, pairs) / 2) ** 2, axis=1)
         for number in np.flatnonzero(squares > max(_NOTABLE, _UNUSUAL_PAIR * float(np.median(squares)))).tolist():
             yield pairs[number], _off_common(pairs, number), _LEFT_OF_PAIRS * float(squares[number])
     in_pairs = {frame for pair in pairs for frame in pair}
     bits = sorted({frame for code in plan.codes for frame in code.frames} - in_pairs)
     if len(bits) >= MAJORITY and plan.white is not None and plan.black is not None:
         of_bits = {bit: _off_two_levels(plan.white, plan.black, bit) for bit in bits}
-        found = {bit: off(seen) for bit, off in of_bits.items()}
-        usual = float(np.median([*found.values()]))
-        for bit, much in found.items():
+        scatter = {bit: off(relative) for bit, off in of_bits.items()}
+        usual = float(np.median([*scatter.values()]))
+        for bit, much in scatter.items():
             if much > max(_NOTABLE, _UNUSUAL_BIT * usual):
                 yield (bit,), of_bits[bit], _LEFT_OF_BITS * much
 
@@ -189,9 +189,13 @@ def _off_common(pairs: Sequence[Sequence[int]], number: int) -> Off:
     return lambda levels: float(np.mean((sums_off(levels, pairs)[number] / 2) ** 2))
 
 
-def _off_once_alike(seen: Floats32, frames: tuple[int, ...]) -> float:
+def _off_once_equalised(relative: Floats32, frames: tuple[int, ...]) -> float:
     """Return what is left of the contradiction with optimal gains of the frames."""
-    return np.inf if len(frames) == 1 else float(np.mean(left_by_gains(seen[list(frames)], np.mean(seen, axis=0)) ** 2))
+    return (
+        np.inf
+        if len(frames) == 1
+        else float(np.mean(residual_of_gains(relative[list(frames)], np.mean(relative, axis=0)) ** 2))
+    )
 
 
 def _off_two_levels(white: int, black: int, bit: int) -> Off:
@@ -222,11 +226,11 @@ def share_of_previous(
     (frames, P) contradict each other least, and what is `off` then.
     """
 
-    def left(share: float) -> float:
+    def contradiction(share: float) -> float:
         return off(without_previous(plan, levels, share, frames))
 
-    found = minimize_scalar(left, bounds=(0, most), method="bounded", options={"xatol": 1e-3})
-    return float(found.x), float(found.fun)
+    optimum = minimize_scalar(contradiction, bounds=(0, most), method="bounded", options={"xatol": 1e-3})
+    return float(optimum.x), float(optimum.fun)
 
 
 def without_previous(

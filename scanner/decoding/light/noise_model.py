@@ -75,13 +75,13 @@ def measure_noise(plan: SequencePlan, sample: Sample, saturation: float) -> Nois
 def _repeats(plan: SequencePlan, levels: Floats32) -> list[tuple[Floats32, Floats32]]:
     """Return, for light that was shown twice, the level (P,) and a difference (P,) with the variance of one pixel."""
     sums = [levels[a] + levels[b] for a, b in plan.complements]
-    found = [((a + b) / 4, (a - b) / 2) for a, b in pairwise(sums)]
+    repeats = [((a + b) / 4, (a - b) / 2) for a, b in pairwise(sums)]
     for first, second in pairwise(plan.fringes):
         weights = [fringe.weights[0].astype(np.float32) for fringe in (first, second)]
         a, b = (weight @ levels[list(f.frames)] for weight, f in zip(weights, (first, second), strict=True))
         gain = np.sqrt(sum(np.sum(weight**2) for weight in weights))
-        found.append(((a + b) / 2, (a - b) / np.float32(gain)))
-    return found
+        repeats.append(((a + b) / 2, (a - b) / np.float32(gain)))
+    return repeats
 
 
 def _variance_by_level(level: Floats32, differences: Floats32) -> tuple[list[float], list[float]]:
@@ -97,8 +97,8 @@ def _variance_by_level(level: Floats32, differences: Floats32) -> tuple[list[flo
         chosen = np.flatnonzero(bins == number)
         if len(chosen) >= FEWEST_PIXELS:
             where.append(float(np.mean(level[chosen])))
-            found = robust_sigmas(dithered[:, chosen]) ** 2
-            variances.append(float(np.quantile(found, FEW, method="lower")))
+            variance = robust_sigmas(dithered[:, chosen]) ** 2
+            variances.append(float(np.quantile(variance, FEW, method="lower")))
     return where, variances
 
 

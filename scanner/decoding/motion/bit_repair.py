@@ -1,6 +1,6 @@
-"""Decide the bits that something moving has spoilt, by the surface around them.
+"""Decide the bits that something moving has corrupted, by the surface around them.
 
-A spoilt bit of a Gray code leaves a choice of two cells, which are mirror images of each other within the block of
+A corrupted bit of a Gray code leaves a choice of two cells, which are mirror images of each other within the block of
 cells that share all coarser bits. Over a surface one of them grows in the direction in which all coordinates of the
 axis grow, the other one in the opposite direction. Pixels where that is clear, and those at which nothing moved, decide
 the others around them: the right cell lies in the plane of its neighbours.
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from calib.numerics import Bools, Floats32, Image, Words, median
-from scanner.decoding.codes import GrayFold, cell_numbers
+from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF
 
 # Cells are compared over this many pixels to either side, and their growth is averaged over a window of this side.
@@ -23,63 +23,69 @@ _REACH_PX, _WINDOW_PX = 2, 5
 _PLANE_PX, _ROUNDS = 9, 8
 # Largest distance of a cell from the plane of its neighbours: half a cell for each of them, and as much for a bend.
 _NEAR_CELLS = 1.5
-_MOST_SPOILT = 2  # bits of a pixel: one that is hidden longer stays spoilt
+_MOST_CORRUPTED = 2  # bits of a pixel: one that is hidden longer stays corrupted
 
 
-def repair_bits(fold: GrayFold, spoilt: Mapping[int, Bools], frames: Mapping[int, Image], resting: Bools) -> Bools:
-    """Decide spoilt bits of a plain Gray code, in place; return the pixels (H, W) at which all of them are decided.
+def repair_bits(
+    code_words: CodeWords, corrupted: Mapping[int, Bools], frames: Mapping[int, Image], static: Bools
+) -> Bools:
+    """Decide corrupted bits of a plain Gray code, in place; return the pixels (H, W) at which all of them are decided.
 
-    `spoilt`: by bit, the pixels (H, W) at which its frames are spoilt. `frames`: by number, those of the code (H, W).
-    `resting` (H, W): lit pixels at which nothing moved.
+    `corrupted`: by bit, the pixels (H, W) at which its frames are corrupted. `frames`: by number, those of the code (H,
+    W). `static` (H, W): lit pixels at which nothing moved.
     """
-    everywhere = np.logical_or.reduce(list(spoilt.values()))
-    left, top, width, height = cv2.boundingRect((everywhere | resting).view(np.uint8))
-    part = slice(top, top + height), slice(left, left + width)
-    decided, words = np.zeros(resting.shape, np.bool_), fold.words.copy()
-    found = _decided_words(fold, {bit: where[part] for bit, where in spoilt.items()}, resting[part], words[part])
-    if found is None:
+    everywhere = np.logical_or.reduce(list(corrupted.values()))
+    column, top, width, height = cv2.boundingRect((everywhere | static).view(np.uint8))
+    part = slice(top, top + height), slice(column, column + width)
+    decided, words = np.zeros(static.shape, np.bool_), code_words.words.copy()
+    decision = _decided_words(
+        code_words, {bit: where[part] for bit, where in corrupted.items()}, static[part], words[part]
+    )
+    if decision is None:
         return decided
-    decided[part], words[part] = found
-    least = np.full_like(fold.least, np.iinfo(fold.least.dtype).max)
-    for bit, (normal, inverse) in fold.code.pairs.items():
-        where = spoilt.get(bit, np.zeros_like(decided))
-        # A spoilt frame gives no edge to interpolate from.
-        shown = (words >> (fold.code.bits - 1 - bit) & 1).astype(np.uint8)
-        decided &= ~(where & (cv2.morphologyEx(shown, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0))
+    decided[part], words[part] = decision
+    least = np.full_like(code_words.least, np.iinfo(code_words.least.dtype).max)
+    for bit, (normal, inverse) in code_words.code.pairs.items():
+        where = corrupted.get(bit, np.zeros_like(decided))
+        # A corrupted frame gives no edge to interpolate from.
+        bit_image = (words >> (code_words.code.bits - 1 - bit) & 1).astype(np.uint8)
+        decided &= ~(where & (cv2.morphologyEx(bit_image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0))
         contrast = cv2.absdiff(frames[normal], frames[inverse]).astype(least.dtype)
         np.minimum(least, contrast, out=least, where=~where)
-    fold.decide(decided, words, least)
+    code_words.decide(decided, words, least)
     return decided
 
 
 def _decided_words(
-    fold: GrayFold, spoilt: Mapping[int, Bools], resting: Bools, words: Words
+    code_words: CodeWords, corrupted: Mapping[int, Bools], static: Bools, words: Words
 ) -> tuple[Bools, Words] | None:
-    """Return where (h, w) spoilt bits are decided, and the words (h, w); None if the code grows in no one direction."""
+    """Return where (h, w) corrupted bits are decided, and the words (h, w); None if the code grows in no one
+    direction.
+    """
     number = cell_numbers(words).astype(np.float32)
-    growth = _Growth.of(number, resting)
+    growth = _Growth.of(number, static)
     if growth is None:
         return None
-    times = np.zeros(resting.shape, np.uint8)
-    for where in spoilt.values():
+    times = np.zeros(static.shape, np.uint8)
+    for where in corrupted.values():
         times += where
-    few: Bools = (times > 0) & (times <= _MOST_SPOILT)
-    decided, flips = np.zeros_like(resting), [(0, few)]
-    for bit, where in spoilt.items():
-        place = fold.code.bits - 1 - bit
+    few: Bools = (times > 0) & (times <= _MOST_CORRUPTED)
+    decided, flips = np.zeros_like(static), [(0, few)]
+    for bit, where in corrupted.items():
+        place = code_words.code.bits - 1 - bit
         mask = words.dtype.type(1 << place)
         unset, set_ = cell_numbers(words & ~mask), cell_numbers(words | mask)
         grows, clear = growth.of_choice(unset, 2 << place, (times == 0) | (times == 1) & where)
         clear &= where & (times == 1)
         number[clear] = np.where(grows, unset, set_)[clear]
         decided |= clear
-        more = ((mask | other, where & possible) for other, possible in flips if other.bit_count() < _MOST_SPOILT)
+        more = ((mask | bits, where & possible) for bits, possible in flips if bits.bit_count() < _MOST_CORRUPTED)
         flips += [(int(both), possible) for both, possible in more if possible.any()]
     for _ in range(_ROUNDS):
-        decided = _nearest(words, flips, _planes(number, resting | decided), number)
-        decided &= ~growth.contradicts(number, resting | decided)
-    found = number.astype(words.dtype)
-    return decided, np.where(decided, found ^ found >> 1, words)
+        decided = _nearest(words, flips, _planes(number, static | decided), number)
+        decided &= ~growth.contradicts(number, static | decided)
+    cells = number.astype(words.dtype)
+    return decided, np.where(decided, cells ^ cells >> 1, words)
 
 
 def _nearest(words: Words, flips: Sequence[tuple[int, Bools]], expected: Floats32, number: Floats32) -> Bools:
@@ -91,12 +97,12 @@ def _nearest(words: Words, flips: Sequence[tuple[int, Bools]], expected: Floats3
     best, next_best = (np.full(number.shape, np.inf, np.float32) for _ in range(2))
     nearest = number.copy()
     for bits, possible in flips:
-        each = cell_numbers(words ^ words.dtype.type(bits)).astype(np.float32)
-        error = np.where(possible, np.abs(each - expected), np.float32(np.inf))
+        candidate = cell_numbers(words ^ words.dtype.type(bits)).astype(np.float32)
+        error = np.where(possible, np.abs(candidate - expected), np.float32(np.inf))
         nearer = error < best
         next_best = np.where(nearer, best, np.minimum(next_best, error))
         np.copyto(best, error, where=nearer)
-        np.copyto(nearest, each, where=nearer)
+        np.copyto(nearest, candidate, where=nearer)
     clear: Bools = (best < _NEAR_CELLS) & (next_best > 2 * best + 1)
     np.copyto(number, nearest, where=clear)
     return clear
@@ -110,23 +116,23 @@ class _Growth:
     down: bool
 
     @classmethod
-    def of(cls, number: Floats32, resting: Bools) -> "_Growth | None":
-        """Measure it at `resting` pixels (h, w); None if they are few, or do not nearly all grow in one direction."""
-        found = []
+    def of(cls, number: Floats32, static: Bools) -> "_Growth | None":
+        """Measure it at `static` pixels (h, w); None if they are few, or do not nearly all grow in one direction."""
+        growths = []
         for down in (False, True):
-            steps = _steps(np.where(resting, number, np.float32(np.nan)), down=down)
+            steps = _steps(np.where(static, number, np.float32(np.nan)), down=down)
             steps = steps[np.isfinite(steps)]
             if len(steps) >= FEWEST_PIXELS:
                 cells = float(median(steps))
                 if abs(cells) >= 1 and np.mean(steps * cells < 0) < FEW:
-                    found.append(cls(cells, down))
-        return max(found, key=lambda growth: abs(growth.cells), default=None)
+                    growths.append(cls(cells, down))
+        return max(growths, key=lambda growth: abs(growth.cells), default=None)
 
     def of_choice(self, number: Words, block: int, usable: Bools) -> tuple[Bools, Bools]:
         """Return where (h, w) the cells `number` grow like this within blocks of so many cells, and where it is clear.
 
         Near the middle of a block, where a cell and its mirror image are close, it is not. `usable` (h, w): where no
-        other bit is spoilt.
+        other bit is corrupted.
         """
         number = number.astype(np.uint32)
         place = np.where(usable, number % block, np.nan).astype(np.float32)

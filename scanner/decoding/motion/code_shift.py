@@ -16,7 +16,7 @@ from calib.numerics import ENOUGH_PIXELS, Bools, Floats, Floats32, HuberFit, Int
 from scanner.decoding.code_images import Signals
 from scanner.decoding.codes import interval_of
 from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.pixels import SeenFringes
+from scanner.decoding.motion.pixels import ObservedFringes
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, AxisPlan
 from scanner.decoding.significance import (
     AS_GOOD,
@@ -61,7 +61,7 @@ class CodeShift:
 class Offsets:
     """Offsets of the longest fringe of an axis from the middle of the code's cell, in projector pixels, at pixels (P,).
 
-    `px`: relative to the common `mean_px`, within half a period. `centre` (P,): middles of the cells. `seen` (P,):
+    `px`: relative to the common `mean_px`, within half a period. `centre` (P,): middles of the cells. `known` (P,):
     whether both are known.
     """
 
@@ -69,7 +69,7 @@ class Offsets:
     centre: Floats32
     px: Floats32
     mean_px: float
-    seen: Bools
+    known: Bools
 
     @property
     def period(self) -> float:
@@ -77,18 +77,18 @@ class Offsets:
         return self.axis.fringes[0].period
 
 
-def shifts_of_codes(seen: SeenFringes) -> tuple[CodeShift, ...]:
+def shifts_of_codes(fringes: ObservedFringes) -> tuple[CodeShift, ...]:
     """Return the significant shifts, from the pixels where nothing moved."""
-    offsets = (_offsets(axis, of_axis, seen.noise, seen.tiles.resting) for axis, of_axis in seen.axes)
-    found = [each for each in offsets if each is not None]
-    by_periods = [*moved_by_periods(*found)] if len(found) == len(seen.plan.axes) else []
-    others = [each for each in found if each.axis not in [shift.axis for shift in by_periods]]
+    offsets = (_offsets(axis, of_axis, fringes.noise, fringes.tiles.static) for axis, of_axis in fringes.axes)
+    known = [offset for offset in offsets if offset is not None]
+    by_periods = [*moved_by_periods(*known)] if len(known) == len(fringes.plan.axes) else []
+    remaining = [offset for offset in known if offset.axis not in [shift.axis for shift in by_periods]]
     # A finest bit that was exchanged with its inverse also shifts by half a period.
-    shifted = [each for each in others if _LEAST_PX <= abs(each.mean_px) <= AS_GOOD * each.period / 2]
-    return (*by_periods, *(CodeShift(each.axis, each.mean_px) for each in shifted))
+    shifted = [offset for offset in remaining if _LEAST_PX <= abs(offset.mean_px) <= AS_GOOD * offset.period / 2]
+    return (*by_periods, *(CodeShift(offset.axis, offset.mean_px) for offset in shifted))
 
 
-def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools) -> Offsets | None:
+def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, static: Bools) -> Offsets | None:
     """Return the offsets of the longest fringe from its code; None if there is no such pair, or the fringe follows no
     code.
     """
@@ -97,24 +97,28 @@ def _offsets(axis: AxisPlan, signals: Signals, noise: NoiseModel, resting: Bools
     longest = axis.fringes[0]
     if len(longest.frames) <= COSINE_PARAMETERS:
         return None
-    interval = interval_of(axis, signals.words, len(signals.middle))
+    interval = interval_of(axis, signals.words, len(signals.threshold))
     cosine, sine = signals.fringe(0)
     amplitude2 = cosine**2 + sine**2
-    seen = (
-        resting
+    usable = (
+        static
         & interval.possible
-        & (amplitude2 > (SIGNIFICANT_SIGMAS * longest.noise_gain) ** 2 * noise.variance(signals.middle))
+        & (amplitude2 > (SIGNIFICANT_SIGMAS * longest.noise_gain) ** 2 * noise.variance(signals.threshold))
     )
-    if np.count_nonzero(seen) < FEWEST_PIXELS:
+    if np.count_nonzero(usable) < FEWEST_PIXELS:
         return None
     px_per_radian = np.float32(longest.period / (2 * np.pi))
     beyond = np.arctan2(sine, cosine) - interval.centre / px_per_radian
     # Exchanged frames leave fringes that follow the code nowhere, or only in places.
-    if abs(np.mean(np.exp(np.complex64(1j) * beyond[seen]))) < NEARLY_ALL * np.sinc(axis.cell / longest.period):
+    if abs(np.mean(np.exp(np.complex64(1j) * beyond[usable]))) < NEARLY_ALL * np.sinc(axis.cell / longest.period):
         return None
-    about = middle_of(beyond[seen], axis.cell / longest.period)
+    about = middle_of(beyond[usable], axis.cell / longest.period)
     return Offsets(
-        axis, interval.centre, px_per_radian * _wrapped(beyond - np.float32(about)), float(px_per_radian * about), seen
+        axis,
+        interval.centre,
+        px_per_radian * _wrapped(beyond - np.float32(about)),
+        float(px_per_radian * about),
+        usable,
     )
 
 
@@ -140,22 +144,22 @@ def _wrapped(angles: Floats32) -> Floats32:
 def moved_by_periods(x: Offsets, y: Offsets) -> Iterator[CodeShift]:
     """Yield the motions along x and y that include whole periods."""
     axes, width = (x, y), x.axis.length
-    seen = evenly_spread(np.flatnonzero(x.seen & y.seen), 4 * ENOUGH_PIXELS)  # some hundreds for each block
+    chosen = evenly_spread(np.flatnonzero(x.known & y.known), 4 * ENOUGH_PIXELS)  # some hundreds for each block
     place = np.stack(
-        [(each.centre[seen].astype(np.float64) - (each.axis.length - 1) / 2) / width for each in axes], axis=1
+        [(offset.centre[chosen].astype(np.float64) - (offset.axis.length - 1) / 2) / width for offset in axes], axis=1
     )
     block = _block(place, y.axis.length / width)
-    of_axes = [_of_blocks(number, each, each.px[seen], place, block) for number, each in enumerate(axes)]
+    of_axes = [_of_blocks(number, offset, offset.px[chosen], place, block) for number, offset in enumerate(axes)]
     rows, offsets = (np.concatenate(parts) for parts in zip(*of_axes, strict=True))
     if len(rows) < _FEWEST_BLOCKS:
         return
     alone = _may_move_alone(x.axis, y.axis), _may_move_alone(y.axis, x.axis)
     fit, moved, sure = _likeliest(rows, offsets, alone)
     sigma = fit.scale * np.sqrt(np.diag(fit.inverse))
-    for number, each in enumerate(axes):
-        px = _by_periods(each.period, fit.parameters[_SLOPES * number], fit.parameters[number - 2], sigma[number - 2])
+    for number, offset in enumerate(axes):
+        px = _by_periods(offset.period, fit.parameters[_SLOPES * number], fit.parameters[number - 2], sigma[number - 2])
         if moved[number] and px:
-            yield CodeShift(each.axis, px, by_periods=True, sure=sure[number])
+            yield CodeShift(offset.axis, px, by_periods=True, sure=sure[number])
 
 
 def _block(place: Floats, height: float) -> Ints:
@@ -185,13 +189,13 @@ def _of_blocks(number: int, axis: Offsets, px: Floats32, place: Floats, block: I
     return rows[even], axis.mean_px + (low + high)[even] / 2
 
 
-def _may_move_alone(axis: AxisPlan, other: AxisPlan) -> bool:
+def _may_move_alone(axis: AxisPlan, second: AxisPlan) -> bool:
     """Return whether a bump may be among the frames of an axis, but not among those of the other one."""
     (first, last), (of_other, to_other) = (
         (min(frames), max(frames))
         for frames in (
-            [*each.fringes[0].frames, *(frame for code in each.codes for frame in code.frames)]
-            for each in (axis, other)
+            [*plan.fringes[0].frames, *(frame for code in plan.codes for frame in code.frames)]
+            for plan in (axis, second)
         )
     )
     return first < of_other or last > to_other
@@ -203,19 +207,19 @@ def _likeliest(rows: Floats, offsets: Floats, alone: tuple[bool, bool]) -> tuple
     It is certain if the alternative is impossible, or far less likely. `alone`: whether x or y may have moved alone.
     """
     both, of_y = fit_huber(rows.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS), rows[:, _SLOPES] != 0
-    resting = []
+    static = []
     for blocks in (~of_y, of_y):
         bent = rows.copy()
         bent[blocks, -2:] = 0.0
-        resting.append(fit_huber(bent.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS))
+        static.append(fit_huber(bent.T, offsets, HUBER_SIGMAS, HUBER_ROUNDS))
     worse = [
         fit.cost(both.scale) - both.cost(both.scale) if possible else inf
-        for fit, possible in zip(resting, reversed(alone), strict=True)
+        for fit, possible in zip(static, reversed(alone), strict=True)
     ]
     likelier = int(worse[1] < worse[0])
     if worse[likelier] > -REJECTED:
         return both, [True, True], [by > REJECTED for by in worse]
-    return resting[likelier], [axis != likelier for axis in (0, 1)], [by > REJECTED for by in worse]
+    return static[likelier], [axis != likelier for axis in (0, 1)], [by > REJECTED for by in worse]
 
 
 def _by_periods(period: float, offset_px: float, curvature: float, sigma: float) -> float:

@@ -37,7 +37,7 @@ _LEFT_OF_SINGLE_FRAMES = 0.006
 
 
 @dataclass(frozen=True)
-class Disturbance:
+class CoordinateShift:
     """The mean motion of both devices in the x and y coordinates, `motions` (2, 8) as in `rigid`; sizes are (width,
     height).
     """
@@ -55,7 +55,7 @@ class Disturbance:
         shifts: Floats = np.einsum("nac,ac->na", by_motion, self.motions)
         return shifts
 
-    def take_back(self, projector_px: Floats32) -> None:
+    def subtract_from(self, projector_px: Floats32) -> None:
         """Subtract the shifts from a map of projector coordinates (H, W, 2), in place, with the gradient of the map."""
         height, width, _ = projector_px.shape
         before = np.pad(projector_px, ((1, 1), (1, 1), (0, 0)), mode="edge")
@@ -71,17 +71,17 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
-class MotionFound:
+class MotionEstimate:
     """The motion that best explains the fringes of a capture, `motion` (8,) as in `rigid`.
 
     `significant`: whether it exceeds what is measured at rest. `slow`: whether it is an even drift rather than a bump
     between the frames `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share it
-    explains of the contradiction of rest. `shift`: the resulting shift of x and y against each other; `others`: that of
-    other trajectories that fit about as well. `unseen`: possible undetected shifts, one standard deviation each.
-    `blind`: whether the frames cannot show a turn of a device between the axes. `largest_px`: the largest bump that is
-    corrected. `linear`: whether it is small enough for its size to be measured. `undecided`: whether the other device
-    alone may have moved instead. `one_by_one`: whether each frame moved independently; `motion` is then the root mean
-    square, and `shift` the means over the fringes.
+    explains of the contradiction of rest. `shift`: the resulting shift of x and y against each other; `alternatives`:
+    that of other trajectories that fit about as well. `unseen`: possible undetected shifts, one standard deviation
+    each. `blind`: whether the frames cannot show a turn of a device between the axes. `largest_px`: the largest bump
+    that is corrected. `linear`: whether it is small enough for its size to be measured. `undecided`: whether the other
+    device alone may have moved instead. `one_by_one`: whether each frame moved independently; `motion` is then the root
+    mean square, and `shift` the means over the fringes.
     """
 
     motion: Floats
@@ -91,9 +91,9 @@ class MotionFound:
     last: int
     size_px: float
     explained: float
-    shift: Disturbance
-    others: tuple[Disturbance, ...]
-    unseen: tuple[Disturbance, ...] = ()
+    shift: CoordinateShift
+    alternatives: tuple[CoordinateShift, ...]
+    unseen: tuple[CoordinateShift, ...] = ()
     blind: bool = False
     largest_px: float = _LARGEST_BUMP_PX
     linear: bool = True
@@ -116,11 +116,14 @@ class MotionFound:
         """Return the shifts that may remain in the matches after the correction."""
         likely = []
         if self.significant:
-            likely = [(each.motions - self.shift.motions) / sqrt(len(self.others)) for each in self.others]
+            likely = [
+                (alternative.motions - self.shift.motions) / sqrt(len(self.alternatives))
+                for alternative in self.alternatives
+            ]
             likely.append(FEW * self.shift.motions)
         return Shifts(
-            likely=tuple(replace(self.shift, motions=each).shifts for each in likely),
-            possible=tuple(each.shifts for each in self.unseen),
+            likely=tuple(replace(self.shift, motions=motions).shifts for motions in likely),
+            possible=tuple(shift.shifts for shift in self.unseen),
         )
 
     def __str__(self) -> str:
@@ -168,13 +171,13 @@ def moved_device(motion: Floats, size: str = "{:.2g} px") -> str:
     projector, camera = turns_px(motion)
     moved = [
         f"the {device} moved by {size.format(px)}"
-        for device, px, other in (("projector", projector, camera), ("camera", camera, projector))
-        if px >= HALF * other
+        for device, px, still_px in (("projector", projector, camera), ("camera", camera, projector))
+        if px >= HALF * still_px
     ]
     return " and ".join(moved)
 
 
-def between_periods_px(plan: SequencePlan, motion: MotionFound | None) -> float:
+def between_periods_px(plan: SequencePlan, motion: MotionEstimate | None) -> float:
     """Return the smooth error left by an apparent motion between two periods or by jitter, as in
     `calib.refinement.Shifts`.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.numerics import Floats, Floats32, Ints, huber_weights, median
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel
-from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.pixels import MotionPixels
 from scanner.decoding.motion.rigid import COLUMNS, PRIOR_PX
 from scanner.decoding.significance import HUBER_SIGMAS, NEGLIGIBLE
 
@@ -23,8 +23,8 @@ _OF_LIGHT = 4  # unknowns of a frame's light
 
 
 @dataclass(frozen=True)
-class Block:
-    """Equations at P pixels, in standard deviations: `seen` (n, P) = `mix` (n, n) @ the changes of n frames.
+class EquationBlock:
+    """Equations at P pixels, in standard deviations: `observed` (n, P) = `mix` (n, n) @ the changes of n frames.
 
     `columns` (A, n, P): derivatives of the changes of the frames with these `numbers` (n,), by A unknowns of each.
     """
@@ -32,18 +32,18 @@ class Block:
     numbers: Ints
     columns: Floats32
     mix: Floats
-    seen: Floats32
+    observed: Floats32
 
     @property
     def normal(self) -> Floats:
         """The normal matrix (A n, A n)."""
-        flat = self.columns.reshape(-1, self.seen.shape[1])
+        flat = self.columns.reshape(-1, self.observed.shape[1])
         return np.asarray(flat @ flat.T, np.float64) * np.tile(self.mix, (len(self.columns), len(self.columns)))
 
     @property
     def right(self) -> Floats:
         """The right-hand side (A n,)."""
-        return np.asarray(np.einsum("anp,np->an", self.columns, self.seen).reshape(-1), np.float64)
+        return np.asarray(np.einsum("anp,np->an", self.columns, self.observed).reshape(-1), np.float64)
 
     def change(self, unknowns: Floats) -> Floats:
         """Return what unknowns (A, N) of all frames explain, (n, P)."""
@@ -54,20 +54,20 @@ class Block:
 
 @dataclass(frozen=True)
 class Projection:
-    """The motion along `directions` (A N, U): unknowns that were `found` (U,), and the decrease of χ², `gained`.
+    """The motion along `directions` (A N, U): unknowns that were `values` (U,), and the decrease of χ², `gained`.
 
     `information` (U, U): of the unknowns, with their prior.
     """
 
     directions: Floats
-    found: Floats
+    values: Floats
     information: Floats
     gained: float
 
     @property
     def of_frames(self) -> Floats:
         """(A N,): unknowns of all frames."""
-        return self.directions @ self.found
+        return self.directions @ self.values
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class FrameEquations:
 
     frames: FringeFrames
     tile: Ints
-    blocks: tuple[Block, ...]
+    blocks: tuple[EquationBlock, ...]
 
     @cached_property
     def _beside_light(self) -> tuple[Floats, Floats]:
@@ -119,7 +119,7 @@ class FrameEquations:
             right[places] += block.right
         return normal, right
 
-    def _places(self, block: Block) -> Ints:
+    def _places(self, block: EquationBlock) -> Ints:
         """Return the places of a block's unknowns among those of all frames."""
         places: Ints = np.arange(len(block.columns))[:, None] * len(self.frames.times) + block.numbers
         return places.reshape(-1)
@@ -131,15 +131,15 @@ class FrameEquations:
         normal, right = self._normal
         information = directions.T @ normal @ directions + np.eye(directions.shape[1]) / PRIOR_PX**2
         towards = directions.T @ right - known / PRIOR_PX**2
-        found = np.linalg.solve(information, towards).astype(np.float64)
-        return Projection(directions, found, information, float(towards @ found))
+        values = np.linalg.solve(information, towards).astype(np.float64)
+        return Projection(directions, values, information, float(towards @ values))
 
     def _left(self, motions: Floats | None = None) -> list[Floats]:
         """Return what light and the motions (A N,) of the frames do not explain, (n, P) per block."""
         beside, light = self._beside_light
         unknowns = light if motions is None else light + motions @ beside
         unknowns = unknowns.reshape(-1, len(self.frames.times))
-        return [block.seen - block.change(unknowns) for block in self.blocks]
+        return [block.observed - block.change(unknowns) for block in self.blocks]
 
     def variance(self, motions: Floats | None = None) -> float:
         """Return the variance of what light and motions (A N,) leave of the frames, relative to noise."""
@@ -147,15 +147,15 @@ class FrameEquations:
 
     def covariance(self, projection: Projection) -> Floats:
         """Return the covariance (U, U) of what was found, from the scatter between tiles."""
-        left = self._left(projection.of_frames)
+        residuals = self._left(projection.of_frames)
         of_frames, *of_positions = (
-            self._of_tiles(block.columns * of_block) for block, of_block in zip(self.blocks, left, strict=True)
+            self._of_tiles(block.columns * of_block) for block, of_block in zip(self.blocks, residuals, strict=True)
         )
         scores = self._beside_light[0] @ of_frames
         for block, of_block in zip(self.blocks[1:], of_positions, strict=True):
             scores[self._places(block)] += of_block
         sums, inverse = projection.directions.T @ scores, np.linalg.inv(projection.information)
-        noise = _variance(left[0], self.blocks[0].mix)
+        noise = _variance(residuals[0], self.blocks[0].mix)
         covariance: Floats = inverse @ (sums @ sums.T) @ inverse + noise * inverse
         return covariance
 
@@ -172,12 +172,12 @@ class FrameEquations:
         for block, before, after in zip(self.blocks, self._left(), without._left(), strict=True):
             along = block.change(motions.reshape(-1, len(self.frames.times)))
             along /= np.sqrt(np.maximum(np.sum(along**2, axis=0), NEGLIGIBLE))
-            of_all.append([np.sum(along * one, axis=0) ** 2 for one in (before, after)])
+            of_all.append([np.sum(along * residual, axis=0) ** 2 for residual in (before, after)])
         before, after = np.concatenate(of_all, axis=1)
         return 1.0 - median(after) / max(median(before), 1e-12)
 
 
-def of_frames(model: FringeModel, by_unknowns: Floats32, noise: Floats) -> Block:
+def of_frames(model: FringeModel, by_unknowns: Floats32, noise: Floats) -> EquationBlock:
     """Return what light and fringes do not explain of the frames, whose derivatives (A, N, P) are given."""
     frames = model.frames
     mix = np.eye(len(frames.times)) - frames.design @ frames.weights
@@ -189,23 +189,25 @@ def of_frames(model: FringeModel, by_unknowns: Floats32, noise: Floats) -> Block
     columns[-4] = (model.levels - model.residuals) * root
     columns[-3] = model.light * root
     columns[-2], columns[-1] = (amplitude * wave(2 * phase) * root for wave in (np.cos, np.sin))
-    return Block(np.arange(len(frames.times)), columns, mix, (model.residuals * root).astype(np.float32))
+    return EquationBlock(np.arange(len(frames.times)), columns, mix, (model.residuals * root).astype(np.float32))
 
 
-def of_positions(model: FringeModel, pixels: Pixels, longer: int, shorter: int) -> Block:
+def of_positions(model: FringeModel, pixels: MotionPixels, longer: int, shorter: int) -> EquationBlock:
     """Return the difference between the positions of two successive fringes, by the motion of their frames."""
     frames = model.frames
     numbers = np.flatnonzero(np.isin(frames.of_fringe, (longer, shorter)))
     sign = np.where(frames.of_fringe[numbers] == shorter, 1, -1)[:, None]
     apart, variance = model.between(longer, shorter, pixels)
     mix, root = np.ones((len(numbers), len(numbers))), 1 / np.sqrt(variance)
-    seen = np.broadcast_to(apart, (len(numbers), len(apart)))
-    root *= _root_weights(seen * root, mix)
+    observed = np.broadcast_to(apart, (len(numbers), len(apart)))
+    root *= _root_weights(observed * root, mix)
     changes = (sign * model.responses[numbers] * root).astype(np.float32)
-    return Block(numbers, pixels.by_motion32[:, frames.axis[numbers]] * changes, mix, (seen * root).astype(np.float32))
+    return EquationBlock(
+        numbers, pixels.by_motion32[:, frames.axis[numbers]] * changes, mix, (observed * root).astype(np.float32)
+    )
 
 
-def equations_of_motion(model: FringeModel, pixels: Pixels) -> FrameEquations:
+def equations_of_motion(model: FringeModel, pixels: MotionPixels) -> FrameEquations:
     """Return the equations for the motion (8,) of both devices in each frame, and for its share of the frame before."""
     by_motion = pixels.by_motion32[:, model.frames.axis] * model.slopes.astype(np.float32)
     by_unknowns = np.concatenate([by_motion, model.from_before[None].astype(np.float32)])
@@ -213,17 +215,17 @@ def equations_of_motion(model: FringeModel, pixels: Pixels) -> FrameEquations:
     return FrameEquations(model.frames, pixels.tile, (of_frames(model, by_unknowns, pixels.noise), *positions))
 
 
-def _root_weights(seen: Floats, mix: Floats) -> Floats:
+def _root_weights(residuals: Floats, mix: Floats) -> Floats:
     """Return the square roots (P,) of the Huber weights of pixels with residuals (n, P), in standard deviations."""
-    variance = np.sum(seen**2, axis=0) / max(float(np.trace(mix)), 1.0)
-    sigmas = np.sqrt(np.maximum(variance / max(_variance(seen, mix), 1e-12), 1e-9))
+    variance = np.sum(residuals**2, axis=0) / max(float(np.trace(mix)), 1.0)
+    sigmas = np.sqrt(np.maximum(variance / max(_variance(residuals, mix), 1e-12), 1e-9))
     return np.sqrt(huber_weights(sigmas, HUBER_SIGMAS))
 
 
-def _variance(seen: Floats, mix: Floats) -> float:
+def _variance(residuals: Floats, mix: Floats) -> float:
     """Return the variance of residuals (n, P) of `mix`, without outliers.
 
     The median of χ² is nearly k (1 − 2/9k)³ (Wilson and Hilferty, PNAS 17, 1931).
     """
     freedom = max(float(np.trace(mix)), 1.0)
-    return median(np.sum(seen**2, axis=0)) / (freedom * (1 - 2 / (9 * freedom)) ** 3)
+    return median(np.sum(residuals**2, axis=0)) / (freedom * (1 - 2 / (9 * freedom)) ** 3)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
-from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.pixels import MotionPixels
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import NEGLIGIBLE
 
@@ -71,12 +71,12 @@ class FringeFrames:
 
 def fringe_frames(plan: SequencePlan) -> FringeFrames:
     """Return the frames of all fringes of a sequence, at least one."""
-    shown = sorted(
+    steps = sorted(
         (int(time), number, float(shift))
         for number, fringe in enumerate(plan.fringes)
         for time, shift in zip(*plan.times_of(fringe), strict=True)
     )
-    times, of_fringe, shifts = (np.array(column) for column in zip(*shown, strict=True))
+    times, of_fringe, shifts = (np.array(column) for column in zip(*steps, strict=True))
     return FringeFrames(plan.fringes, times, of_fringe, 2 * np.pi * shifts[:, None])
 
 
@@ -141,7 +141,7 @@ class FringeModel:
         """(N, P): derivatives of the position of each frame's fringe by the coordinate in this frame."""
         return self._position_by_level * self.slopes
 
-    def between(self, longer: int, shorter: int, pixels: Pixels) -> tuple[Floats, Floats]:
+    def between(self, longer: int, shorter: int, pixels: MotionPixels) -> tuple[Floats, Floats]:
         """Return the difference (P,) between the positions of two fringes of an axis, and its variance (P,).
 
         Besides noise, the variance contains the scatter within a tile due to interreflection and nonlinear brightness

@@ -15,7 +15,7 @@ import numpy as np
 from calib.numerics import Bools, Floats32
 from scanner.decoding.discontinuities import SMALLEST_PATCH
 from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.photometric_constraints import RESTING, contradictions, frames_of_fine_bits
+from scanner.decoding.motion.photometric_constraints import STATIC_SHARE, find_violations, frames_of_fine_bits
 from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FEW
@@ -33,20 +33,20 @@ _TRANSIENT, _MOVED_PX = 1.5, 0.5
 @dataclass(frozen=True)
 class InconsistentPixels:
     """Masks of the pixels where something `moved` (H, W), which is a `share` of the lit ones, and of the lit pixels
-    `resting`.
+    `static`.
 
     `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
     coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
-    (wrong_bits.py). `spoilt`: with codes alone, and if what moved is gone in later frames, the pixels (H, W) at which a
-    pattern and its inverse contradict the others, by their frames.
+    (wrong_bits.py). `corrupted_by_frames`: with codes alone, and if what moved is gone in later frames, the pixels (H,
+    W) at which a pattern and its inverse contradict the others, by their frames.
     """
 
     moved: Bools
     corrupted: Bools
-    resting: Bools
+    static: Bools
     share: float
     frames: tuple[int, ...]
-    spoilt: Mapping[tuple[int, ...], Bools] = field(default_factory=dict)
+    corrupted_by_frames: Mapping[tuple[int, ...], Bools] = field(default_factory=dict)
 
     def message(self, plan: SequencePlan) -> str:
         """Return a sentence for the operator."""
@@ -63,50 +63,50 @@ def find_inconsistent_pixels(plan: SequencePlan, grid: GridSample, noise: NoiseM
     lit: Bools = swing > max(FEW * float(np.quantile(swing, BRIGHTEST)), 1e-6)
     some = np.zeros_like(lit)
     some[::_STRIDE, ::_STRIDE] = lit[::_STRIDE, ::_STRIDE]
-    if sum(np.count_nonzero(each) for _, each in contradictions(plan, levels[:, some], noise)) <= _A_FEW:
+    if sum(np.count_nonzero(pixels) for _, pixels in find_violations(plan, levels[:, some], noise)) <= _A_FEW:
         return None
-    groups = contradictions(plan, levels[:, lit], noise)
-    inconsistent = _any_of((each for _, each in groups), lit)
+    groups = find_violations(plan, levels[:, lit], noise)
+    inconsistent = _any_of((pixels for _, pixels in groups), lit)
     moved = patches(inconsistent, lit)
     inside = moved[lit]
     share = float(inside.mean()) if len(inside) else 0.0
     is_transient = _is_transient(groups, inconsistent[lit])
-    if not 0 < share <= (1 if is_transient else 1 - RESTING):
+    if not 0 < share <= (1 if is_transient else 1 - STATIC_SHARE):
         return None
-    frames = {frame for of, each in groups if each[inside].mean() > FEW for frame in of}
+    frames = {frame for of, pixels in groups if pixels[inside].mean() > FEW for frame in of}
     if not frames or _picture_moved(levels, [of for of, _ in groups], frames, lit & ~moved):
         return None
     if plan.fringes:
         corrupted = _corrupted(plan, levels, lit, moved, noise, is_transient=is_transient)
     else:
         corrupted = moved & (inconsistent | _in_fine_bits(plan, groups, lit)) if is_transient else moved
-    resting = grid.at_full_size(lit & ~moved & ~_grown(inconsistent, 3))
+    static = grid.at_full_size(lit & ~moved & ~_grown(inconsistent, 3))
     return InconsistentPixels(
         grid.at_full_size(moved),
         grid.at_full_size(corrupted),
-        resting,
+        static,
         share,
         tuple(sorted(frames)),
-        {} if plan.fringes or not is_transient else dict(_spoilt(grid, groups, lit)),
+        {} if plan.fringes or not is_transient else dict(_corrupted_by_frames(grid, groups, lit)),
     )
 
 
-def _spoilt(
+def _corrupted_by_frames(
     grid: GridSample, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools
 ) -> Iterator[tuple[tuple[int, ...], Bools]]:
     """Yield the frames of each group, with the pixels (H, W) at which they contradict the others and those between."""
-    for frames, each in groups:
-        if np.count_nonzero(each) >= SMALLEST_PATCH:
-            contradicting = _any_of([each], lit)
+    for frames, pixels in groups:
+        if np.count_nonzero(pixels) >= SMALLEST_PATCH:
+            contradicting = _any_of([pixels], lit)
             yield frames, grid.at_full_size(contradicting | patches(contradicting, lit))
 
 
 def _any_of(of_groups: Iterable[Bools], lit: Bools) -> Bools:
     """Return the pixels (h, w) that are in any of some sets (P,) of the lit ones."""
-    found = np.zeros(lit.shape, np.bool_)
-    for each in of_groups:
-        found[lit] |= each
-    return found
+    chosen = np.zeros(lit.shape, np.bool_)
+    for pixels in of_groups:
+        chosen[lit] |= pixels
+    return chosen
 
 
 def _grown(some: Bools, side: int) -> Bools:
@@ -120,7 +120,7 @@ def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Boo
     Several checks may flag the same group.
     """
     times = sum(
-        np.count_nonzero(np.any([each for of, each in groups if of == frames], axis=0))
+        np.count_nonzero(np.any([pixels for of, pixels in groups if of == frames], axis=0))
         for frames in {of for of, _ in groups}
     )
     return bool(times <= _TRANSIENT * np.count_nonzero(inconsistent))
@@ -129,7 +129,7 @@ def _is_transient(groups: list[tuple[tuple[int, ...], Bools]], inconsistent: Boo
 def _in_fine_bits(plan: SequencePlan, groups: list[tuple[tuple[int, ...], Bools]], lit: Bools) -> Bools:
     """Return the patches (h, w) that changed during fine bits, where an error of a few cells looks plausible."""
     fine = frames_of_fine_bits(plan)
-    return patches(_any_of((each for frames, each in groups if fine.intersection(frames)), lit), lit)
+    return patches(_any_of((pixels for frames, pixels in groups if fine.intersection(frames)), lit), lit)
 
 
 def _corrupted(
@@ -142,32 +142,32 @@ def _corrupted(
     """
     fringes = [axis.fringes[-1] for axis in plan.axes if axis.fringes] if is_transient else plan.fringes
     frames = {fringe.frames for fringe in fringes}
-    groups = contradictions(plan, levels[:, lit], noise, ~moved[lit])
-    inconsistent = _any_of((each for of, each in groups if of in frames), lit)
+    groups = find_violations(plan, levels[:, lit], noise, ~moved[lit])
+    inconsistent = _any_of((pixels for of, pixels in groups if of in frames), lit)
     return inconsistent & _grown(moved, _WINDOW)
 
 
-def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], resting: Bools) -> bool:
+def _picture_moved(levels: Floats32, groups: list[tuple[int, ...]], frames: set[int], static: Bools) -> bool:
     """Return whether the whole picture, `levels` (frames, h, w), is shifted in the contradicting `frames`: a camera
     bump.
 
-    If it was a large object instead, undoing its shift does not improve the agreement at the `resting` pixels (h, w).
+    If it was a large object instead, undoing its shift does not improve the agreement at the `static` pixels (h, w).
     """
     even = [group for group in groups if len(group) > 1]
-    contradicting, others = (
+    contradicting, agreeing = (
         [levels[list(group)].mean(axis=0) for group in even if frames.issuperset(group) == is_odd]
         for is_odd in (True, False)
     )
-    if not contradicting or not others:
+    if not contradicting or not agreeing:
         return False
     window = cast(Floats32, cv2.createHanningWindow((levels.shape[2], levels.shape[1]), cv2.CV_32F))
-    before, after = (np.log1p(np.stack(each).mean(axis=0)) for each in (others, contradicting))
+    before, after = (np.log1p(np.stack(pictures).mean(axis=0)) for pictures in (agreeing, contradicting))
     (right, down), _ = cv2.phaseCorrelate(before, after, window)
     if hypot(right, down) <= _MOVED_PX:
         return False
     back = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
     taken_back = cv2.warpAffine(after, back, after.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-    error, error_as_seen = (float(np.abs(image - before)[resting].sum()) for image in (taken_back, after))
+    error, error_as_seen = (float(np.abs(image - before)[static].sum()) for image in (taken_back, after))
     return error <= error_as_seen
 
 

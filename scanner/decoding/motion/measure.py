@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from calib.numerics import Floats, Ints
-from scanner.decoding.motion.device_motion import LEAST_PX, Disturbance, MotionFound, largest_bump_px
+from scanner.decoding.motion.device_motion import LEAST_PX, CoordinateShift, MotionEstimate, largest_bump_px
 from scanner.decoding.motion.frame_equations import UNKNOWNS, Projection, equations_of_motion
 from scanner.decoding.motion.fringe_model import FringeModel, fringe_frames
-from scanner.decoding.motion.pixels import Pixels, SeenFringes, choose_pixels
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, Fit
+from scanner.decoding.motion.pixels import MotionPixels, ObservedFringes, choose_pixels
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, RigidFit
 from scanner.decoding.motion.single_frames import moved_one_by_one, shifts_of_frames
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS
 from scanner.decoding.significance import AS_GOOD, FEW, NEARLY_ALL, OUTLYING_SIGMAS, REFITS
@@ -50,12 +50,12 @@ def trajectories_of(times: Ints) -> list[Trajectory]:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MotionMeasurement:
     """The `motion` of one event, whether the fringes `contradicted` rest, even if no single event explains it, and the
     share `by_event` of what independent motion of all frames explains that the event explains.
     """
 
-    motion: MotionFound
+    motion: MotionEstimate
     contradicted: bool
     by_event: float
 
@@ -66,7 +66,7 @@ class MotionMeter:
     def __init__(
         self,
         model: FringeModel,
-        pixels: Pixels,
+        pixels: MotionPixels,
         sizes: tuple[tuple[int, int], tuple[int, int]],
         repeats: int,
     ) -> None:
@@ -76,11 +76,13 @@ class MotionMeter:
         # The shifts of x of all pixels, then those of y.
         self._design = np.concatenate([*pixels.by_motion.transpose(1, 0, 2)])
 
-    def measure(self) -> Measured:
+    def measure(self) -> MotionMeasurement:
         """Return the motion that explains the fringes best, with the alternatives to it."""
         trajectories = trajectories_of(self._model.frames.times)
         gained = [self._along(trajectory, _BOTH).gained for trajectory in trajectories]
-        likely = [one for one, of_it in zip(trajectories, gained, strict=True) if of_it >= AS_GOOD * max(gained)]
+        likely = [
+            trajectory for trajectory, of_it in zip(trajectories, gained, strict=True) if of_it >= AS_GOOD * max(gained)
+        ]
         event = trajectories[int(np.argmax(gained))]
         fit, explained, devices, undecided = self._at_first_order(event), 0.0, _BOTH, False
         is_significant = fit.significance > _SIGNIFICANT and self._size_px(fit) > LEAST_PX
@@ -89,9 +91,9 @@ class MotionMeter:
             fit, explained = self._refined(event, devices)
         size_px = self._size_px(fit)
         linear = size_px < _LINEAR_CYCLES * self._finest_period
-        first, last = min(one.first for one in likely), max(one.last for one in likely)
+        first, last = min(trajectory.first for trajectory in likely), max(trajectory.last for trajectory in likely)
         contradicted = self._is_overdetermined and is_significant
-        found = MotionFound(
+        estimate = MotionEstimate(
             motion=fit.motion,
             # Aliasing, ripple and blurred frames differ between pixels: a motion explains few percent of them.
             significant=contradicted and explained > FEW and max(gained) > self._by_late_frame(),
@@ -101,12 +103,15 @@ class MotionMeter:
             size_px=size_px,
             explained=explained,
             shift=self._disturbance(event, fit.motion),
-            others=tuple(self._disturbance(one, devices @ self._along(one, devices).found) for one in likely),
+            alternatives=tuple(
+                self._disturbance(trajectory, devices @ self._along(trajectory, devices).values)
+                for trajectory in likely
+            ),
             largest_px=largest_bump_px(self._finest_period),
             linear=linear,
             undecided=is_significant and (undecided or not linear),
         )
-        return Measured(found, contradicted, self._by_event(max(gained)) if contradicted else 1.0)
+        return MotionMeasurement(estimate, contradicted, self._by_event(max(gained)) if contradicted else 1.0)
 
     def _by_event(self, gained: float) -> float:
         """Return the share that an event explains of what independent pans and tilts of the camera explain."""
@@ -117,7 +122,7 @@ class MotionMeter:
     def _by_late_frame(self) -> float:
         """Return the decrease of χ² by the one frame that is best explained as a mixture with the frame before."""
         late = self._unknowns[:, COLUMNS * len(self._model.frames.times) :]
-        return max(self._equations.along(one[:, None]).gained for one in late.T)
+        return max(self._equations.along(direction[:, None]).gained for direction in late.T)
 
     @property
     def _unknowns(self) -> Floats:
@@ -129,9 +134,9 @@ class MotionMeter:
         share = trajectory.at(self._model.frames.times)[:, None]
         return self._equations.along(np.asarray(np.kron(np.eye(UNKNOWNS, COLUMNS) @ devices, share), np.float64))
 
-    def _at_first_order(self, trajectory: Trajectory) -> Fit:
+    def _at_first_order(self, trajectory: Trajectory) -> RigidFit:
         projection = self._along(trajectory, _BOTH)
-        return Fit(projection.found, self._equations.covariance(projection), projection.gained)
+        return RigidFit(projection.values, self._equations.covariance(projection), projection.gained)
 
     def _likelier_device(self, trajectory: Trajectory) -> tuple[Floats, bool]:
         """Return the device whose motion explains more than that of the other if either alone explains about as much,
@@ -149,13 +154,13 @@ class MotionMeter:
         """
         return int(np.bincount(self._model.frames.of_fringe).min()) > COSINE_PARAMETERS
 
-    def _size_px(self, fit: Fit) -> float:
+    def _size_px(self, fit: RigidFit) -> float:
         """Return the root mean square shift of the coordinates beyond its uncertainty."""
         variance = np.einsum("rc,rc->r", self._design @ fit.covariance, self._design)
         sure = np.maximum((self._design @ fit.motion) ** 2 - OUTLYING_SIGMAS**2 * variance, 0.0)
         return float(np.sqrt(2 * np.mean(sure)))
 
-    def _disturbance(self, trajectory: Trajectory, motion: Floats) -> Disturbance:
+    def _disturbance(self, trajectory: Trajectory, motion: Floats) -> CoordinateShift:
         """Return the motion (8,) that x and y each contain, averaged over their fringes, without their common part.
 
         The common part is equivalent to another pose of the rig.
@@ -164,7 +169,7 @@ class MotionMeter:
         shares = np.array([self._share(share * (frames.of_fringe == fringe)) for fringe in frames.shortest])
         squares = np.array([np.mean(moved_px**2) for moved_px in np.split(self._design @ motion, 2)])
         common = float(shares @ squares / max(float(squares.sum()), 1e-12))
-        return Disturbance(np.outer(shares - common, motion), *self._sizes)
+        return CoordinateShift(np.outer(shares - common, motion), *self._sizes)
 
     def _share(self, of_frames: Floats) -> float:
         """Return the share of the motion in a coordinate: that of the shortest fringe, which determines it
@@ -172,34 +177,34 @@ class MotionMeter:
         """
         return float(np.mean(of_frames @ self._model.responses))
 
-    def _refined(self, trajectory: Trajectory, devices: Floats) -> tuple[Fit, float]:
+    def _refined(self, trajectory: Trajectory, devices: Floats) -> tuple[RigidFit, float]:
         """Refine a motion beyond first order (Gauss–Newton); also return how much of what is seen it explains."""
         at_first = self._along(trajectory, devices)
-        found, share = at_first.found, trajectory.at(self._model.frames.times)[:, None]
+        values, share = at_first.values, trajectory.at(self._model.frames.times)[:, None]
         for _ in range(REFITS):
-            moved_px = share * (self._pixels.by_motion @ devices @ found).T[self._model.frames.axis]
+            moved_px = share * (self._pixels.by_motion @ devices @ values).T[self._model.frames.axis]
             equations = equations_of_motion(self._model.without(moved_px), self._pixels)
-            more = equations.along(at_first.directions, known=found)
-            found = found + more.found
+            more = equations.along(at_first.directions, known=values)
+            values = values + more.values
         explained = self._equations.explained(at_first.of_frames, equations)
-        return Fit(devices @ found, devices @ equations.covariance(more) @ devices.T, at_first.gained), explained
+        return RigidFit(devices @ values, devices @ equations.covariance(more) @ devices.T, at_first.gained), explained
 
 
-def measure_motion(seen: SeenFringes) -> MotionFound | None:
+def measure_motion(fringes: ObservedFringes) -> MotionEstimate | None:
     """Return the motion during a capture; None if too few smooth pixels see fringes."""
-    pixels, plan, tiles = choose_pixels(seen), seen.plan, seen.tiles
+    pixels, plan, tiles = choose_pixels(fringes), fringes.plan, fringes.tiles
     if pixels is None:
         return None
     frames, some = fringe_frames(plan), pixels.every_other
     model = FringeModel(frames, tiles.of_frames(frames.times.tolist(), some.number).astype(np.float64))
-    measured = MotionMeter(model, some, (tiles.shape[::-1], seen.projector_size), plan.repeats).measure()
-    found = measured.motion
+    measured = MotionMeter(model, some, (tiles.shape[::-1], fringes.projector_size), plan.repeats).measure()
+    estimate = measured.motion
     if not measured.contradicted:
-        return found
-    shifts = shifts_of_frames(seen, pixels, measured.by_event)
-    if not shifts.is_no_event or not (found.significant or shifts.are_distinct_from_light):
-        return found
-    one_by_one = moved_one_by_one(found, plan, shifts, pixels)
+        return estimate
+    shifts = shifts_of_frames(fringes, pixels, measured.by_event)
+    if not shifts.is_no_event or not (estimate.significant or shifts.are_distinct_from_light):
+        return estimate
+    one_by_one = moved_one_by_one(estimate, plan, shifts, pixels)
     # Large shifts of single frames prove nothing: a bump by many px is not linear, so that no single event explains it
     # either.
-    return found if found.is_too_large and one_by_one.is_too_large else one_by_one
+    return estimate if estimate.is_too_large and one_by_one.is_too_large else one_by_one

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Ints
 from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.pixels import SeenFringes
+from scanner.decoding.motion.pixels import ObservedFringes
 from scanner.decoding.samples import MOST_ALONG, TILE_PX, TileSample
 from scanner.decoding.sequence_plan import COSINE_PARAMETERS, Fringe, SequencePlan
 from scanner.decoding.significance import AS_GOOD, FEW, FEWEST_PIXELS, SIGNIFICANT_SIGMAS
@@ -33,7 +33,7 @@ class _FringeSample:
     times: Ints
     shifts: Floats
 
-    def left(self, first_after: int) -> tuple[float, float]:
+    def fit_jump(self, first_after: int) -> tuple[float, float]:
         """Fit a phase jump before frame `first_after`: the unexplained share of the power, and the jump in cycles.
 
         Each block of the image takes its best jump; the result is the mean over blocks.
@@ -44,31 +44,32 @@ class _FringeSample:
         count = np.bincount(self.block)
         big = count >= FEWEST_PIXELS
         unexplained = (_residual_projection(self.shifts + jump * after) @ self.levels for jump in jumps)
-        left = np.stack([np.bincount(self.block, np.sum(rest**2, axis=0) / power) for rest in unexplained])[:, big]
-        best = np.argmin(left, axis=0)
+        remaining = np.stack([np.bincount(self.block, np.sum(rest**2, axis=0) / power) for rest in unexplained])[:, big]
+        best = np.argmin(remaining, axis=0)
         common = np.mean(np.exp(2j * np.pi * jumps[best]))
         # Jumps differ between surfaces, but agree between blocks.
         if abs(common) < AS_GOOD:
             return 1.0, 0.0
-        return float(np.mean(left[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
+        return float(np.mean(remaining[best, np.arange(len(best))] / count[big])), float(np.angle(common)) / (2 * np.pi)
 
 
-def broken_between(seen: SeenFringes) -> tuple[int, int] | None:
+def find_phase_jump(fringes: ObservedFringes) -> tuple[int, int] | None:
     """Return the two frames between which a bump explains fringes that fit no cosine otherwise, or None."""
-    plan, tiles = seen.plan, seen.tiles
+    plan, tiles = fringes.plan, fringes.tiles
     if not plan.fringes or any(len(fringe.frames) <= COSINE_PARAMETERS for fringe in plan.fringes) or not tiles.count:
         return None
-    samples = [_fringe_sample(plan, fringe, tiles, seen.noise) for fringe in plan.fringes]
-    if any(np.count_nonzero(np.bincount(one.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for one in samples):
+    samples = [_fringe_sample(plan, fringe, tiles, fringes.noise) for fringe in plan.fringes]
+    if any(np.count_nonzero(np.bincount(sample.block) >= FEWEST_PIXELS) < _FEWEST_BLOCKS for sample in samples):
         return None
-    times = sorted({int(time) for one in samples for time in one.times})
-    before = max(left for left, _ in (one.left(times[0]) for one in samples))
-    found = min(
-        ((*_worst(samples, second), first, second) for first, second in pairwise(times)), key=lambda one: one[0]
+    times = sorted({int(time) for sample in samples for time in sample.times})
+    before = max(remaining for remaining, _ in (sample.fit_jump(times[0]) for sample in samples))
+    best = min(
+        ((*_worst(samples, second), first, second) for first, second in pairwise(times)),
+        key=lambda candidate: candidate[0],
     )
-    left, is_step, *frames = found
+    remaining, is_step, *frames = best
     # Harmonics of a gamma of 2.2 leave 0.05 of a fringe's power.
-    if is_step or left > FEW * min(1, before):
+    if is_step or remaining > FEW * min(1, before):
         return None
     first, second = (plan.repeats * frame for frame in frames)
     return first, second
@@ -78,13 +79,13 @@ def _worst(samples: Sequence[_FringeSample], first_after: int) -> tuple[float, b
     """Return the unexplained power of the worst fringe, and whether all jumps are by a whole phase step, as if
     frames were taken for the next ones.
     """
-    each = [(one, *one.left(first_after)) for one in samples]
+    fits = [(sample, *sample.fit_jump(first_after)) for sample in samples]
     jumps = [
-        abs(jump * len(one.shifts) - np.rint(jump * len(one.shifts))) / len(one.shifts) < 1 / _JUMPS
-        for one, _, jump in each
-        if one.times.min() < first_after <= one.times.max()
+        abs(jump * len(sample.shifts) - np.rint(jump * len(sample.shifts))) / len(sample.shifts) < 1 / _JUMPS
+        for sample, _, jump in fits
+        if sample.times.min() < first_after <= sample.times.max()
     ]
-    return max(left for _, left, _ in each), all(jumps)
+    return max(remaining for _, remaining, _ in fits), all(jumps)
 
 
 def _residual_projection(shifts: Floats) -> Floats:
@@ -98,8 +99,8 @@ def _fringe_sample(plan: SequencePlan, fringe: Fringe, tiles: TileSample, noise:
     times, shifts = plan.times_of(fringe)
     levels = tiles.of_frames(times.tolist()).astype(np.float64)
     mean = levels.mean(axis=0)
-    seen: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
+    visible: Bools = np.mean((levels - mean) ** 2, axis=0) > SIGNIFICANT_SIGMAS**2 * noise.variance(mean)
     side = np.maximum(np.array(tiles.shape[::-1]) / MOST_ALONG, TILE_PX) * _BLOCK_TILES
-    across, down = (tiles.camera_px[seen] // side).astype(np.int64).T
+    across, down = (tiles.camera_px[visible] // side).astype(np.int64).T
     block = np.unique(down * (1 + across.max(initial=0)) + across, return_inverse=True)[1]
-    return _FringeSample(levels[:, seen], block.reshape(-1), times, shifts)
+    return _FringeSample(levels[:, visible], block.reshape(-1), times, shifts)

@@ -21,7 +21,7 @@ from scanner.decoding.significance import FEW, HALF, HUBER_SIGMAS, OUTLYING_SIGM
 
 # Least share of the lit pixels that rest: an object may cover more than half of them. These pixels tell the usual
 # deviation (a nonlinear camera, a projector that sharpens or dims fine stripes).
-RESTING = 0.3
+STATIC_SHARE = 0.3
 # A nonlinear camera sees pairs of fine stripes brighter or darker than others. The factor allows for a lens that mixes
 # adjacent black and white by up to a quarter of the swing, with the sRGB response curve.
 _OF_FINE = 2.5
@@ -41,28 +41,28 @@ class _Group:
     times: float = 1.0
 
 
-def contradictions(
-    plan: SequencePlan, levels: Floats32, noise: NoiseModel, resting: Bools | None = None
+def find_violations(
+    plan: SequencePlan, levels: Floats32, noise: NoiseModel, static: Bools | None = None
 ) -> list[tuple[tuple[int, ...], Bools]]:
     """Return groups of frames, each with the lit pixels (P,) at which they contradict each other or the rest; `levels`
     (frames, P).
 
-    The `resting` pixels (P,) give the usual deviation; None if they are unknown.
+    The `static` pixels (P,) give the usual deviation; None if they are unknown.
     """
     swing = np.ptp(levels, axis=0)
     sigma = np.sqrt(noise.variance(levels.max(axis=0))) / swing
-    found = []
+    violations = []
     for group in _groups(plan, levels):
         deviation = np.abs(group.deviation) / swing
-        some = deviation if resting is None or not resting.any() else deviation[resting]
+        some = deviation if static is None or not static.any() else deviation[static]
         least = max(group.times * FEW, OUTLYING_SIGMAS * _usual_sigma(some))
-        found.append((group.frames, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma)))
-    return found
+        violations.append((group.frames, deviation > np.maximum(least, SIGNIFICANT_SIGMAS * group.noise_gain * sigma)))
+    return violations
 
 
 def _usual_sigma(deviation: NDArray[np.floating[Any]]) -> float:
     """Return the standard deviation of normal deviates with the absolute values (P,) of the pixels that rest."""
-    return quantile(deviation, RESTING) / (sqrt(2) * float(erfinv(RESTING)))
+    return quantile(deviation, STATIC_SHARE) / (sqrt(2) * float(erfinv(STATIC_SHARE)))
 
 
 def frames_of_fine_bits(plan: SequencePlan) -> set[int]:
@@ -116,8 +116,8 @@ def _deviation_from_usual(levels: Floats32, usual: Floats32) -> Floats32:
     bright light.
     """
     by = usual / np.maximum(levels.mean(axis=0), 1e-6)
-    _, left = _fit_most(levels, usual, _most_concentrated(by))
-    return left
+    _, residual = _fit_most(levels, usual, _most_concentrated(by))
+    return residual
 
 
 def _most_concentrated(values: Floats32) -> Bools:
@@ -125,7 +125,7 @@ def _most_concentrated(values: Floats32) -> Bools:
 
     A moving object near a lamp is brighter than all that rests, and would bias a mean.
     """
-    count = max(1, round(RESTING * len(values)))
+    count = max(1, round(STATIC_SHARE * len(values)))
     ordered = np.sort(values)
     start = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
     return cast(Bools, (values >= ordered[start]) & (values <= ordered[start + count - 1]))
@@ -143,18 +143,18 @@ def _deviation_from_mean(fringe: Fringe, frames: Floats32, parts: Floats32, usua
     _, cosine, sine = fringe.weights.astype(np.float32) @ frames[list(fringe.frames)]
     phase, amplitude = len(fringe.frames) * np.arctan2(sine, cosine), np.hypot(cosine, sine)
     every = np.stack([*parts, amplitude * np.cos(phase), amplitude * np.sin(phase)])
-    brightness, left = _fit_most(every, usual, _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
+    brightness, residual = _fit_most(every, usual, _most_concentrated(usual / np.maximum(parts[0], 1e-6)))
     far = FEW * np.ptp(frames, axis=0)
-    if contradict := np.count_nonzero(np.abs(left) > far):
+    if contradict := np.count_nonzero(np.abs(residual) > far):
         relative = usual / max(float(usual.max()), 1e-6)
         curved = np.stack([usual, *every[1:], usual * relative, usual * relative**2])
         by_curve, left_of_curve = _fit_most(curved, parts[0], np.ones(len(usual), np.bool_))
         # With a tone curve none contradict any more, and all where something moved.
         if np.count_nonzero(np.abs(left_of_curve) > far) < HALF * contradict:
-            brightness, left = by_curve, left_of_curve
+            brightness, residual = by_curve, left_of_curve
     # A fringe's amplitude is at most half the range; the harmonic may be missing in one place and doubled in another.
     bent = np.float32(np.hypot(*brightness[2:4])) * (frames.max(axis=0) - parts[1])
-    return cast(Floats32, np.maximum(np.abs(left) - bent, 0))
+    return cast(Floats32, np.maximum(np.abs(residual) - bent, 0))
 
 
 def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats, Floats32]:
@@ -164,8 +164,8 @@ def _fit_most(terms: Floats32, targets: Floats32, first: Bools) -> tuple[Floats,
     fit.
     """
 
-    def most(left: Floats) -> Floats:
-        size = np.abs(left) if left.ndim == 1 else np.sqrt(np.mean(left**2, axis=0))
+    def most(residual: Floats) -> Floats:
+        size = np.abs(residual) if residual.ndim == 1 else np.sqrt(np.mean(residual**2, axis=0))
         return (size <= max(HUBER_SIGMAS * _usual_sigma(size), 1e-6)).astype(np.float64)
 
     of = terms.astype(np.float64)
@@ -180,7 +180,7 @@ def _beyond_white_and_black(plan: SequencePlan, levels: Floats32) -> Iterator[_G
         return
     ordered = np.sort(levels[alone], axis=0)
     # White itself may be the corrupted frame, which then does no harm. About half of the bits are lit at each pixel.
-    few = round(RESTING * (len(alone) - 1))
+    few = round(STATIC_SHARE * (len(alone) - 1))
     most, least = np.maximum(levels[plan.white], ordered[-1 - few]), np.minimum(levels[plan.black], ordered[few])
     for frame in alone:
         bright = levels[frame] > (most + least) / 2
@@ -196,9 +196,9 @@ def _deviation_from_cosine(fringe: Fringe, levels: Floats32) -> Floats32:
     The harmonics are first fitted where residuals are least, since more than half of the rest may be motion.
     """
     fit = fringe.weights.astype(np.float32) @ levels
-    left = levels - fringe.design.astype(np.float32) @ fit
+    residual = levels - fringe.design.astype(np.float32) @ fit
     phase, amplitude = np.arctan2(fit[2], fit[1]), np.hypot(fit[1], fit[2])
     terms = np.stack([amplitude * wave(k * phase) for k in _HARMONICS for wave in (np.cos, np.sin)])
-    size = np.sqrt(np.mean(left**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
-    _, left = _fit_most(terms, left, size <= quantile(size, RESTING))
-    return cast(Floats32, np.sqrt(np.mean(left**2, axis=0)))
+    size = np.sqrt(np.mean(residual**2, axis=0)) / np.maximum(np.ptp(levels, axis=0), 1e-6)
+    _, residual = _fit_most(terms, residual, size <= quantile(size, STATIC_SHARE))
+    return cast(Floats32, np.sqrt(np.mean(residual**2, axis=0)))

@@ -21,7 +21,7 @@ MOST_ROUGH_PX = 0.7
 
 
 @dataclass(frozen=True)
-class SeenFringes:
+class ObservedFringes:
     """The frames of a capture in `tiles`, whose `signals` along x and y have P pixels; sizes are (width, height)."""
 
     plan: SequencePlan
@@ -38,7 +38,7 @@ class SeenFringes:
 
 
 @dataclass(frozen=True)
-class Pixels:
+class MotionPixels:
     """P pixels by `number` (P,) in a `TileSample`, with the `tile` of each and the `noise` variance of its grey level
     (P,).
 
@@ -60,20 +60,20 @@ class Pixels:
         return np.ascontiguousarray(self.by_motion.transpose(2, 1, 0), np.float32)
 
     @property
-    def every_other(self) -> "Pixels":
+    def every_other(self) -> "MotionPixels":
         """Half of the pixels."""
-        return Pixels(*(getattr(self, field.name)[::2] for field in fields(self)))
+        return MotionPixels(*(getattr(self, field.name)[::2] for field in fields(self)))
 
 
-def choose_pixels(seen: SeenFringes) -> Pixels | None:
+def choose_pixels(fringes: ObservedFringes) -> MotionPixels | None:
     """Return some usable pixels of the tiles; None if they are too few or their coordinates are unknown."""
-    tiles, brightest = seen.tiles, seen.signals[0].peak
-    if not tiles.count or not all(axis.fringes for axis in seen.plan.axes):
+    tiles, white = fringes.tiles, fringes.signals[0].peak
+    if not tiles.count or not all(axis.fringes for axis in fringes.plan.axes):
         return None
-    usable = np.asarray(brightest < seen.saturation) & tiles.resting
+    usable = np.asarray(white < fringes.saturation) & tiles.static
     coordinates = []
-    for axis, of_axis in seen.axes:
-        coordinate, visible = _rough_coordinate(axis, of_axis, seen.noise)
+    for axis, of_axis in fringes.axes:
+        coordinate, visible = _rough_coordinate(axis, of_axis, fringes.noise)
         if coordinate is None:
             return None
         coordinates.append(coordinate)
@@ -86,36 +86,36 @@ def choose_pixels(seen: SeenFringes) -> Pixels | None:
         return None
     camera_px, projector_px = tiles.camera_px[number], projector_px[number]
     gradient, camera_size = planes[tiles.tile[number]][:, 1:].transpose(0, 2, 1), tiles.shape[::-1]
-    return Pixels(
+    return MotionPixels(
         number,
         tiles.tile[number],
         camera_px,
         projector_px,
         gradient,
-        shifts_by_motion(camera_px, projector_px, gradient, camera_size, seen.projector_size),
-        seen.noise.variance(seen.signals[0].middle[number]).astype(np.float64),
+        shifts_by_motion(camera_px, projector_px, gradient, camera_size, fringes.projector_size),
+        fringes.noise.variance(fringes.signals[0].threshold[number]).astype(np.float64),
     )
 
 
 def _rough_coordinate(axis: AxisPlan, signals: Signals, noise: NoiseModel) -> tuple[Floats | None, Bools]:
     """Return the coordinate (P,) from longest fringe and Gray code, and whether all fringes are visible."""
-    variance = noise.variance(signals.middle)
-    seen = np.ones(len(variance), np.bool_)
+    variance = noise.variance(signals.threshold)
+    visible = np.ones(len(variance), np.bool_)
     for number, fringe in enumerate(axis.fringes):
         cosine, sine = signals.fringe(number)
-        seen &= cosine**2 + sine**2 > SIGNIFICANT_SIGMAS**2 * fringe.noise_gain**2 * variance
+        visible &= cosine**2 + sine**2 > SIGNIFICANT_SIGMAS**2 * fringe.noise_gain**2 * variance
     period = axis.fringes[0].period
     if not axis.codes:
         if period < axis.length:
-            return None, seen
+            return None, visible
         centre = np.full(len(variance), period / 2)
     else:
         interval = interval_of(axis, signals.words, len(variance))
-        seen &= interval.possible
+        visible &= interval.possible
         centre = interval.centre.astype(np.float64)
     cosine, sine = signals.fringe(0)
     position = np.arctan2(sine, cosine).astype(np.float64) * period / (2 * np.pi)
-    return position + period * np.rint((centre - position) / period), seen
+    return position + period * np.rint((centre - position) / period), visible
 
 
 def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Floats, Bools]:
@@ -124,11 +124,11 @@ def _planes(tiles: TileSample, projector_px: Floats, usable: Bools) -> tuple[Flo
     terms = np.concatenate([np.ones((TILE_PX**2, 1)), offset], axis=1)  # of every tile alike
     products = (terms[:, :, None] * terms[:, None]).reshape(len(terms), -1)
     on = usable.reshape(tiles.count, TILE_PX**2)
-    seen, fit = np.where(on, projector_px.T.reshape(2, *on.shape), 0.0), on
+    coordinates, fit = np.where(on, projector_px.T.reshape(2, *on.shape), 0.0), on
     for _ in range(REFITS):
         normal = (fit @ products).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
-        planes: Floats = np.linalg.solve(normal, np.moveaxis((fit * seen) @ terms, 0, 2))
-        off = np.sum((seen - np.moveaxis(planes, 2, 0) @ terms.T) ** 2, axis=0)
+        planes: Floats = np.linalg.solve(normal, np.moveaxis((fit * coordinates) @ terms, 0, 2))
+        off = np.sum((coordinates - np.moveaxis(planes, 2, 0) @ terms.T) ** 2, axis=0)
         count = np.count_nonzero(fit, axis=1)
         rough = np.sqrt(np.sum(fit * off, axis=1) / np.maximum(count, 1))
         fit = on & (off <= np.maximum(SIGNIFICANT_SIGMAS / sqrt(2) * rough, 1e-3)[:, None] ** 2)

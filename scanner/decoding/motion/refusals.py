@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
-from scanner.decoding.motion.device_motion import MotionFound
+from scanner.decoding.motion.device_motion import MotionEstimate
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD
 from scanner.errors import InputError
@@ -18,22 +18,22 @@ UNSEEN_MOTION = (
 
 
 @contextmanager
-def blaming_motion(
-    found: Callable[[], MotionFound | None], broken: Callable[[], tuple[int, int] | None]
+def attribute_to_motion(
+    measured: Callable[[], MotionEstimate | None], phase_jump: Callable[[], tuple[int, int] | None]
 ) -> Iterator[None]:
     """Replace an InputError raised in the block by a RefusalError if motion explains it.
 
-    The cause is either the motion returned by `found`, if it explains most of the contradiction, or a bump between the
-    two frames that `broken` returns.
+    The cause is either the motion returned by `measured`, if it explains most of the contradiction, or a bump between
+    the two frames that `phase_jump` returns.
     """
     try:
         yield
     except InputError as error:
-        motion = found()
+        motion = measured()
         # Exchanged frames contradict each other in ways that motion hardly explains.
         if motion is not None and motion.significant and motion.explained > AS_GOOD:
             raise moved(motion) from error
-        if frames := broken():
+        if frames := phase_jump():
             raise RefusalError(
                 f"Camera or projector moved between frames {frames[0]} and {frames[1]}, by so much that "
                 "the phase could not be unwrapped.",
@@ -43,7 +43,7 @@ def blaming_motion(
 
 
 @contextmanager
-def blaming_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
+def attribute_to_shifts(plan: SequencePlan, shifts: Sequence[CodeShift]) -> Iterator[None]:
     """Replace an InputError raised in the block, for fringes that do not follow the codes, by a RefusalError if
     something moved between codes and fringes.
     """
@@ -66,7 +66,7 @@ def refuse_period_slips(plan: SequencePlan, shifts: Sequence[CodeShift]) -> None
         raise _moved_before_fringes(plan, max(by_periods, key=lambda shift: abs(shift.px)))
 
 
-def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: MotionFound | None) -> None:
+def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: MotionEstimate | None) -> None:
     """Raise RefusalError if a motion is too large to be measured from fringes, and the `anomalous` frames belong to
     more than one fringe.
 
@@ -78,7 +78,7 @@ def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: M
         raise moved(motion)
 
 
-def moved(motion: MotionFound) -> RefusalError:
+def moved(motion: MotionEstimate) -> RefusalError:
     """Return the refusal of a capture that this motion has made unusable."""
     return RefusalError(f"{_capital(motion)}.", ADVICE)
 
@@ -98,7 +98,7 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
     )
 
 
-def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:
+def remarks_on(motion: MotionEstimate | None) -> tuple[str, ...]:
     """Return a warning for the operator about a motion that was corrected; nothing if there was none or it was too
     large.
     """
@@ -107,6 +107,6 @@ def remarks_on(motion: MotionFound | None) -> tuple[str, ...]:
     return (f"{_capital(motion)}; this was corrected, and the remaining uncertainty is part of the sigmas.",)
 
 
-def _capital(motion: MotionFound) -> str:
+def _capital(motion: MotionEstimate) -> str:
     sentence = str(motion)
     return sentence[0].upper() + sentence[1:]

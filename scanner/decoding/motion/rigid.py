@@ -18,7 +18,7 @@ PRIOR_PX = 1.0
 
 
 @dataclass(frozen=True)
-class Fit:
+class RigidFit:
     """The `motion` (8,) of projector and camera, their `covariance`, and the decrease of χ², `gained`.
 
     For each device: shifts, roll and change of scale, in its px (roll and scale: at half the width from the centre).
@@ -53,13 +53,13 @@ def _of_picture(px: Floats, size: tuple[int, int]) -> Floats:
     half, focal = size[0] / 2, _FOCAL_OF_WIDTH * size[0]
     x, y = ((px - (np.array(size) - 1) / 2) / focal).T
     roll = focal / half
-    one = np.ones_like(x)
-    horizontal = np.stack([one + x * x, x * y, -y * roll, x * roll], axis=1)
-    vertical = np.stack([x * y, one + y * y, x * roll, y * roll], axis=1)
+    ones = np.ones_like(x)
+    horizontal = np.stack([ones + x * x, x * y, -y * roll, x * roll], axis=1)
+    vertical = np.stack([x * y, ones + y * y, x * roll, y * roll], axis=1)
     return np.stack([horizontal, vertical], axis=1)
 
 
-def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) -> Fit:
+def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) -> RigidFit:
     """Fit the motion to `seen_px` (R,) = `design` (R, 8) · motion, with `precision` (R,), robustly (Huber).
 
     Correlated errors within a `group` (R,) of rows are included in the covariance.
@@ -68,6 +68,6 @@ def fit_motion(design: Floats, seen_px: Floats, precision: Floats, group: Ints) 
     expected, at_rest = np.eye(COLUMNS) / PRIOR_PX, np.zeros(COLUMNS)
     terms = np.concatenate([(design * root[:, None]).T, expected], axis=1)
     fit = fit_huber(terms, np.append(seen_px * root, at_rest), HUBER_SIGMAS, HUBER_ROUNDS)
-    return Fit(
+    return RigidFit(
         fit.parameters, fit.covariance(np.append(group, np.max(group, initial=-1) + 1 + np.arange(COLUMNS))), fit.gained
     )

@@ -14,10 +14,10 @@ from scipy.special import chdtri
 
 from calib.numerics import LEVEL, SLOPE, Floats, Floats32, Ints
 from scanner.decoding.light import NoiseModel
-from scanner.decoding.motion.device_motion import Disturbance, MotionFound
+from scanner.decoding.motion.device_motion import CoordinateShift, MotionEstimate
 from scanner.decoding.motion.frame_equations import FrameEquations, of_frames
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
-from scanner.decoding.motion.pixels import Pixels, SeenFringes
+from scanner.decoding.motion.pixels import MotionPixels, ObservedFringes
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
 from scanner.decoding.samples import TILE_PX, TileSample
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
@@ -73,23 +73,25 @@ class FrameShifts:
         return self.shift_px @ shares, both @ self.covariance @ both.T
 
 
-def shifts_of_frames(seen: SeenFringes, pixels: Pixels, by_event: float) -> FrameShifts:
+def shifts_of_frames(fringes: ObservedFringes, pixels: MotionPixels, by_event: float) -> FrameShifts:
     """Measure the shifts of the frames of all fringes."""
-    frames = fringe_frames(seen.plan)
+    frames = fringe_frames(fringes.plan)
     count = len(frames.times)
-    equations = equations_of_shifts(frames, seen.tiles, pixels, seen.noise)
+    equations = equations_of_shifts(frames, fringes.tiles, pixels, fringes.noise)
     fit = equations.along(np.eye(2 * count))
     about_mean = np.kron(np.eye(2), np.eye(count) - 1 / count)
     return FrameShifts(
         frames.times,
-        (about_mean @ fit.found).reshape(2, count),
+        (about_mean @ fit.values).reshape(2, count),
         about_mean @ equations.covariance(fit) @ about_mean,
-        1.0 - equations.variance(fit.found) / max(equations.variance(), 1e-12),
+        1.0 - equations.variance(fit.values) / max(equations.variance(), 1e-12),
         by_event,
     )
 
 
-def equations_of_shifts(frames: FringeFrames, tiles: TileSample, pixels: Pixels, noise: NoiseModel) -> FrameEquations:
+def equations_of_shifts(
+    frames: FringeFrames, tiles: TileSample, pixels: MotionPixels, noise: NoiseModel
+) -> FrameEquations:
     """Return the equations for the shift of each frame to the right and down."""
     row, column = np.divmod(pixels.number % TILE_PX**2, TILE_PX)
     inside = (np.minimum(row, column) >= _MARGIN) & (np.maximum(row, column) < TILE_PX - _MARGIN)
@@ -113,8 +115,10 @@ def _filtered(images: Floats32, down: Floats, across: Floats) -> Floats32:
     return filtered.reshape(images.shape)
 
 
-def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts, pixels: Pixels) -> MotionFound:
-    """Return a result for independent motion of the frames, in place of the event `found`."""
+def moved_one_by_one(
+    event: MotionEstimate, plan: SequencePlan, shifts: FrameShifts, pixels: MotionPixels
+) -> MotionEstimate:
+    """Return a result for independent motion of the frames, in place of the event `values`."""
     x, y = (_shares(axis.fringes[-1], plan, shifts.times) for axis in plan.axes)
     apart, covariance = shifts.between(x - y)
     # Half of it goes to x, and half to y: their common part is equivalent to another pose of the rig.
@@ -122,15 +126,15 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
     half[0, :, PER_DEVICE : PER_DEVICE + 2] = np.eye(2) / 2
     half[1] = -half[0]
 
-    def disturbance(of: Floats) -> Disturbance:
-        return replace(found.shift, motions=np.einsum("adc,d->ac", half, of))
+    def disturbance(of: Floats) -> CoordinateShift:
+        return replace(event.shift, motions=np.einsum("adc,d->ac", half, of))
 
     values, vectors = np.linalg.eigh(covariance + 2 * _OF_A_FRINGE_PX**2 * np.eye(2))
     spread = tuple(disturbance(sqrt(max(value, 0.0)) * vector) for value, vector in zip(values, vectors.T, strict=True))
     typical = np.zeros(COLUMNS)
     typical[PER_DEVICE : PER_DEVICE + 2] = np.sqrt(np.mean(shifts.shift_px**2, axis=1))
     return replace(
-        found,
+        event,
         motion=typical,
         significant=True,
         slow=False,
@@ -139,7 +143,7 @@ def moved_one_by_one(found: MotionFound, plan: SequencePlan, shifts: FrameShifts
         last=plan.repeats * int(shifts.times[-1]),
         size_px=float(np.sqrt(np.mean(np.sum((pixels.gradient @ shifts.shift_px) ** 2, axis=1)))),
         shift=disturbance(apart),
-        others=(),
+        alternatives=(),
         unseen=spread,
     )
 

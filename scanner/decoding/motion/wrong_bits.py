@@ -16,7 +16,7 @@ from calib.numerics import Bools, Floats32, Ints, compiled, median
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason
 from scanner.decoding.motion.inconsistent_pixels import patches
-from scanner.decoding.motion.photometric_constraints import RESTING
+from scanner.decoding.motion.photometric_constraints import STATIC_SHARE
 from scanner.decoding.samples import GridSample
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import HALF
@@ -53,10 +53,10 @@ def _in_broken_patches(plan: SequencePlan, maps: Maps) -> Bools:
     reason = grid.of(maps.reason)
     broken = np.isin(reason, BROKEN) | _jumps(plan, grid, maps)
     lit = broken | (reason == MaskReason.KEPT)
-    found = patches(broken, lit)
-    if np.count_nonzero(lit & ~found) < RESTING * np.count_nonzero(lit):
+    broken_patches = patches(broken, lit)
+    if np.count_nonzero(lit & ~broken_patches) < STATIC_SHARE * np.count_nonzero(lit):
         return np.zeros_like(maps.reason, np.bool_)
-    return grid.at_full_size(found)
+    return grid.at_full_size(broken_patches)
 
 
 def _jumps(plan: SequencePlan, grid: GridSample, maps: Maps) -> Bools:
@@ -64,15 +64,15 @@ def _jumps(plan: SequencePlan, grid: GridSample, maps: Maps) -> Bools:
 
     Pixels on a steep surface are not counted, whose steps are all alike.
     """
-    found = np.zeros(grid.of(maps.reason).shape, np.bool_)
+    jumping = np.zeros(grid.of(maps.reason).shape, np.bool_)
     for number, axis in enumerate(plan.axes):
         value = cast(Floats32, grid.of(maps.projector_px[..., number]))
-        for jumps, at in ((found, value), (found.T, value.T)):
+        for jumps, at in ((jumping, value), (jumping.T, value.T)):
             steps = np.diff(at, axis=0)
             far = _is_far(np.abs(steps), axis.cell) & _is_far(_step_change(steps), axis.cell)
             jumps[:-1] |= far
             jumps[1:] |= far
-    return found
+    return jumping
 
 
 def _is_far(distance: Floats32, cell: float) -> Bools:
@@ -88,9 +88,9 @@ def _step_change(steps: Floats32) -> Floats32:
 
     It is the step itself if both are unknown, and NaN if the step is.
     """
-    others = np.full((2, *steps.shape), np.nan, np.float32)
-    others[0, 1:], others[1, :-1] = steps[:-1], steps[1:]
-    result: Floats32 = np.fmin(*np.abs(steps - others))
+    neighbours = np.full((2, *steps.shape), np.nan, np.float32)
+    neighbours[0, 1:], neighbours[1, :-1] = steps[:-1], steps[1:]
+    result: Floats32 = np.fmin(*np.abs(steps - neighbours))
     return np.where(np.isnan(result), np.abs(steps), result)
 
 
@@ -132,15 +132,15 @@ def _without_jumps(position: Floats32) -> Bools:
 
 def _borders(position: Floats32, segment: Ints) -> list[_Border]:
     """Return the borders on whose relative period most places agree, longest first."""
-    found = []
+    crossings = []
     for turned in (False, True):
         values = np.ascontiguousarray(position.T if turned else position)
         labels = np.ascontiguousarray(segment.T if turned else segment)
         first, second = np.empty((2, values.size // 2 + 1), np.int32)
         apart = np.empty(len(first), np.float32)
         crossed = _record_crossings(values, labels, first, second, apart)
-        found.append((first[:crossed], second[:crossed], apart[:crossed]))
-    first, second, apart = (np.concatenate(each) for each in zip(*found, strict=True))
+        crossings.append((first[:crossed], second[:crossed], apart[:crossed]))
+    first, second, apart = (np.concatenate(parts) for parts in zip(*crossings, strict=True))
     apart = np.where(first < second, apart, -apart)
     first, second = np.minimum(first, second), np.maximum(first, second)
     cycles = np.rint(apart).astype(np.int32)
@@ -195,13 +195,13 @@ def _merged(count: int, borders: Sequence[_Border]) -> tuple[Ints, Ints]:
             cycles += ahead[segment]
             segment = parent[segment]
         total = cycles
-        for each in way:
-            cycles, parent[each], ahead[each] = cycles - ahead[each], segment, cycles
+        for passed in way:
+            cycles, parent[passed], ahead[passed] = cycles - ahead[passed], segment, cycles
         return segment, total
 
     for first, second, cycles in borders:
-        (one, of_first), (other, of_second) = root(first), root(second)
-        if one != other:
-            parent[other], ahead[other] = one, of_first + cycles - of_second
-    found = np.array([root(segment) for segment in range(count)])
-    return found[:, 0], found[:, 1]
+        (root_of_first, of_first), (root_of_second, of_second) = root(first), root(second)
+        if root_of_first != root_of_second:
+            parent[root_of_second], ahead[root_of_second] = root_of_first, of_first + cycles - of_second
+    roots = np.array([root(segment) for segment in range(count)])
+    return roots[:, 0], roots[:, 1]

@@ -24,7 +24,7 @@ from scanner.checking.report import CheckReport, CheckRow, State
 from scanner.checking.response import measure_ramp, ramp_of, response_row
 from scanner.checking.steadiness import InitialState, levels_of, patterns, row_of, steadiness_row
 from scanner.decoding import Decoding
-from scanner.decoding.motion import Fit
+from scanner.decoding.motion import RigidFit
 from scanner.patterns import ProjectorResponse
 from scanner.pipeline import decode
 from scanner.quantities import relative_focal_sigmas
@@ -206,7 +206,7 @@ def test_motion_during_the_check_is_reported(room: SimulatedRoom, device: str, p
 
 
 def test_a_lamp_still_warming_up_is_reported() -> None:
-    still = Fit(np.zeros(8), np.eye(8), 0.0)
+    still = RigidFit(np.zeros(8), np.eye(8), 0.0)
     assert row_of(still, -0.2, 60).state == State.OK
     assert "warm" in row_of(still, -0.8, 60).advice
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scanner.decoding.light.brightness import Gains, Places
+from scanner.decoding.light.brightness import Gains, LitRows
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
 
@@ -19,7 +19,7 @@ def test_bands_beyond_the_picture_give_no_fringes() -> None:
     waves = np.cos(phase + 2 * np.pi * np.array(fringe.shifts))[:, None]
     # Outside the picture there is only steady room light.
     light = np.where(is_lit, (middle + AMPLITUDE * waves) * gains.at(rows), AMBIENT)
-    divided = gains.within(Places(LIT_ROWS, HEIGHT)).divided
+    divided = gains.within(LitRows(LIT_ROWS, HEIGHT)).divided
     alike = np.stack([divided(k, frame[:, None], (rows, rows)) for k, frame in enumerate(light.astype(np.float32))])
     cosine, sine = fringe.weights32 @ alike[..., 0]
     seen = np.hypot(cosine, sine) > 0

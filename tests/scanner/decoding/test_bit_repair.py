@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Bools
-from scanner.decoding.codes import GrayFold, cell_numbers
+from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.bit_repair import repair_bits
 from scanner.decoding.planning import plan_sequence
@@ -20,20 +20,20 @@ PATTERNS = sequence_for(PROJECTOR, cell=1, shifts=0)
 SHAPE = 120, 160
 
 
-def folded(position: np.ndarray, spoilt: dict[int, Bools], seed: int) -> tuple[GrayFold, dict[int, np.ndarray]]:
+def folded(position: np.ndarray, corrupted: dict[int, Bools], seed: int) -> tuple[CodeWords, dict[int, np.ndarray]]:
     """Return the code along x at these positions (H, W) and its frames, with random levels where a bit is spoilt."""
     (code,) = plan_sequence(PATTERNS, PROJECTOR).x.codes
     rng = np.random.default_rng(seed)
     number = np.floor(position + code.offset + 0.5).astype(np.uint32)
     word = number ^ number >> 1
-    fold, frames = GrayFold(code, SHAPE, np.dtype(np.uint8), contrast=True), {}
+    fold, frames = CodeWords(code, SHAPE, np.dtype(np.uint8), contrast=True), {}
     for bit, pair in code.pairs.items():
         lit = np.where(word >> (code.bits - 1 - bit) & 1, 200, 40).astype(np.uint8)
         of_pair = [lit, 240 - lit]
         for k, frame in enumerate(pair):
-            where = spoilt.get(bit, np.zeros(SHAPE, np.bool_))
+            where = corrupted.get(bit, np.zeros(SHAPE, np.bool_))
             frames[frame] = np.where(where, rng.integers(20, 120, SHAPE), of_pair[k]).astype(np.uint8)
-    fold.fold(frames, {})
+    fold.fill(frames, {})
     return fold, frames
 
 
@@ -49,10 +49,10 @@ def test_spoilt_bits_of_a_slanted_surface_are_decided(
     places = [np.zeros(SHAPE, np.bool_) for _ in range(2)]
     places[0][10:110, left : left + 40] = True
     places[1][10:110, left + 30 : left + 60] = True  # overlaps with the first
-    spoilt = dict(zip((bit, bit + 1), places, strict=True))
-    fold, frames = folded(position, spoilt, seed)
+    corrupted = dict(zip((bit, bit + 1), places, strict=True))
+    fold, frames = folded(position, corrupted, seed)
     somewhere = places[0] | places[1]
-    decided = repair_bits(fold, spoilt, frames, ~somewhere)
+    decided = repair_bits(fold, corrupted, frames, ~somewhere)
     right = cell_numbers(fold.words) == np.floor(position + fold.code.offset + 0.5)
     assert not decided[~somewhere].any()
     assert right[decided].mean() > 0.995
@@ -62,19 +62,19 @@ def test_spoilt_bits_of_a_slanted_surface_are_decided(
 
 def test_nothing_is_decided_where_coordinates_grow_in_no_direction() -> None:
     position = np.random.default_rng(0).uniform(0, 500, SHAPE)
-    spoilt = {3: np.ones(SHAPE, np.bool_)}
-    spoilt[3][:, :60] = False
-    fold, frames = folded(position, spoilt, 0)
-    assert not repair_bits(fold, spoilt, frames, ~spoilt[3]).any()
+    corrupted = {3: np.ones(SHAPE, np.bool_)}
+    corrupted[3][:, :60] = False
+    fold, frames = folded(position, corrupted, 0)
+    assert not repair_bits(fold, corrupted, frames, ~corrupted[3]).any()
 
 
 @pytest.mark.parametrize(("bits", "least", "most"), [(2, 0.6, 1.0), (5, 0.0, 0.0)])
 def test_pixels_that_are_hidden_for_long_stay_spoilt(bits: int, least: float, most: float) -> None:
     place = np.zeros(SHAPE, np.bool_)
     place[10:110, 60:75] = True
-    spoilt = dict.fromkeys(range(1, 1 + bits), place)
-    fold, frames = folded(100 + 1.2 * np.indices(SHAPE)[1], spoilt, 0)
-    assert least <= np.mean(repair_bits(fold, spoilt, frames, ~place)[place]) <= most
+    corrupted = dict.fromkeys(range(1, 1 + bits), place)
+    fold, frames = folded(100 + 1.2 * np.indices(SHAPE)[1], corrupted, 0)
+    assert least <= np.mean(repair_bits(fold, corrupted, frames, ~place)[place]) <= most
 
 
 @pytest.mark.parametrize("first", [4, 8], ids=["coarse", "finer"])

@@ -7,7 +7,7 @@ from scanner.decoding.motion import shifts_by_motion
 from scanner.decoding.motion.frame_equations import UNKNOWNS, FrameEquations, equations_of_motion
 from scanner.decoding.motion.fringe_model import FringeFrames, FringeModel, fringe_frames
 from scanner.decoding.motion.measure import Trajectory, trajectories_of
-from scanner.decoding.motion.pixels import Pixels
+from scanner.decoding.motion.pixels import MotionPixels
 from scanner.decoding.motion.rigid import COLUMNS
 from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
@@ -18,7 +18,7 @@ NOISE = 1.0
 BUMP = Trajectory(int(FRAMES.times[8]), int(FRAMES.times[9]))
 
 
-def pixels() -> Pixels:
+def pixels() -> MotionPixels:
     """Pixels of two slanted planes, in 300 tiles."""
     rng = np.random.default_rng(2)
     camera_px = np.stack([rng.uniform(0, 611, COUNT), rng.uniform(0, 511, COUNT)], axis=1)
@@ -26,7 +26,7 @@ def pixels() -> Pixels:
     projector_px = np.einsum("pac,pc->pa", gradient, camera_px - 256) + np.array(SIZE) / 2
     by_motion = shifts_by_motion(camera_px, projector_px, gradient, (612, 512), SIZE)
     tile = np.repeat(np.arange(300), COUNT // 300)
-    return Pixels(np.arange(COUNT), tile, camera_px, projector_px, gradient, by_motion, np.full(COUNT, NOISE))
+    return MotionPixels(np.arange(COUNT), tile, camera_px, projector_px, gradient, by_motion, np.full(COUNT, NOISE))
 
 
 PIXELS = pixels()
@@ -57,9 +57,9 @@ GAINS = np.random.default_rng(3).uniform(0.95, 1.05, (len(FRAMES.times), 1))
 def test_a_bump_is_measured_beside_changes_of_light(gains: np.ndarray | float) -> None:
     found = equations(MOTION, gains)
     fit = found.along(along(found, BUMP))
-    off = np.abs(fit.found - MOTION) / np.sqrt(np.diag(found.covariance(fit)))
+    off = np.abs(fit.values - MOTION) / np.sqrt(np.diag(found.covariance(fit)))
     assert 0.3 < off.max() < 4
-    moved_px, truth_px = (PIXELS.by_motion @ motion for motion in (fit.found, MOTION))
+    moved_px, truth_px = (PIXELS.by_motion @ motion for motion in (fit.values, MOTION))
     assert np.sqrt(np.mean((moved_px - truth_px) ** 2)) < 0.1 * np.sqrt(np.mean(truth_px**2))
     assert 0.9 < found.variance(fit.of_frames) < 1.1
 
@@ -75,7 +75,7 @@ def test_nothing_is_found_at_rest() -> None:
     fits = [found.along(along(found, one)) for one in trajectories_of(FRAMES.times)]
     best = max(fits, key=lambda one: one.gained)
     assert 1 < best.gained < 50  # of some 20 trajectories, chi squared of 8 degrees of freedom
-    assert 0.2 < np.max(np.abs(best.found) / np.sqrt(np.diag(found.covariance(best)))) < 5
+    assert 0.2 < np.max(np.abs(best.values) / np.sqrt(np.diag(found.covariance(best)))) < 5
 
 
 @pytest.mark.parametrize(("motion_px", "late"), [(0.0, 0.5), (0.0, 0.1), (0.1, 0.0), (1.0, 0.0)])
@@ -86,7 +86,7 @@ def test_a_late_frame_and_a_bump_are_told_apart(motion_px: float, late: float) -
     ratio = by_late_frame.gained / by_bump
     if late:
         assert 1.05 < ratio < 200
-        assert by_late_frame.found[0] == pytest.approx(late / (1 - late), abs=0.02)  # of the frame as it is
+        assert by_late_frame.values[0] == pytest.approx(late / (1 - late), abs=0.02)  # of the frame as it is
     else:
         assert 0 < ratio < 0.95
 

@@ -12,7 +12,7 @@ from scanner.decoding.checks.frame_consistency import Anomaly
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
-from scanner.decoding.motion.photometric_constraints import contradictions
+from scanner.decoding.motion.photometric_constraints import find_violations
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained
 from scanner.decoding.samples import GridSample
@@ -247,7 +247,7 @@ def test_a_tone_curve_is_no_motion(preset: PresetName, wall: float) -> None:
     level = steep(light ** (1 / 2.2))
     level = (level + steep(level)) / 2
     levels = (255 * level + rng.normal(0, 0.7, level.shape)).astype(np.float32)
-    found = contradictions(plan_sequence(patterns, size), levels, NoiseModel(0.5, 0.0))
+    found = find_violations(plan_sequence(patterns, size), levels, NoiseModel(0.5, 0.0))
     flagged = np.any([each for _, each in found], axis=0)
     assert np.mean(flagged[~moved]) < 0.02
     assert np.mean(flagged[moved]) > 0.8

@@ -69,4 +69,4 @@ def test_too_few_pixels_give_the_prior() -> None:
     found: Response = response_of([FringeSample(fringe, few, few * 0, few * 0)])
     assert 1.5 < found.exponent < 2.0
     assert 0.7 < found.sigma < 0.9
-    assert 0.1 < np.abs(found.left(fringe)).max() < 0.3
+    assert 0.1 < np.abs(found.residual(fringe)).max() < 0.3

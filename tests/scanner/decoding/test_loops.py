@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 from calib.numerics import Image
 from scanner.decoding.axis_decoder import _measure
 from scanner.decoding.checks.code_checks import _changes, _note_changes
-from scanner.decoding.codes import GrayFold
+from scanner.decoding.codes import CodeWords
 from scanner.decoding.fringes import Footprint, shading_shift
 from scanner.decoding.fringes.phase_unwrapping import Disagreements, measured_tolerances, widest_tolerances
 from scanner.decoding.light import NoiseModel
@@ -21,15 +21,15 @@ from scanner.patterns import Pattern, gray_sequence, phase_sequence
 SHAPE = (3, 4)
 
 
-def gray_fold(images: list[Image], *, half: bool) -> GrayFold:
+def gray_fold(images: list[Image], *, half: bool) -> CodeWords:
     """Fold a code of two bits, each brighter in its first image than in its second; `half`: which is its threshold."""
     bits = [*gray_sequence("x", 4, 1, inverses=not half), *gray_sequence("y", 4, 1)]
     (code,) = plan_sequence(bits, (4, 4)).x.codes
-    fold = GrayFold(code, SHAPE, images[0].dtype, contrast=True)
+    fold = CodeWords(code, SHAPE, images[0].dtype, contrast=True)
     if half:
-        fold.fold(dict(zip(code.frames, images[::2], strict=True)), dict(zip(code.frames, images[1::2], strict=True)))
+        fold.fill(dict(zip(code.frames, images[::2], strict=True)), dict(zip(code.frames, images[1::2], strict=True)))
     else:
-        fold.fold(dict(zip(code.frames, images, strict=True)), {})
+        fold.fill(dict(zip(code.frames, images, strict=True)), {})
     return fold
 
 

@@ -11,7 +11,7 @@ import pytest
 from calib.numerics import Image
 from calib.refusal import RefusalError
 from scanner.decoding import Decoding
-from scanner.decoding.motion import MotionFound
+from scanner.decoding.motion import MotionEstimate
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Gray, Pattern, Phase, PresetName, phase_sequence, sequence_for
 from tests.support.synthetic_capture import Light, Scene, Turned, decode
@@ -48,7 +48,7 @@ def bumped(patterns: tuple[Pattern, ...], at: int, right_px: float, down_px: flo
     return decode(patterns, moved, SCENE.projector)
 
 
-def found(decoding: Decoding) -> MotionFound:
+def found(decoding: Decoding) -> MotionEstimate:
     assert decoding.motion is not None
     return decoding.motion
 

@@ -15,7 +15,7 @@ from scanner.decoding.codes import cell_numbers, interval_of
 from scanner.decoding.discontinuities import SMALLEST_PATCH, small_patches
 from scanner.decoding.fringes.gamma_ripple import TABLE_LENGTH, straightening
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
-from scanner.decoding.mask_reasons import Against
+from scanner.decoding.mask_reasons import PixelFlags
 from scanner.decoding.motion.code_shift import middle_of
 from scanner.decoding.planning import plan_sequence, repeat_length
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
@@ -48,8 +48,8 @@ def test_contradicting_codes_are_noted() -> None:
     # 320.
     cells = np.array([[3, 3, 3, 40], [3, 4, 6, 40]], np.uint32)
     interval = interval_of(plan, list(cells ^ cells >> 1), 4)
-    assert interval.against[:3].tolist() == [0, 0, Against.CONTRADICTORY]
-    assert (interval.against & Against.OUTSIDE).tolist() == [0, 0, 0, Against.OUTSIDE]
+    assert interval.flags[:3].tolist() == [0, 0, PixelFlags.CONTRADICTORY]
+    assert (interval.flags & PixelFlags.OUTSIDE).tolist() == [0, 0, 0, PixelFlags.OUTSIDE]
     assert interval.low[:2].tolist() == [23.5, 27.5]
     assert interval.high[:2].tolist() == [27.5, 31.5]
 
@@ -105,7 +105,7 @@ def test_equally_likely_fringe_orders_stay_undecided() -> None:
     interval = interval_of(plan, [np.array([3 ^ 3 >> 1], np.uint8)], 1)
     wrapped = Wrapped(np.full((1, 1), 5.0, np.float32), np.full((1, 1), 0.01, np.float32))
     orders = unwrap(plan, interval, wrapped, Tolerances(0.2, ()))
-    assert orders.against.tolist() == [Against.AMBIGUOUS], "53 and 61 are both between 47.5 and 63.5"
+    assert orders.flags.tolist() == [PixelFlags.AMBIGUOUS], "53 and 61 are both between 47.5 and 63.5"
 
 
 @given(

@@ -7,16 +7,16 @@ import pytest
 
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
-from scanner.decoding.motion import MotionFound
-from scanner.decoding.motion.device_motion import Disturbance
+from scanner.decoding.motion import MotionEstimate
+from scanner.decoding.motion.device_motion import CoordinateShift
 from scanner.reconstruction.moved_captures import refuse_costly, with_motion_notes
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
 from tests.support.reports import SIZES, calibrated_report
 
-SHIFT = Disturbance(np.zeros((2, 8)), *((size.width, size.height) for size in SIZES))
+SHIFT = CoordinateShift(np.zeros((2, 8)), *((size.width, size.height) for size in SIZES))
 PROJECTOR = np.array([0.3, 0, 0, 0, 0, 0, 0, 0])
-MOTION = MotionFound(PROJECTOR, True, False, 16, 21, 0.3, 0.9, SHIFT, ())
+MOTION = MotionEstimate(PROJECTOR, True, False, 16, 21, 0.3, 0.9, SHIFT, ())
 
 
 @pytest.fixture(scope="module")
