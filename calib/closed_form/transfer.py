@@ -159,7 +159,7 @@ def resected(points: Floats, pixels: Floats) -> tuple[Floats, Motion] | None:
     if values[1] < max(_TOLD * values[-1], _OVER_NOISE * values[0]):
         return None
     before = np.linalg.inv(scale) @ vectors[:, 0].reshape(3, 4)
-    matrix, rotation, translation = (each[0] for each in decompose(before[None]))
+    matrix, rotation, translation = (part[0] for part in decompose(before[None]))
     motion = Motion(rotation, spread * translation - rotation @ centre)
     depths = points @ rotation[2] + motion.translation[2]
     return (matrix, motion) if np.isfinite(rotation).all() and np.median(depths) > 0 else None

@@ -70,8 +70,8 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 + missing_knowledge(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
-    others = [other for other in refinement.others if not _absurd_focals(other, knowledge)]
-    _refuse_ambiguous(fit, others, np.array([*relative.values(), *centre]), words)
+    alternatives = [fit for fit in refinement.others if not _absurd_focals(fit, knowledge)]
+    _refuse_ambiguous(fit, alternatives, np.array([*relative.values(), *centre]), words)
     for name, field in _absurd_focals(fit, knowledge).items():
         raise RefusalError(
             f"The solution has a {name} with a focal length of {field:.2g} image widths, which is implausible"
@@ -171,9 +171,9 @@ def _refuse_misfit(refinement: Refinement, words: Wording) -> None:
 def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
     worst = _skewest(refinement)
     if refinement.tension > float(chdtri(refinement.fit.state.off_square.size, 1 - _SIGNIFICANT)):
-        seen = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
+        angles = "" if knowledge.squareness_deg == 0 else f" (they seem to be off by {signed(worst)} degrees)"
         raise RefusalError(
-            f"The faces are not square to each other{seen}, where "
+            f"The faces are not square to each other{angles}, where "
             + (
                 f"{knowledge.squareness_deg:g} degrees were allowed for"
                 if knowledge.squareness_deg
@@ -218,14 +218,14 @@ def signed(values: Floats) -> str:
     return ", ".join(f"{value:+z.2f}".replace("+0.00", "0.00").replace("-", "−") for value in values)
 
 
-def _refuse_ambiguous(best: Fit, others: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
+def _refuse_ambiguous(best: Fit, alternatives: Sequence[Fit], sigmas: Floats, words: Wording) -> None:
     """Raise RefusalError for a second likely minimum. `sigmas` (4,): in the units of `intrinsic_distance`."""
-    for other in others:
-        apart = intrinsic_distance(other.state, best.state)
-        if other.cost - best.cost < CLEARLY_WORSE and np.any(apart > 2 * sigmas):
+    for alternative in alternatives:
+        apart = intrinsic_distance(alternative.state, best.state)
+        if alternative.cost - best.cost < CLEARLY_WORSE and np.any(apart > 2 * sigmas):
             raise RefusalError(
-                f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(other)}, explain this {words.taken} almost equally "
-                "well.",
+                f"Ambiguous: {_intrinsics(best)}, and {_intrinsics(alternative)}, explain this {words.taken} almost "
+                "equally well.",
                 words.again,
             )
 

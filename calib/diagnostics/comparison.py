@@ -70,13 +70,13 @@ def compare(
     depth = np.repeat(depths, len(camera_px))
     points, matches, by_first = _seen(first.calibration, pixels, depth)
     met = intersect(matches, second.calibration)
-    seen = np.flatnonzero(by_first & met.in_front)
-    if len(seen) < _FEWEST:
+    visible = np.flatnonzero(by_first & met.in_front)
+    if len(visible) < _FEWEST:
         return None
-    pixels, depth, points, matches = pixels[seen], depth[seen], points[seen], matches[seen]
+    pixels, depth, points, matches = pixels[visible], depth[visible], points[visible], matches[visible]
     weight = 1 / np.linalg.norm(points, axis=1)
-    turn, scale = _similarity(met.points[seen], points, weight, metric=metric)
-    difference = scale * (_centred(met.points[seen], weight) @ turn.T) - _centred(points, weight)
+    turn, scale = _similarity(met.points[visible], points, weight, metric=metric)
+    difference = scale * (_centred(met.points[visible], weight) @ turn.T) - _centred(points, weight)
 
     def triangulated(calibration: Calibration) -> Floats:
         return intersect(matches, calibration).points
@@ -93,18 +93,18 @@ def compare(
     off = off - basis @ (basis.T @ off)
     squared, freedom, rest = _in_sigmas(off, flat)
     per_point = flat.reshape(len(points), 3, -1) / weight[:, None, None]
-    other = replace(second.calibration, translation=scale * second.calibration.translation)
-    grown = SystematicErrors(other, second.uncertainty, second.log_scale)
+    scaled = replace(second.calibration, translation=scale * second.calibration.translation)
+    grown = SystematicErrors(scaled, second.uncertainty, second.log_scale)
     expected = _transfer(first.calibration, pixels, depth)
     shifts = np.concatenate(
-        [each.of_function(lambda rig: _transfer(rig, pixels, depth)) for each in (first, grown)], axis=2
+        [uncertainty.of_function(lambda rig: _transfer(rig, pixels, depth)) for uncertainty in (first, grown)], axis=2
     )
     return Difference(
         pixels,
         depth,
         np.linalg.norm(off.reshape(-1, 3), axis=1) / weight,
         np.sqrt(np.sum(per_point**2, axis=(1, 2))),
-        np.linalg.norm(_transfer(other, pixels, depth) - expected, axis=1),
+        np.linalg.norm(_transfer(scaled, pixels, depth) - expected, axis=1),
         np.sqrt(np.sum(shifts**2, axis=(1, 2))),
         squared,
         freedom,
@@ -139,10 +139,10 @@ def _centred(points: Floats, weight: Floats) -> Floats:
 def _similarity(points: Floats, onto: Floats, weight: Floats, *, metric: bool) -> tuple[Floats, float]:
     """The rotation (3, 3) and the scale that bring points (N, 3) nearest to others: Umeyama 1991, IEEE PAMI 13, 376."""
     here, there = weight[:, None] * _centred(points, weight), weight[:, None] * _centred(onto, weight)
-    left, singular, right = np.linalg.svd(there.T @ here)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    left_vectors, singular, right = np.linalg.svd(there.T @ here)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left_vectors @ right))])
     scale = 1.0 if metric else float(singular @ signs) / float(np.sum(here**2))
-    return (left * signs) @ right, scale
+    return (left_vectors * signs) @ right, scale
 
 
 def _motions(points: Floats, *, metric: bool) -> Floats:
@@ -159,11 +159,11 @@ def _in_sigmas(off: Floats, effects: Floats) -> tuple[float, int, Floats]:
     Effects are linear. Second-order effects count as noise. So does a small share of the total, because a
     covariance is unreliable in its weakest directions.
     """
-    left, size, _ = np.linalg.svd(effects, full_matrices=False)
+    left_vectors, size, _ = np.linalg.svd(effects, full_matrices=False)
     allowed = float(np.linalg.norm(size))
     noise = allowed**2 / np.sqrt(len(off)) + _HARDLY_COUNTS * allowed + _ROUNDING
     significant = size > noise
-    along = left[:, significant].T @ off
-    every = left[:, size > _ROUNDING]
+    along = left_vectors[:, significant].T @ off
+    every = left_vectors[:, size > _ROUNDING]
     rest: Floats = off - every @ (every.T @ off)
     return float(np.sum(along**2 / (size[significant] ** 2 + noise**2))), int(significant.sum()), rest

@@ -283,11 +283,11 @@ def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     half = _RULER * float(np.linalg.norm(middle))
     ends = np.concatenate([middle + half * np.eye(3), middle - half * np.eye(3)])
     rig = errors.calibration
-    seen = rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation)
-    if not np.isfinite(seen).all():
+    pixels = rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation)
+    if not np.isfinite(pixels).all():
         raise NoMeasurementError(
             "With these lens terms the middle of the scene has no pixel.", "Calibrate the rig again."
         )
-    moved = errors.of_points(Matches(*seen), ends)
+    moved = errors.of_points(Matches(*pixels), ends)
     strain = np.stack([moved[axis, axis] - moved[3 + axis, axis] for axis in range(3)]) / (2 * half)
     return _budget(0.0, 0.0, np.sqrt(np.mean(strain**2, axis=0)))

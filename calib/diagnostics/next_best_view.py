@@ -127,8 +127,8 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     lit &= np.isfinite(predicted).all(axis=1)
     if np.bincount(face[lit], minlength=len(FACES)).min() < _LEAST_SHARE * len(face):
         return None
-    one = np.ones(int(lit.sum()))
-    return Cells(pixels[lit], predicted[lit], face[lit], one, one, 1.0, 0.0)
+    ones = np.ones(int(lit.sum()))
+    return Cells(pixels[lit], predicted[lit], face[lit], ones, ones, 1.0, 0.0)
 
 
 def _slants(state: State, capture: int) -> Floats:

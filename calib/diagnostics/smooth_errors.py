@@ -63,9 +63,11 @@ def footprint_offsets(sphere: Sphere, points: Floats, focal_px: float) -> Floats
     rays = points / distance[:, None]
     along = rays @ sphere.centre
     r2 = np.minimum(sphere.centre @ sphere.centre - along**2, _RIM * sphere.radius**2)
-    left = sphere.radius**2 - r2
-    behind = 0.5 * _LEFT * _FOOTPRINT_PX2 * (distance / focal_px) ** 2 * (sphere.radius**2 + left) / left**1.5
-    outwards: Floats = behind * np.sqrt(left) / sphere.radius
+    along_ray2 = sphere.radius**2 - r2
+    behind = (
+        0.5 * _LEFT * _FOOTPRINT_PX2 * (distance / focal_px) ** 2 * (sphere.radius**2 + along_ray2) / along_ray2**1.5
+    )
+    outwards: Floats = behind * np.sqrt(along_ray2) / sphere.radius
     return outwards
 
 
@@ -95,7 +97,7 @@ def plane_form(plane: Plane, camera_px: Floats, cluster: Ints) -> PlaneForm:
     modes = np.sqrt(len(camera_px)) * basis
     weighted = biweight(plane.residual)[:, None] * modes
     amplitudes = np.linalg.lstsq(weighted.T @ modes, weighted.T @ plane.residual, rcond=None)[0]
-    left = plane.residual - modes @ amplitudes
+    residual = plane.residual - modes @ amplitudes
     form = slice(_LINEAR, None)
-    covariance = robust_covariance(modes, left, cluster)[form, form]
-    return PlaneForm(amplitudes[form], covariance, influence_on(modes, left)[form])
+    covariance = robust_covariance(modes, residual, cluster)[form, form]
+    return PlaneForm(amplitudes[form], covariance, influence_on(modes, residual)[form])

@@ -141,10 +141,10 @@ def calibration_of(
     )
 
 
-def with_pixels_of(found: Intrinsics, device: Intrinsics) -> Intrinsics:
+def with_pixels_of(intrinsics: Intrinsics, device: Intrinsics) -> Intrinsics:
     """A device found with square pixels, with the shape of another one's pixels."""
-    focal = found.focal_px[0]
-    return replace(found, focal_px=(focal, focal * device.focal_px[1] / device.focal_px[0]))
+    focal = intrinsics.focal_px[0]
+    return replace(intrinsics, focal_px=(focal, focal * device.focal_px[1] / device.focal_px[0]))
 
 
 def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: Floats) -> Calibration:

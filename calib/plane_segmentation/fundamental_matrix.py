@@ -103,11 +103,11 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
 
     fits = in_parallel(lambda start: fitted_from(*start), starts)
     nearest = min(fits, key=lambda fit: fit.cost).parameters
-    found = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
-    left, values, right = np.linalg.svd(found[8:].reshape(3, 3))
-    epipole = left[:, 2]
-    base = np.cross(np.eye(3), epipole) @ (left * [values[0], values[1], 0.0]) @ right
-    fitted = plain.with_lenses(found[:8])
+    parameters = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
+    left_vectors, values, right = np.linalg.svd(parameters[8:].reshape(3, 3))
+    epipole = left_vectors[:, 2]
+    base = np.cross(np.eye(3), epipole) @ (left_vectors * [values[0], values[1], 0.0]) @ right
+    fitted = plain.with_lenses(parameters[:8])
     return _balanced(TwoView(fitted.camera, fitted.projector, base, epipole), camera_px, projector_px)
 
 
@@ -115,8 +115,8 @@ def _plane_residuals(pairs: _Pairs, tolerance_px: float, parameters: Floats) -> 
     """Residuals (N, 2) of lenses (8) and a homography (9), and their Jacobian (N, 2, 17)."""
     residual, jacobian = np.empty((2, len(pairs))).T, np.empty((9 + 2 * LENS_TERMS, 2, len(pairs))).T
     scale = pairs.projector.unit_px / tolerance_px
-    one, label = parameters[8:].reshape(1, 3, 3), np.zeros(len(pairs), np.int32)
-    off_homographies(*pairs.bent(parameters[:8]), one, label, scale, residual, jacobian)
+    homography, label = parameters[8:].reshape(1, 3, 3), np.zeros(len(pairs), np.int32)
+    off_homographies(*pairs.bent(parameters[:8]), homography, label, scale, residual, jacobian)
     return residual, jacobian
 
 
@@ -149,9 +149,9 @@ def _eight_point_candidates(pairs: _Pairs, rng: np.random.Generator) -> Floats:
     """Solve uᵀ F x = 0 for eight surfels each (Hartley & Zisserman, section 11.2), (S, 3, 3)."""
     x, u = map(homogeneous, pairs.ideal())
     rows = (u[:, :, None] * x[:, None, :]).reshape(len(x), 9)
-    left, values, right = np.linalg.svd(_null_vectors(rows[rng.integers(0, len(x), (_SAMPLES, 8))]))
+    left_vectors, values, right = np.linalg.svd(_null_vectors(rows[rng.integers(0, len(x), (_SAMPLES, 8))]))
     values[:, 2] = 0.0
-    singular: Floats = left @ (values[:, :, None] * right)
+    singular: Floats = left_vectors @ (values[:, :, None] * right)
     return singular
 
 

@@ -41,9 +41,11 @@ def window_planes(points: Floats32, focal_px: float, window: int) -> WindowPlane
     count = np.empty((height, width), np.uint8)
 
     def fit(rows: slice) -> None:
-        for left in range(0, width, _TILE_COLUMNS):
-            right = min(left + _TILE_COLUMNS, width)
-            _fit_tile(points, rows.start, rows.stop, left, right, window // 2, focal_px, normals, roughness, count)
+        for first_column in range(0, width, _TILE_COLUMNS):
+            right = min(first_column + _TILE_COLUMNS, width)
+            _fit_tile(
+                points, rows.start, rows.stop, first_column, right, window // 2, focal_px, normals, roughness, count
+            )
 
     in_slices(height, _STRIP_ROWS, fit)
     return WindowPlanes(normals, roughness, count)
@@ -54,7 +56,7 @@ def _fit_tile(
     points: Floats32,
     top: int,
     bottom: int,
-    left: int,
+    first_column: int,
     right: int,
     half: int,
     focal_px: float,
@@ -62,8 +64,8 @@ def _fit_tile(
     roughness: Floats32,
     count: NDArray[np.uint8],
 ) -> None:
-    """Compute the arrays of `WindowPlanes` for rows from `top` to `bottom`, columns from `left` to `right`."""
-    window, width = 2 * half + 1, right - left
+    """Compute the arrays of `WindowPlanes` for rows from `top` to `bottom`, columns from `first_column` to `right`."""
+    window, width = 2 * half + 1, right - first_column
     terms = np.zeros((window + 1, 4, width + 2 * half))  # of as many rows, in turn; the last stays zero
     sums, totals = np.zeros((10, width + 2 * half)), np.empty((10, width))
     normal = np.empty((3, width))
@@ -73,20 +75,20 @@ def _fit_tile(
         leaving = entering.copy()
         entering[:] = 0.0
         if 0 <= row < len(points):
-            _see(points[row], left - half, focal_px, entering)
+            _see(points[row], first_column - half, focal_px, entering)
         _slide(sums, entering, leaving)
         y = row - half
         if y >= top:
             _add_along(sums, totals, window)
             centre = terms[y % window]
-            here = slice(left, right)
+            here = slice(first_column, right)
             _solve(totals, centre[0, half:], centre[3, half:], focal_px, normal, roughness[y, here], count[y, here])
             _interleave(normal, normals[y, here])
 
 
 @compiled
 def _see(row: Floats32, first_column: int, focal_px: float, terms: Floats) -> None:
-    """Compute 1, x/z, y/z in pixels, and 1/z (4, N) of the points from column `left`; zero for missing points."""
+    """Compute 1, x/z, y/z in pixels, and 1/z (4, N) of the points from `first_column`; zero for missing points."""
     # Parts are taken out of the arrays before the loop: offsets inside it kept the compiler from vectorising.
     begin, end = max(0, -first_column), min(terms.shape[1], len(row) - first_column)
     points, (ones, x, y, w) = row[first_column + begin : first_column + end], terms[:, begin:end]

@@ -81,6 +81,7 @@ def dihedral_gradients(first: Plane, second: Plane) -> tuple[Floats, Floats]:
     cosine = float(np.clip(first.normal @ second.normal, -1, 1))
     sine = max(float(np.sqrt(1 - cosine**2)), 1e-12)
     by_first, by_second = (
-        np.append(-plane.tangents @ other.normal / sine, 0.0) for plane, other in ((first, second), (second, first))
+        np.append(-plane.tangents @ neighbour.normal / sine, 0.0)
+        for plane, neighbour in ((first, second), (second, first))
     )
     return by_first, by_second

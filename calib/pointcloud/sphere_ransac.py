@@ -63,10 +63,10 @@ def image_radius_px(camera: Intrinsics, depth: Floats, radius: float) -> Floats:
 
 def _depth_noise(cloud: OrganisedPoints) -> float:
     """Standard deviation of depth at depth 1, from second differences along rows; it grows with the depth squared."""
-    left, middle, right = cloud.index[:, :-2], cloud.index[:, 1:-1], cloud.index[:, 2:]
-    there = (left != NONE) & (middle != NONE) & (right != NONE)
+    before, middle, right = cloud.index[:, :-2], cloud.index[:, 1:-1], cloud.index[:, 2:]
+    there = (before != NONE) & (middle != NONE) & (right != NONE)
     z = cloud.points[:, 2]
-    bend = (z[left[there]] - 2 * z[middle[there]] + z[right[there]]) / z[middle[there]] ** 2
+    bend = (z[before[there]] - 2 * z[middle[there]] + z[right[there]]) / z[middle[there]] ** 2
     return robust_sigma(bend) / float(np.sqrt(6))
 
 

@@ -93,5 +93,7 @@ def picture_scale(captures: Sequence[Cells], fit: Fit, prior: Prior, variances: 
         columns = fit.state.columns(i)
         np.add.at(information[size], columns, weighted @ jacobian[:, 0])
         information[columns, size] = information[size, columns]
-    other = alternative(information, gradient, np.append(prior.free, False), size, _PROBABILITY, _SPREAD)
-    return PictureScale(other.value, other.sigma, other.odds / (1 + other.odds), other.response[:size])
+    wider_model = alternative(information, gradient, np.append(prior.free, False), size, _PROBABILITY, _SPREAD)
+    return PictureScale(
+        wider_model.value, wider_model.sigma, wider_model.odds / (1 + wider_model.odds), wider_model.response[:size]
+    )

@@ -133,7 +133,7 @@ def _add_up(
             continue
         (h00, h01, h02), (h10, h11, h12), (h20, h21, h22) = homographies[plane]
         (scale, _, shift_x), (_, _, shift_y), _ = scales[plane]
-        left, top, side, columns, rows = grids[plane]
+        first_column, top, side, columns, rows = grids[plane]
         limit, row, per_px = limits[plane], np.nan, 1.0 / side
         for i in range(start, end):
             x, y, weight = camera_px[i, 0], camera_px[i, 1], weights[i]
@@ -147,7 +147,7 @@ def _add_up(
             square = weight * (off_x * off_x + off_y * off_y)
             if square <= limit:
                 down = min(max((y - top) * per_px, 0.0), rows - 1.0)
-                across = min(max((x - left) * per_px, 0.0), columns - 1.0)
+                across = min(max((x - first_column) * per_px, 0.0), columns - 1.0)
                 cell = sums[first[plane] + int(down) * int(columns) + int(across)]
                 cell[0] += 1
                 cell[1] += weight

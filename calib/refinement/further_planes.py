@@ -68,13 +68,13 @@ def unexplained(
     `of_faces`: the mean square residual of the faces. `variances`: (M,) for each capture, of each coordinate of each
     cell.
     """
-    worst, found = _MOST_OFF * of_faces, []
+    worst, planes = _MOST_OFF * of_faces, []
     for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
         for plane in range(len(FACES), len(FACES) + len(fit.state.poses[i].planes)):
             off = mean_square(residual[cells.plane == plane], variance[cells.plane == plane])
             if off > worst:
-                worst, found = off, [(i, plane - len(FACES))]
-    return found
+                worst, planes = off, [(i, plane - len(FACES))]
+    return planes
 
 
 def mean_square(residual: Floats, variance: Floats) -> float:
@@ -86,12 +86,12 @@ def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int
     """Remove some of the further planes from captures and state."""
     reduced, poses = [], []
     for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
-        left = [j for j in range(len(pose.planes)) if (i, j) not in planes]
+        kept = [j for j in range(len(pose.planes)) if (i, j) not in planes]
         number = np.full(len(FACES) + len(pose.planes), -1, np.int32)
-        number[[*FACES, *(len(FACES) + j for j in left)]] = np.arange(len(FACES) + len(left))
+        number[[*FACES, *(len(FACES) + j for j in kept)]] = np.arange(len(FACES) + len(kept))
         renumbered = replace(cells, plane=number[cells.plane])
         reduced.append(renumbered[renumbered.plane >= 0])
-        poses.append(replace(pose, planes=tuple(pose.planes[j] for j in left)))
+        poses.append(replace(pose, planes=tuple(pose.planes[j] for j in kept)))
     return reduced, replace(state, poses=tuple(poses))
 
 

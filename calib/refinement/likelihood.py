@@ -49,10 +49,13 @@ class Prior(ColumnPrior):
         """Indices of the columns that are estimated."""
         return np.flatnonzero(self.free)
 
-    def radial_scale(self, state: State, other: State) -> Floats:
-        """Return the ratio (size,) of terms that distort the image equally in `state` and in `other`."""
+    def radial_scale(self, state: State, reference: State) -> Floats:
+        """Return the ratio (size,) of terms that distort the image equally in `state` and in `reference`."""
         ratio = np.ones(len(self.powers))
-        ratio[CAMERA], ratio[PROJECTOR] = state.camera[0] / other.camera[0], state.projector[0] / other.projector[0]
+        ratio[CAMERA], ratio[PROJECTOR] = (
+            state.camera[0] / reference.camera[0],
+            state.projector[0] / reference.projector[0],
+        )
         return ratio**self.powers
 
     def holding(self, column: int) -> "Prior":
@@ -170,7 +173,7 @@ def evaluate(captures: Sequence[Cells], state: State, prior: Prior, variances: S
 @compiled
 def misfit(
     predicted: Floats,
-    seen: Floats,
+    observed: Floats,
     jacobian: Floats,
     depths: Floats,
     variance: Floats,
@@ -194,7 +197,7 @@ def misfit(
             cost += _BEHIND
             behind += 1
             continue
-        x, y = predicted[i, 0] - seen[i, 0], predicted[i, 1] - seen[i, 1]
+        x, y = predicted[i, 0] - observed[i, 0], predicted[i, 1] - observed[i, 1]
         residual[i, 0], residual[i, 1] = x, y
         # Huber's loss: the square up to the threshold, linear beyond it.
         size = np.sqrt((x * x + y * y) / variance[i])

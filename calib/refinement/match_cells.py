@@ -103,7 +103,7 @@ def into_cells(matches: Matches, labels: Sequence[int] = FACES, plane: Ints | No
     rasters = [_raster(sample.camera_px) for sample in samples]
     limits = [(_OUTLIER_SIGMAS * reference.sigma) ** 2 for reference in references]
     sums = sums_over_cells(matches, label, slots(labels), references, rasters, limits, typical)
-    means = [_means(*each) for each in zip(labels, sums, references, strict=True)]
+    means = [_means(*of_plane) for of_plane in zip(labels, sums, references, strict=True)]
 
     squares, freedom = (sum(mean.scatter[i] for mean in means) for i in (0, 1))
     noise = max(float(np.sqrt(squares / max(freedom, 1.0))), 1e-6)

@@ -155,16 +155,16 @@ class State:
             translation=motion.translation,
             off_square=self.off_square + step[SHARED : self._starts[0]].reshape(-1, PER_CORNER),
             poses=tuple(_moved_pose(pose, step[self.pose_columns(i)]) for i, pose in enumerate(self.poses)),
-            further=tuple(each.moved(step[self.motion_columns(i)]) for i, each in enumerate(self.further, start=1)),
+            further=tuple(pose.moved(step[self.motion_columns(i)]) for i, pose in enumerate(self.further, start=1)),
         )
 
-    def step_to(self, other: "State") -> Floats:
+    def step_to(self, target: "State") -> Floats:
         """The step (size,) from here to a state of the same layout not too far away."""
-        step = other.additive() - self.additive()
+        step = target.additive() - self.additive()
         for i in range(1 + len(self.further)):
             columns = self.motion_columns(i)
-            step[columns] = self.motion(i).step_to(other.motion(i))[: len(columns)]
-        for i, (pose, there) in enumerate(zip(self.poses, other.poses, strict=True)):
+            step[columns] = self.motion(i).step_to(target.motion(i))[: len(columns)]
+        for i, (pose, there) in enumerate(zip(self.poses, target.poses, strict=True)):
             part = step[self.pose_columns(i)]
             part[:3] = Rotation.from_matrix(there.frame.T @ pose.frame).as_rotvec()
             part[3:PER_POSE] = (there.vertex - pose.vertex) / np.linalg.norm(pose.vertex)

@@ -124,11 +124,11 @@ def settle(
     square = _squared(loose.state) if knowledge.squareness_deg == 0 else loose.state
     if fits[0].cost - loose.cost > _STRAINED:
         fits = _distinct([*fits, minimise(captures, square, prior, variances)])
-    best, *others = fits
+    best, *alternatives = fits
     tension = best.cost - loose.cost
 
-    if further is not None and not any(other.cost < best.cost + CLEARLY_WORSE for other in others):
-        others = []
+    if further is not None and not any(alternative.cost < best.cost + CLEARLY_WORSE for alternative in alternatives):
+        alternatives = []
         captures, best, prior = _with_planes(captures, best, knowledge, noise, further)
         variances = [level.variances(cells) for cells, level in zip(captures, noise, strict=True)]
 
@@ -154,7 +154,7 @@ def settle(
         prior,
         best,
         _of_all_columns(covariance, best.state),
-        tuple(others),
+        tuple(alternatives),
         valley,
         tension,
         sameness,
@@ -195,12 +195,14 @@ def _with_planes(
     """Return captures, fit and prior with the further planes that pass the tests of squareness and flatness."""
     of_faces = mean_square(
         np.concatenate(best.residuals),
-        np.concatenate([level.variances(each) for each, level in zip(captures, noise, strict=True)]),
+        np.concatenate(
+            [level.variances(cells_of_capture) for cells_of_capture, level in zip(captures, noise, strict=True)]
+        ),
     )
     cells, state = further(captures, best.state)
     while True:
         prior = knowledge.prior(state)
-        variances = [level.variances(each) for each, level in zip(cells, noise, strict=True)]
+        variances = [level.variances(cells_of_capture) for cells_of_capture, level in zip(cells, noise, strict=True)]
         fit = minimise(cells, state, prior, variances)
         refuted = oblique_planes(fit.state) or unexplained(cells, fit, variances, of_faces)
         if not refuted:

@@ -35,12 +35,12 @@ class KnownCalibration:
             projector_px=_squared(self.calibration.projector, matches.projector_px),
         )
 
-    def with_own_pixels(self, found: Calibration) -> Calibration:
+    def with_own_pixels(self, calibration: Calibration) -> Calibration:
         """Convert a calibration found from `with_square_pixels` matches back to the devices' own pixels."""
         return replace(
-            found,
-            camera=with_pixels_of(found.camera, self.calibration.camera),
-            projector=with_pixels_of(found.projector, self.calibration.projector),
+            calibration,
+            camera=with_pixels_of(calibration.camera, self.calibration.camera),
+            projector=with_pixels_of(calibration.projector, self.calibration.projector),
         )
 
     def with_log_baseline(self, covariance: Floats) -> Floats:
@@ -50,21 +50,21 @@ class KnownCalibration:
         """
         return covariance[:SHARED, :SHARED] @ self.uncertainty.by_log_baseline
 
-    def metric(self, found: Calibration, uncertainty: Uncertainty) -> Calibration:
+    def metric(self, calibration: Calibration, uncertainty: Uncertainty) -> Calibration:
         """Convert a calibration combined with this one from baselines to this one's unit, with its sigma."""
         known = self.calibration.sigma.known_baseline
         if known is None:
-            return found
+            return calibration
         gain = self.uncertainty.by_log_baseline
         log_baseline = float(gain @ self.rig.step_to(uncertainty.state))
         baseline = self.calibration.baseline * np.exp(log_baseline)
         own = (known / self.calibration.baseline) ** 2 - gain @ self.uncertainty.covariance @ gain
         variance = max(float(own), 0.0) + float(gain @ uncertainty.covariance @ gain)
         return replace(
-            found,
-            translation=found.translation * (baseline / found.baseline),
+            calibration,
+            translation=calibration.translation * (baseline / calibration.baseline),
             unit=self.calibration.unit,
-            sigma=replace(found.sigma, known_baseline=float(baseline * np.sqrt(variance))),
+            sigma=replace(calibration.sigma, known_baseline=float(baseline * np.sqrt(variance))),
         )
 
 

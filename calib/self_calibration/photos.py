@@ -82,11 +82,11 @@ def calibrate_photos(
     knowledge = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, True, focal_px, lenses=lenses)
     try:
         cells = [into_cells(matches) for matches in pairs]
-        families = [photo_family(each, knowledge) for each in cells]
+        families = [photo_family(cells_of_pair, knowledge) for cells_of_pair in cells]
     except TooFewMatchesError as error:
         raise RefusalError(f"The corner's faces hold too few matches: {error}.", PHOTOS.move) from error
     refuse_degenerate(cells, [family.straightened for family in families], PHOTOS)
-    thinned = [thin(each) for each in cells]
+    thinned = [thin(cells_of_pair) for cells_of_pair in cells]
     sweep = sweep_one(thinned[0], families[0], sweep_trials(size), knowledge)
     starts = minima(sweep)
     if starts:
@@ -151,9 +151,9 @@ def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: 
 def _placed(cells: Cells, state: State) -> Motion:
     """Estimate the pose of a further photo from its matches with the first and the planes they lie on."""
     points = state.points(cells.camera_px, cells.plane)
-    seen, _ = unproject(state.camera, cells.projector_px)
+    rays, _ = unproject(state.camera, cells.projector_px)
     placed, rotation, translation = cv2.solvePnP(
-        points, np.ascontiguousarray(seen[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+        points, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
     )
     if not placed:
         return Motion(state.rotation, state.translation)

@@ -137,7 +137,7 @@ def self_calibrate(
             return _by_paper(objective_for(matches, principal_point.px), matches, camera_size, projector_size)
         except TooFewMatchesError as error:
             raise _too_few(error) from error
-    (found,) = self_calibrate_jointly(
+    (calibrated,) = self_calibrate_jointly(
         [matches],
         camera_size,
         projector_size,
@@ -148,7 +148,7 @@ def self_calibrate(
         planes=None if plane is None else [plane],
         shifts=[] if shifts is None else [shifts],
     )
-    return found
+    return calibrated
 
 
 @singular_refused(RIG)
@@ -284,12 +284,17 @@ def _by_refinement(
 ) -> tuple[SelfCalibration, ...]:
     plain = [known.with_square_pixels(matches) if known else matches for matches in captures]
     cells = [into_cells(matches) for matches in plain]
-    families = [family_of(each, knowledge) for each in cells]
+    families = [family_of(cells_of_capture, knowledge) for cells_of_capture in cells]
     if len(captures) > 1:
         vertices = [family.objective.camera_image.vertex for family in families]
-        turned = [is_anticlockwise(each, vertex) for each, vertex in zip(cells, vertices, strict=True)]
-        cells = [reflected(each) if turn else each for each, turn in zip(cells, turned, strict=True)]
-        families = [family_of(each, knowledge) for each in cells]
+        turned = [
+            is_anticlockwise(cells_of_capture, vertex) for cells_of_capture, vertex in zip(cells, vertices, strict=True)
+        ]
+        cells = [
+            reflected(cells_of_capture) if turn else cells_of_capture
+            for cells_of_capture, turn in zip(cells, turned, strict=True)
+        ]
+        families = [family_of(cells_of_capture, knowledge) for cells_of_capture in cells]
     refuse_degenerate(cells, [family.straightened for family in families], RIG)
     trials = sweep_trials(knowledge.camera_size) if known is None else _trials_around(known)
     further = None if planes is None else lambda cells, state: with_further_planes(cells, plain, planes, state)
@@ -297,14 +302,16 @@ def _by_refinement(
     if refinement is None:
         raise no_corner(cells, RIG)
     by_curvature = refinement.covariance
-    refinement, _ = _with_shifts(_with_smooth_errors(refinement, shifts), [each.decoding for each in shifts])
+    refinement, _ = _with_shifts(
+        _with_smooth_errors(refinement, shifts), [capture_shifts.decoding for capture_shifts in shifts]
+    )
     at_rest_percent = percent_of_intrinsics(refinement.fit.state, np.sqrt(np.diag(refinement.covariance)))
-    refinement, likely_percent = _with_shifts(refinement, [each.likely for each in shifts])
+    refinement, likely_percent = _with_shifts(refinement, [capture_shifts.likely for capture_shifts in shifts])
     notes: tuple[str, ...] = ()
     if known is not None:
         notes = (_on_known(*refuse_contradiction(refinement, known.rig, refinement.covariance - by_curvature)),)
     refuse_untrustworthy(refinement, knowledge)
-    refinement, possible_percent = _with_shifts(refinement, [each.possible for each in shifts])
+    refinement, possible_percent = _with_shifts(refinement, [capture_shifts.possible for capture_shifts in shifts])
     fit = refinement.fit
     calibration = calibration_of(
         fit.state,

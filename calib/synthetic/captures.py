@@ -109,8 +109,8 @@ def random_captures(
 def inside(pixels: Floats, device: Intrinsics) -> Bools:
     """Which pixels (N, 2) are in a device's image, (N,)."""
     with np.errstate(invalid="ignore"):
-        seen: Bools = np.all((pixels >= 0) & (pixels <= (device.width - 1, device.height - 1)), axis=1)
-    return seen
+        inside_both: Bools = np.all((pixels >= 0) & (pixels <= (device.width - 1, device.height - 1)), axis=1)
+    return inside_both
 
 
 def random_legs(rng: np.random.Generator, walls_off_deg: float) -> Floats:
@@ -165,8 +165,8 @@ def _one_capture(
         normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
     points, face = cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
     camera_px = camera.project(points)
-    seen = inside(camera_px, camera)
-    camera_px, pixels, face = camera_px[seen], pixels[seen], face[seen]
+    visible = inside(camera_px, camera)
+    camera_px, pixels, face = camera_px[visible], pixels[visible], face[visible]
     if np.bincount(face, minlength=3).min() < max(options.least_share * count, 4):
         return None
 

@@ -105,11 +105,11 @@ def _seen(
     points, plane = cast(rays, projector_at.translation, scene)
     points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = camera.project((points - camera_at.translation) @ camera_at.rotation)
-    seen = inside(camera_px, camera)
-    seen[seen] = cast(points[seen] - camera_at.translation, camera_at.translation, scene)[1] == plane[seen]
-    label = np.argsort(_by_label(6 * len(scene.solids)))[plane[seen]].astype(np.int32)
-    noisy = pixels[seen] + rng.normal(0, options.noise_px, (len(label), 2))
-    return Matches(camera_px[seen], noisy, label)
+    visible = inside(camera_px, camera)
+    visible[visible] = cast(points[visible] - camera_at.translation, camera_at.translation, scene)[1] == plane[visible]
+    label = np.argsort(_by_label(6 * len(scene.solids)))[plane[visible]].astype(np.int32)
+    noisy = pixels[visible] + rng.normal(0, options.noise_px, (len(label), 2))
+    return Matches(camera_px[visible], noisy, label)
 
 
 def _by_label(count: int) -> Ints:

@@ -114,11 +114,11 @@ def _matches(
     pixels = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (4 * options.count, 2))
     points, face = cast_rays(camera.unproject(pixels), np.zeros(3), corner.normals, corner.normals @ corner.vertex)
     second = camera.project(points @ rotation.T + translation)
-    seen = np.flatnonzero(inside(second, camera))[: options.count]
-    face = face[seen]
-    if len(seen) < options.count or np.bincount(face, minlength=3).min() < options.least_share * options.count:
+    visible = np.flatnonzero(inside(second, camera))[: options.count]
+    face = face[visible]
+    if len(visible) < options.count or np.bincount(face, minlength=3).min() < options.least_share * options.count:
         return None
-    first, second = pixels[seen], second[seen]
+    first, second = pixels[visible], second[visible]
     if options.first_noise:
         first = first + rng.normal(0, options.noise_px, first.shape)
     return Matches(first, second + rng.normal(0, options.noise_px, second.shape), face)

@@ -86,7 +86,7 @@ def random_room(rng: np.random.Generator, options: RoomOptions | None = None, **
         stations = [_station(rng, options, rig, scene, k) for k in range(options.stations)]
         if all(station is not None for station in stations):
             normals, offsets = (np.concatenate(parts) for parts in zip(*solids, strict=True))
-            return SyntheticRoom(tuple(each for each in stations if each is not None), rig, normals, offsets)
+            return SyntheticRoom(tuple(station for station in stations if station is not None), rig, normals, offsets)
     raise ValueError("no room in which every station sees three planes")
 
 
@@ -148,18 +148,20 @@ def _station(
     points, plane = cast(rays, projector_eye, scene)
     points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
     camera_px = rig.camera.project((points - eye) @ to_camera.T)
-    seen = inside(camera_px, rig.camera)
-    there, again = cast(points[seen] - eye, eye, scene)
+    visible = inside(camera_px, rig.camera)
+    there, again = cast(points[visible] - eye, eye, scene)
     on_ball = again >= _WALLS * len(scene.solids)
-    seen[seen] = (again == plane[seen]) & ~(on_ball & (np.linalg.norm(there - points[seen], axis=1) > _SHADOW))
-    plane = plane[seen]
+    visible[visible] = (again == plane[visible]) & ~(
+        on_ball & (np.linalg.norm(there - points[visible], axis=1) > _SHADOW)
+    )
+    plane = plane[visible]
     enough = np.bincount(plane, minlength=_WALLS * len(scene.solids)) >= options.least_share * options.count
     enough[_WALLS * len(scene.solids) :] = False
     if np.count_nonzero(enough) < 3:
         return None
     label = np.where(enough[plane], plane, -1).astype(np.int32)
-    noisy = pixels[seen] + rng.normal(0, options.noise_px, (len(plane), 2))
-    return SyntheticStation(Matches(camera_px[seen], noisy, label), to_camera.T, eye)
+    noisy = pixels[visible] + rng.normal(0, options.noise_px, (len(plane), 2))
+    return SyntheticStation(Matches(camera_px[visible], noisy, label), to_camera.T, eye)
 
 
 def random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:

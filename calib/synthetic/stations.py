@@ -61,8 +61,8 @@ class Paint:
         """A random number (N,) for the cube that each point is in, its corners away from the walls' planes."""
         cube = np.floor(points / cell + _OFF_THE_WALLS).astype(np.int64) + 64
         table = np.random.default_rng([self.seed, layer]).random(_TABLE)
-        found: Floats = table[(cube @ _PRIMES) % _TABLE]
-        return found
+        values: Floats = table[(cube @ _PRIMES) % _TABLE]
+        return values
 
 
 @dataclass(frozen=True)
