@@ -13,5 +13,4 @@ from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.samples import Samples
-from scanner.decoding.stack import require_memory
 from scanner.decoding.stopped_sequence import usable
