@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from scanner.capture import open_capture
-from scanner.decoding.stack import require_decoding_memory
+from scanner.decoding import require_decoding_memory
 from scanner.errors import InputError
 from scanner.io import read_image
 from scanner.photos import read_photos

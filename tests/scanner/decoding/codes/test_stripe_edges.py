@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Floats, Image
+from scanner.decoding import Decoder, Decoding
 from scanner.decoding.codes.edge_interpolation import edge_between
-from scanner.decoding.decoder import Decoder, Decoding
 from scanner.patterns import Pattern, draw, sequence_for
 
 PROJECTOR = (64, 48)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.numerics import Image
+from scanner.decoding import MaskReason
 from scanner.decoding.light.bits_without_inverse import BitLevels, levels_of_bit, white_of
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns import PRESETS, PresetName
 from tests.support.synthetic_capture import Scene, decode
 

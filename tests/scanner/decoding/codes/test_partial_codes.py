@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import interval_of
-from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns import Black, White, gray_sequence, sequence_for
 from tests.support.synthetic_capture import Scene, decode, dimmed
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scanner.decoding import Fringe
 from scanner.decoding.fringes.single_fringe import FringeSample, Response, response_of
-from scanner.decoding.sequence_plan import Fringe
 from scanner.patterns import Pattern, phase_sequence
 from tests.support.synthetic_capture import Scene
 

@@ -113,3 +113,15 @@ def test_a_tile_gives_the_result_of_the_whole_image() -> None:
         for found, expected in zip(part, whole, strict=True):
             np.testing.assert_array_equal(found[wanted], expected[wide][wanted])
     assert np.any(whole[0] != value)
+
+
+def test_the_shift_is_the_product_of_the_slopes() -> None:
+    # Central differences are exact for these; the four slopes differ and are not constant.
+    v, u = np.mgrid[:9, :11].astype(np.float32)
+    value, log_amplitude = 0.5 * u * u - 0.3 * v * v, 0.2 * u * v + 0.1 * v * v
+    shift = shading_shift(value, log_amplitude, np.ones(u.shape, np.bool_), Footprint(2.0, 3.0, -0.5))
+    value_u, value_v, log_u, log_v = u, -0.6 * v, 0.2 * v, 0.2 * u + 0.2 * v
+    expected = 2 * value_u * log_u + 3 * value_v * log_v - 0.5 * (value_u * log_v + value_v * log_u)
+    np.testing.assert_allclose(shift[1:-1, 1:-1], expected[1:-1, 1:-1], rtol=1e-4, atol=1e-4)
+    assert not shift[[0, -1]].any()
+    assert not shift[:, [0, -1]].any()

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.numerics import Bools
+from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import CodeWords, cell_numbers
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion.bit_repair import repair_bits
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns import Gray, sequence_for
 from tests.support.synthetic_capture import Scene, decode
 

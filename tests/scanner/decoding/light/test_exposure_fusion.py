@@ -13,8 +13,7 @@ from hw.rig import Capabilities, Frame, Rig
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.capture import capture, open_capture, record
-from scanner.decoding.decoder import Decoder, Decoding
-from scanner.decoding.mask_reasons import MaskReason
+from scanner.decoding import Decoder, Decoding, MaskReason
 from scanner.errors import InputError
 from scanner.patterns import Black, Pattern, White, sequence_for
 from tests.support.synthetic_capture import Scene

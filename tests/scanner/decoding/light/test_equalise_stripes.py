@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scanner.decoding import MaskReason
 from scanner.decoding.light.equalise import gains_of_stripes
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns import sequence_for
 from tests.support.synthetic_capture import Scene, decode
 

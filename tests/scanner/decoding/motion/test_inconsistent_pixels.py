@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 
 from calib.numerics import Bools, Floats, Image
-from scanner.decoding import Decoding
-from scanner.decoding.checks.frame_consistency import Anomaly
+from scanner.decoding import Decoding, GridSample, MaskReason, plan_sequence
 from scanner.decoding.light import NoiseModel
-from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.photometric_constraints import find_violations
-from scanner.decoding.planning import plan_sequence
-from scanner.decoding.sample_analysis import _explained
-from scanner.decoding.samples import GridSample
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
 from tests.support.synthetic_capture import Scene, decode
@@ -201,30 +196,6 @@ def test_a_bumped_camera_is_not_taken_for_a_moving_object(preset: PresetName, kn
     for number in range(len(plan.patterns)):
         grid.add(plan, plan.shown.index(number), grid.of(frames[plan.shown.index(number)]))
     assert find_inconsistent_pixels(plan, grid, NoiseModel(at_black=1.0, gain=1 / 30)) is None
-
-
-@pytest.mark.parametrize("shape", [(225, 300), (7, 5), (1000, 1501), (224, 449)])
-def test_a_grid_mask_is_enlarged_to_the_pixels_it_was_taken_from(shape: tuple[int, int]) -> None:
-    grid = GridSample(shape)
-    row, column = np.mgrid[: shape[0], : shape[1]]
-    chosen = np.asarray(grid.of(column), np.float64) > shape[1] / 2
-    assert np.array_equal(grid.of(grid.at_full_size(chosen)), chosen)
-    beside = np.abs(column - shape[1] / 2) > grid.step
-    assert np.array_equal(grid.at_full_size(chosen)[beside], (column > shape[1] / 2)[beside])
-    assert np.array_equal(grid.rows, grid.of(row))
-
-
-@pytest.mark.parametrize(("first_moved", "is_explained"), [(2, False), (3, False), (5, True), (9, True), (11, False)])
-def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved: int, is_explained: bool) -> None:
-    plan = plan_sequence(PRESETS["quick"].patterns(SCENE.projector), SCENE.projector)
-    nowhere = np.zeros((1, 1), np.bool_)
-    inconsistent = InconsistentPixels(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
-    anomaly = Anomaly("cells are not neighbours", (7, 8))
-    if is_explained:
-        assert [*_explained(plan, [anomaly], [], inconsistent)] == [anomaly]
-    else:
-        with pytest.raises(InputError, match="not neighbours"):
-            _explained(plan, [anomaly], [], inconsistent)
 
 
 @pytest.mark.parametrize("preset", ["quick", "concave"])

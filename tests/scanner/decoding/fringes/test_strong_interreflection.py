@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import interval_of
 from scanner.decoding.fringes.code_voting import resolve_contradictory_codes
 from scanner.decoding.fringes.phase_unwrapping import Tolerances, Wrapped, unwrap
-from scanner.decoding.mask_reasons import MaskReason
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS, Code, Xor, gray_sequence, phase_sequence, xor_sequence
 from tests.support.synthetic_capture import Scene
 

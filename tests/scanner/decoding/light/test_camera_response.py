@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.numerics import Floats, Image
-from scanner.decoding.decoder import Decoding
+from scanner.decoding import Decoding
 from scanner.decoding.light.camera_response import CameraResponse
 from scanner.patterns import Pattern, sequence_for
 from tests.support.synthetic_capture import Scene, corrections_to, decode

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from calib.numerics import Image
 from calib.refusal import RefusalError
-from scanner.decoding.decoder import Decoder
+from scanner.decoding import Decoder
 from scanner.errors import InputError
 from scanner.patterns import Black, Gray, Pattern, White, gray_sequence, sequence_for
 from tests.support.synthetic_capture import Scene, decode, fringes

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from scanner.decoding import plan_sequence
 from scanner.decoding.light.brightness import Gains, LitRows
-from scanner.decoding.planning import plan_sequence
 from scanner.patterns import PRESETS
 
 HEIGHT, LIT_ROWS, AMPLITUDE, AMBIENT, BANDS = 200, np.arange(40, 160), 50.0, 30.0, 0.15
