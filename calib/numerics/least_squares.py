@@ -17,13 +17,14 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Quadratic model at one point: the `cost`, −2 log likelihood, half its `gradient` (P,) and half its Gauss–Newton
-    Hessian (P, P), `information`. The cost is infinite for invalid parameters.
-    """
+    """Quadratic model of a cost at one point."""
 
     cost: float
+    """−2 log likelihood; infinite for invalid parameters."""
     gradient: Floats
+    """(P,): half the gradient."""
     information: Floats
+    """(P, P): half the Gauss–Newton Hessian."""
 
 
 Place = TypeVar("Place", bound=Quadratic)
@@ -31,22 +32,25 @@ Place = TypeVar("Place", bound=Quadratic)
 
 @dataclass(frozen=True)
 class Damping:
-    """Schedule of the damping, which is relative to a Hessian scaled to unit diagonal.
-
-    It begins with `first` and stays above `least`. A failed step multiplies it by `growth`, which itself grows by
-    `acceleration` with each consecutive failure; beyond `most` the minimisation ends. A successful step multiplies it
-    by `relief`, or, if `by_gain`, by 1 − (2 ρ − 1)³ but no less than `relief`, where ρ is the ratio of actual to
-    predicted gain (Nielsen; Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems, 2004,
-    algorithm 3.16).
-    """
+    """Schedule of the damping, which is relative to a Hessian scaled to unit diagonal."""
 
     first: float
+    """At the beginning."""
     least: float
+    """It stays above this."""
     most: float
+    """Beyond it the minimisation ends."""
     growth: float
+    """A failed step multiplies the damping by it."""
     relief: float
+    """A successful step multiplies the damping by it."""
     acceleration: float = 1.0
+    """Each further failure in a row multiplies the growth by it."""
     by_gain: bool = False
+    """Whether a successful step multiplies by 1 − (2 ρ − 1)³ instead, but no less than the relief, where ρ is the ratio
+    of actual to predicted gain (Nielsen; Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems,
+    2004, algorithm 3.16).
+    """
 
 
 NIELSEN = Damping(1e-4, 1e-9, 1e6, growth=4.0, relief=0.1, acceleration=2.0, by_gain=True)

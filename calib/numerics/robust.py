@@ -118,16 +118,18 @@ def fit_reweighted(
 
 @dataclass(frozen=True)
 class HuberFit:
-    """A linear fit with Huber's weights, beyond `limit` standard deviations of the residuals.
-
-    `design` (P, N): the terms. `observed` (N,) ≈ `parameters` (P,) @ design. `weight` (N,): of each observation.
-    """
+    """A linear fit with Huber's weights: observed ≈ parameters @ design."""
 
     design: Floats
+    """(P, N): the terms."""
     observed: Floats
+    """(N,)"""
     parameters: Floats
+    """(P,)"""
     weight: Floats
+    """(N,): of each observation."""
     limit: float
+    """Standard deviations of the residuals beyond which weights fall."""
 
     @cached_property
     def residual(self) -> Floats:

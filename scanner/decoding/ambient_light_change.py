@@ -23,17 +23,18 @@ _LEAST_SHARE = 0.03
 
 @dataclass(frozen=True)
 class AmbientLightChange:
-    """An ambient light change from `frame` on.
-
-    `weights` (frames,): the linear combination of all frames that gives the added light. `share`: at the median pixel,
-    relative to the pattern's light; negative if switched off. `beside`: an adjacent frame that explains the frames as
-    well, as when the light came up during an exposure; None if there is none.
-    """
+    """An ambient light change."""
 
     frame: int
+    """The first frame after it."""
     weights: Floats32
+    """(frames,): the linear combination of all frames that gives the added light."""
     share: float = 0.0
+    """Of the added light at the median pixel, relative to the pattern's; negative if switched off."""
     beside: int | None = None
+    """An adjacent frame that explains the frames as well, as when the light came up during an exposure; None for none.
+
+    """
 
     @property
     def is_harmful(self) -> bool:

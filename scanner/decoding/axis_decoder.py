@@ -50,32 +50,34 @@ Unit = tuple[np.float32, np.float32]
 
 @dataclass(frozen=True)
 class Coordinate:
-    """`value` in projector pixels with its `variance`, and the `reason` for masking it; arrays (H, W).
-
-    `log_amplitude`: of the finest resolved fringes; None without fringes.
-    """
+    """One projector coordinate of all pixels (H, W)."""
 
     value: Floats32
+    """In projector pixels."""
     variance: Floats32
+    """Of the value."""
     reason: Reasons
+    """For masking the pixel, a `MaskReason`."""
     log_amplitude: Floats32 | None = None
+    """Of the finest resolved fringes; None without fringes."""
 
 
 @dataclass(frozen=True)
 class UnwrappedFringes:
-    """Code interval and unwrapped fringes of one axis at P pixels.
-
-    `level` (P,): as `Signals.threshold`. `units_px2`: per fringe, the variance of its coordinate at an amplitude of 1:
-    at black, and per grey level. `variances` (fringes, P): of the coordinates, from noise. `flags` (P,): flags of
-    `PixelFlags`.
-    """
+    """Code interval and unwrapped fringes of one axis at P pixels."""
 
     interval: Interval
+    """By the codes."""
     level: Floats32
+    """(P,): as `Signals.threshold`."""
     units_px2: Sequence[Unit]
+    """Per fringe, the variance of its coordinate at an amplitude of 1: at black, and per grey level."""
     variances: Floats32
+    """(fringes, P): of the coordinates, from noise."""
     orders: Orders
+    """The coordinates by each fringe."""
     flags: Reasons
+    """(P,): of `PixelFlags`."""
 
     def power(self, number: int) -> Floats32:
         """Return the squared amplitude of a fringe, (P,), recovered from its variance."""
@@ -98,21 +100,24 @@ class UnwrappedFringes:
 
 @dataclass(frozen=True)
 class AxisDecoder:
-    """Decodes the signals of one axis into a coordinate.
-
-    `ripple`: per fringe, a correction table of its phase over one cycle, or None. `finest`: index of the shortest
-    fringe that is resolved. `blurred`: factor by which lens blur weakens the longest fringe. `unchecked`: systematic
-    error of an axis with a single fringe, which nothing in the capture checks; None otherwise.
-    """
+    """Decodes the signals of one axis into a coordinate."""
 
     plan: AxisPlan
+    """What measures the axis."""
     noise: NoiseModel
+    """Of a pixel."""
     saturation: float
+    """The lowest clipped grey level."""
     ripple: tuple[Floats32 | None, ...]
+    """Per fringe, a correction table of its phase over one cycle, or None."""
     tolerances: Tolerances
+    """Of codes and fringes with each other."""
     finest: int = 0
+    """Index of the shortest fringe that is resolved."""
     blurred: float = 1.0
+    """Factor by which lens blur weakens the longest fringe."""
     unchecked: Unchecked | None = None
+    """Systematic error of an axis with a single fringe, which nothing in the capture checks; None otherwise."""
 
     @cached_property
     def _units_px2(self) -> list[Unit]:

@@ -146,26 +146,30 @@ def _mean(first: Image, second: Image) -> Image:
 
 @dataclass(frozen=True)
 class Signals:
-    """The signals of one axis at P pixels, which form an image of `shape` (H, W), row by row.
-
-    `words`: per code, (P,). `least` (codes, P): as in `CodeWords`, empty if the fringes correct wrong bits. `contrast`
-    (codes, P): as in `CodeWords`, empty with fringes. `fine`: per code, the contrast (P,) of each optional bit, by bit;
-    `least` then covers the other bits. `steps`: per fringe, longest period first, the levels of its frames (N, P), and
-    the weights (2, N) with which they add up to its components. `white`, `threshold` (P,): grey level when lit, and
-    half-way between lit and unlit. `peak` (P,): maximum over the fringes. `log_exposure` (P,): None if all pixels were
-    exposed alike.
-    """
+    """The signals of one axis at P pixels, which form an image, row by row."""
 
     shape: tuple[int, int]
+    """(H, W) of the image."""
     words: list[Words]
+    """Per code, (P,)."""
     least: Floats32
+    """(codes, P): as in `CodeWords`, without the optional bits; empty if the fringes correct wrong bits."""
     contrast: Floats32
+    """(codes, P): as in `CodeWords`, empty with fringes."""
     fine: list[dict[int, Image]]
+    """Per code, the contrast (P,) of each optional bit, by bit."""
     steps: list[tuple[NDArray[Any], Floats32]]
+    """Per fringe, longest period first, the levels of its frames (N, P), and the weights (2, N) with which they add up
+    to its components.
+    """
     white: Floats32
+    """(P,): grey level when lit."""
     threshold: Floats32
+    """(P,): grey level half-way between lit and unlit."""
     peak: Image
+    """(P,): maximum over the fringes."""
     log_exposure: Floats32 | None = None
+    """(P,): None if all pixels were exposed alike."""
 
     def fringe(self, number: int) -> Floats32:
         """Return A cos θ and A sin θ of a fringe in grey levels, (2, P)."""

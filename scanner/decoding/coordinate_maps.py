@@ -25,18 +25,18 @@ _HALF, _UNKNOWN = np.float32(0.5), np.float32(np.nan)
 
 @dataclass(frozen=True)
 class Maps:
-    """Coordinates of all camera pixels (H, W).
-
-    `projector_px` (H, W, 2): NaN where one coordinate is unknown. `variance`: mean over the measured axes. `reason`:
-    for masking the pixel. `counts` (2, reasons): number of pixels of x and of y with each of the `CONTRADICTIONS`.
-    `footprint_px2`: variance of a camera pixel's footprint along its principal axis.
-    """
+    """Coordinates of all camera pixels."""
 
     projector_px: Floats32
+    """(H, W, 2): NaN where one coordinate is unknown."""
     variance: Floats32
+    """(H, W): mean over the measured axes."""
     reason: Reasons
+    """(H, W): for masking the pixel, a `MaskReason`."""
     counts: Ints
+    """(2, reasons): number of pixels of x and of y with each of the `CONTRADICTIONS`."""
     footprint_px2: float = 0.0
+    """Variance of a camera pixel's footprint along its principal axis."""
 
     def within(self, part: Part) -> "Maps":
         """Return a view of a part of the image."""

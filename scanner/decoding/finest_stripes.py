@@ -26,16 +26,16 @@ _STEPS = 256  # between two pixels, for the integrals of a Fourier series
 
 @dataclass(frozen=True)
 class FinestStripes:
-    """At N pixels: `camera_px` (N, 2), `projector_px` (N, 2), and `log_ratio` (N,) of the contrast along x to that
-    along y.
-
-    `periods` (2,): of these stripes along x and y, in picture pixels.
-    """
+    """Contrast of the finest stripes at N pixels."""
 
     camera_px: Floats
+    """(N, 2)"""
     projector_px: Floats
+    """(N, 2)"""
     log_ratio: Floats
+    """(N,): logarithm of the contrast along x over that along y."""
     periods: tuple[float, float]
+    """(2,): of these stripes along x and y, in picture pixels."""
 
     def at(self, chosen: Ints) -> "FinestStripes":
         """Return a selection of the pixels."""

@@ -22,11 +22,14 @@ _LEAST_SINE = 0.1
 
 @dataclass(frozen=True)
 class OneAxis:
-    """The `measured` axis, the `derived` one, and the calibration that determines it."""
+    """Two axes, of which a calibration determines one."""
 
     measured: AxisPlan
+    """By the patterns."""
     derived: AxisPlan
+    """By the calibration."""
     calibration: Calibration
+    """Of the rig."""
 
     @property
     def _axis(self) -> int:

@@ -161,14 +161,14 @@ class GridSample(Sample):
 
 @dataclass(frozen=True)
 class Samples:
-    """Random pixels, `scattered` over the image, `tiles` of the frames of fringes, and a `grid`.
-
-    Frames of tiles are numbered in the order in which they were taken, with repeats; the others as in the plan.
-    """
+    """Samples of the frames of a capture."""
 
     scattered: Sample
+    """Random pixels over the image; frames are numbered as in the plan."""
     tiles: TileSample
+    """Of the frames of fringes, numbered in the order in which they were taken, with repeats."""
     grid: GridSample
+    """Frames are numbered as in the plan."""
 
     @classmethod
     def of(cls, shape: tuple[int, int], *, neighbours: bool) -> Self:

@@ -21,21 +21,26 @@ _ALIKE = 0.15
 
 @dataclass(frozen=True)
 class GrayCode:
-    """The bits of one Gray code. `normal` and `inverse` map a bit to the index of its frame.
-
-    `constant`: the bits of the code word that were not shown because they are constant on this projector. `base`: the
-    bit with which the `relative` ones are combined by exclusive or (an XOR code); None for a plain Gray code.
-    """
+    """The bits of one Gray code."""
 
     axis: Axis
+    """Along which."""
     bits: int
+    """Their number."""
     cell: int
+    """Length of a cell in projector pixels."""
     offset: int
+    """Projector pixels from the beginning of the code to pixel 0."""
     normal: Mapping[int, int]
+    """Index of the frame that shows a bit, by bit."""
     inverse: Mapping[int, int]
+    """The same of inverted bits."""
     constant: int = 0
+    """Bits of the code word that were not shown because they are constant on this projector."""
     base: int | None = None
+    """The bit with which the relative ones are combined by exclusive or (an XOR code); None for a plain Gray code."""
     relative: frozenset[int] = frozenset()
+    """Bits that are shown relative to the base."""
 
     def relative_to_base(self, words: Words) -> Words:
         """Convert words of an XOR code to the plain code, and the reverse; any shape."""
@@ -80,12 +85,16 @@ class GrayCode:
 
 @dataclass(frozen=True)
 class Fringe:
-    """One period in all its shifts (in cycles), in the order of `frames`."""
+    """One period in all its shifts."""
 
     axis: Axis
+    """Along which."""
     period: float
+    """In projector pixels."""
     shifts: tuple[float, ...]
+    """In cycles, in the order of the frames."""
     frames: tuple[int, ...]
+    """Their indices."""
 
     @cached_property
     def weights(self) -> Floats:
@@ -119,12 +128,16 @@ class Fringe:
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """How one projector coordinate is measured. `fringes`: from the longest period to the shortest."""
+    """How one projector coordinate is measured."""
 
     axis: Axis
+    """Which."""
     length: int
+    """Of the projector's picture along it, in pixels."""
     codes: tuple[GrayCode, ...]
+    """Along it."""
     fringes: tuple[Fringe, ...]
+    """From the longest period to the shortest."""
 
     @property
     def is_measured(self) -> bool:
@@ -150,19 +163,22 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class SequencePlan:
-    """The whole sequence. `white` and `black` are frame indices or None.
-
-    Frames are counted as one per pattern; `repeats`: number of exposures of each. `shown`: the pattern of each frame; a
-    repeated pattern shows what has changed since.
-    """
+    """The whole sequence. Frames are counted as one per pattern."""
 
     patterns: tuple[Pattern, ...]
+    """Each once."""
     x: AxisPlan
+    """How x is measured."""
     y: AxisPlan
+    """How y is measured."""
     white: int | None
+    """Index of the white frame; None without one."""
     black: int | None
+    """Index of the black frame; None without one."""
     shown: tuple[int, ...]
+    """The pattern of each frame; a repeated pattern shows what has changed since."""
     repeats: int = 1
+    """Number of exposures of each."""
 
     @property
     def frame_count(self) -> int:

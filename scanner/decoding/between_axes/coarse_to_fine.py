@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.numerics import Floats, Floats32, clustered_scatter, huber_weights
 from scanner.decoding.between_axes.borders import REACH_PX
-from scanner.decoding.between_axes.edges import Edges, Shown
+from scanner.decoding.between_axes.edges import Edges, ScenePixels
 from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
 from scanner.decoding.motion import SUSPECTED_PX, RigidFit
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
@@ -36,18 +36,20 @@ _Pictures = tuple[Floats32, Floats32]
 
 @dataclass(frozen=True)
 class _TileObservations:
-    """Shifts d of T tiles that remain beside a motion: they minimise dᵀ N d − 2 bᵀ d.
-
-    `centre_px` (T, 2), `design` (T, 2, 8), `normal` N (T, 2, 2), `pull` b (T, 2). `differ`: squared differences of the
-    pictures, weighted by their squared slopes. `huber`: outlier threshold in standard deviations.
-    """
+    """Shifts d of T tiles that remain beside a motion: they minimise dᵀ N d − 2 bᵀ d."""
 
     centre_px: Floats
+    """(T, 2): middles in the camera's picture."""
     design: Floats
+    """(T, 2, 8): derivatives of d by the motion."""
     normal: Floats
+    """(T, 2, 2): N."""
     pull: Floats
+    """(T, 2): b."""
     differ: float
+    """Squared differences of the pictures, weighted by their squared slopes."""
     huber: float
+    """Outlier threshold in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def _explained(pictures: _Pictures, edges: Edges, motion: Floats) -> float:
 
 
 def _observe(
-    pictures: _Pictures, edges: Edges, pixels: Shown, motion: Floats, *, anywhere: bool = False
+    pictures: _Pictures, edges: Edges, pixels: ScenePixels, motion: Floats, *, anywhere: bool = False
 ) -> _TileObservations:
     """Observe what remains beside a motion (8,); a border that may be `anywhere` has no gain of its own, and no
     outliers.

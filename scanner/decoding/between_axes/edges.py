@@ -10,40 +10,42 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32
 from scanner.decoding.between_axes.borders import TilePlanes, extrapolated, lit_in, near_border, seen_border
-from scanner.decoding.between_axes.registration import Warp, centres_of_tiles
+from scanner.decoding.between_axes.registration import TileWarp, centres_of_tiles
 from scanner.decoding.motion import shifts_by_motion
 from scanner.decoding.motion.rigid import PER_DEVICE
 from scanner.decoding.significance import NEGLIGIBLE
 
 
 @dataclass(frozen=True)
-class Shown:
-    """Pixels (H, W) that show the lit `scene`, and those that show the `border` of the projector's picture.
-
-    `of_border` (T, 2, 8): derivative of the border's shift in each of T tiles by each part of a motion, NaN where
-    unknown.
-    """
+class ScenePixels:
+    """What the camera's pixels (H, W) show."""
 
     scene: Bools
+    """The lit scene."""
     border: Bools
+    """The border of the projector's picture."""
     of_border: Floats
+    """(T, 2, 8): derivative of the border's shift in each of T tiles by each part of a motion, NaN where unknown."""
 
 
 @dataclass(frozen=True)
 class Edges:
-    """The coordinates of a capture whose axes with `later` (2,) = 1 were taken after a motion.
-
-    `projector_px` (H, W, 2): in steps of `step_px`, NaN where unknown. `places`: the planes of its tiles. `size`,
-    `camera_size`: (width, height) of the devices. `origin`: camera pixel (x, y) of the first pixel.
-    """
+    """The coordinates of a capture, some of whose axes were taken after a motion; sizes are (width, height)."""
 
     projector_px: Floats32
+    """(H, W, 2): NaN where unknown."""
     step_px: float
+    """The coordinates come in steps of this length."""
     places: TilePlanes
+    """The planes of its tiles."""
     later: Floats
+    """(2,): 1 for an axis that was taken after the motion, else 0."""
     size: tuple[int, int]
+    """Of the projector's picture."""
     camera_size: tuple[int, int]
+    """Of the camera's picture."""
     origin: tuple[int, int]
+    """Camera pixel (x, y) of the first pixel."""
 
     @cached_property
     def of_scene(self) -> Floats:
@@ -53,13 +55,13 @@ class Edges:
         return moved
 
     @cached_property
-    def decoded(self) -> Shown:
+    def decoded(self) -> ScenePixels:
         """Scene and border from the decoded pixels, for small motions."""
         border = seen_border(self.projector_px, self.size, self.step_px)
         unknown = ~np.isfinite(self.places.gradient).all(axis=(1, 2))
         of_border = self._of_border.copy()
         of_border[unknown] = np.nan
-        return Shown(self._lit & ~border, border, of_border)
+        return ScenePixels(self._lit & ~border, border, of_border)
 
     @cached_property
     def _of_border(self) -> Floats:
@@ -71,14 +73,14 @@ class Edges:
         moved[~known] = np.nan
         return moved
 
-    def beside(self, motion: Floats, reach_px: float) -> Shown:
+    def beside(self, motion: Floats, reach_px: float) -> ScenePixels:
         """Return scene and border, within `reach_px` of the border before a motion (8,), predicted by planes."""
         places = self._around
         by_motion = shifts_by_motion(self.centre, places.projector_px, places.gradient, self.camera_size, self.size)
         border = near_border(self.projector_px, places, by_motion @ motion * self.later, self.size, reach_px)
-        return Shown(self._lit & ~border, border, self._of_border)
+        return ScenePixels(self._lit & ~border, border, self._of_border)
 
-    def warps(self, motion: Floats) -> tuple[Warp, Warp]:
+    def warps(self, motion: Floats) -> tuple[TileWarp, TileWarp]:
         """Return where the scene and the border of the projector's picture are after a motion (8,)."""
         right, down, roll, zoom = motion[PER_DEVICE:]
         half = self.camera_size[0] / 2
@@ -86,7 +88,7 @@ class Edges:
         from_middle = self.centre - (np.array(self.camera_size) - 1) / 2
         scene = self.centre + np.array([right, down]) + from_middle @ (turned - np.eye(2)).T - np.array(self.origin)
         by_projector = np.nan_to_num(self._of_border[:, :, :PER_DEVICE] @ motion[:PER_DEVICE])
-        return Warp(scene, turned), Warp(scene + by_projector, turned)
+        return TileWarp(scene, turned), TileWarp(scene + by_projector, turned)
 
     @cached_property
     def _lit(self) -> Bools:

@@ -18,15 +18,16 @@ from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
 
 @dataclass(frozen=True)
 class Half:
-    """The frames that measure an axis, at positions `first` to `last` of the capture.
-
-    `weights`: weights of frames in the mean picture; empty if no frames add up to even light.
-    """
+    """The frames that measure an axis."""
 
     axis: AxisPlan
+    """Which."""
     first: int
+    """Place of the first of them in the capture."""
     last: int
+    """Place of the last."""
     weights: dict[int, float]
+    """Of frames in the mean picture, by number; empty if no frames add up to even light."""
 
 
 def halves_of(plan: SequencePlan) -> tuple[Half, Half] | None:

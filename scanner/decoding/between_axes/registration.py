@@ -18,7 +18,7 @@ _WINDOW = TILE_PX + 2 * _REACH
 
 
 @dataclass(frozen=True)
-class Warp:
+class TileWarp:
     """Where tiles are in the later picture: their middles at `place` (T, 2), and their surroundings `turned` (2, 2)
     about these.
     """
@@ -29,20 +29,20 @@ class Warp:
 
 @dataclass(frozen=True)
 class TileShifts:
-    """Observations of the shifts d of K `tiles`, by number (K,): each minimises dᵀ N d − 2 bᵀ d.
-
-    `normal` N (K, 2, 2) and `pull` b (K, 2) are in units of the residual variance. `differ`: the squared differences of
-    the pictures, weighted by their squared slopes.
-    """
+    """Observations of the shifts d of K tiles: each minimises dᵀ N d − 2 bᵀ d, in units of the residual variance."""
 
     tiles: Ints
+    """(K,): their numbers."""
     normal: Floats
+    """(K, 2, 2): N."""
     pull: Floats
+    """(K, 2): b."""
     differ: float
+    """The squared differences of the pictures, weighted by their squared slopes."""
 
 
 def shifts_of_tiles(
-    pictures: tuple[Floats32, Floats32], chosen: Bools, warp: Warp, *, own_light: bool = True
+    pictures: tuple[Floats32, Floats32], chosen: Bools, warp: TileWarp, *, own_light: bool = True
 ) -> TileShifts:
     """Observe the shifts of tiles from the `chosen` pixels (H, W) of two pictures, the later one warped back.
 

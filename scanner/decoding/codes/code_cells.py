@@ -22,16 +22,16 @@ _COUNTABLE = 6
 
 @dataclass(frozen=True)
 class CellMatches:
-    """`camera_px`, `projector_px` (M, 2), and the `variance` (M,) of each projector coordinate.
-
-    `rejected` (H, W): pixels of cut-off cells, or of a code that also occurs elsewhere, so that one occurrence is
-    wrong.
-    """
+    """M matches of cells with each other's centres."""
 
     camera_px: Floats
+    """(M, 2)"""
     projector_px: Floats
+    """(M, 2)"""
     variance: Floats
+    """(M,): of each projector coordinate."""
     rejected: Bools
+    """(H, W): pixels of cut-off cells, or of a code that also occurs elsewhere, so that one occurrence is wrong."""
 
 
 def average_cells(

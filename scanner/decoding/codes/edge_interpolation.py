@@ -45,18 +45,20 @@ _PLACE, _SPREAD, _EDGE, _STEP, _FOLLOWS = range(5)
 
 @dataclass(frozen=True)
 class Lines:
-    """L rows, or columns, of N pixels: (L, N) each.
-
-    `words`: of the code. `usable`: lit, and with a code. `least`: least contrast of a certain edge. `threshold` and
-    `white`: as in `Signals`. `levels` (2, bits, L, N): as returned by `levels_of_bits`.
-    """
+    """L rows, or columns, of N pixels: (L, N) each."""
 
     words: Words
+    """Of the code."""
     usable: Bools
+    """Lit, and with a code."""
     least: Floats32
+    """Least contrast of a certain edge."""
     threshold: Image
+    """As in `Signals`."""
     white: Image
+    """As in `Signals`."""
     levels: Image
+    """(2, bits, L, N): as returned by `levels_of_bits`."""
 
 
 def levels_of_bits(

@@ -98,15 +98,16 @@ def compared(
 
 @dataclass(frozen=True)
 class Interval:
-    """The interval of each pixel by its Gray codes, `low` to `high` in projector pixels; arrays (P,).
-
-    `flags`: flags of `PixelFlags`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two
-    codes do not overlap.
-    """
+    """The interval of each of P pixels by its Gray codes, in projector pixels."""
 
     low: Floats32
+    """(P,)"""
     high: Floats32
+    """(P,)"""
     flags: Reasons
+    """(P,): of `PixelFlags`. OUTSIDE: the code belongs to no projector pixel. CONTRADICTORY: the intervals of two codes
+    do not overlap.
+    """
 
     @property
     def centre(self) -> Floats32:

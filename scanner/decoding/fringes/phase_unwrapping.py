@@ -45,14 +45,14 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Orders:
-    """Unwrapped `coordinates` (fringes, P), longest period first, in projector pixels.
-
-    `flags` (P,): flags of `PixelFlags`. DISAGREES: no order explains all phases and the interval, the coordinates are
-    invalid. AMBIGUOUS: another order explains them nearly as well.
-    """
+    """Unwrapped fringes."""
 
     coordinates: Floats32
+    """(fringes, P): longest period first, in projector pixels."""
     flags: Reasons
+    """(P,): of `PixelFlags`. DISAGREES: no order explains all phases and the interval, the coordinates are invalid.
+    AMBIGUOUS: another order explains them nearly as well.
+    """
 
     @property
     def agree(self) -> Bools:

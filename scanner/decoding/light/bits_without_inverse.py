@@ -24,15 +24,16 @@ TAILS = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class BitLevels:
-    """Levels of a bit in its frame: I = `of_black` · black + (`dark` or `bright`) · (white − black).
-
-    `away`: distance of the half-way level from that of white and black, in the same unit.
-    """
+    """Levels of a bit in its frame: I = of_black · black + (dark or bright) · (white − black)."""
 
     of_black: float
+    """Share of black."""
     dark: float
+    """Share of white minus black where the bit is 0."""
     bright: float
+    """The same where it is 1."""
     away: float
+    """Distance of the half-way level from that of white and black, in the same unit."""
 
     def threshold(self, half_lit: Image, white: Image) -> Image:
         """Return the threshold from half-way level and white, (H, W); the half-way level itself if

@@ -43,15 +43,14 @@ _FULL_SCALE = 1023
 
 @dataclass(frozen=True)
 class CameraResponse:
-    """The inverse response: `light` (levels,) of grey levels evenly spaced from 0 to `top`, relative to that of the
-    last.
-
-    Pixels are clipped from grey level `saturation` on.
-    """
+    """The inverse response of a camera."""
 
     light: Floats
+    """(levels,): light of grey levels evenly spaced from 0 to the top, relative to that of the last."""
     top: float
+    """The last grey level."""
     saturation: float
+    """Pixels are clipped from this grey level on."""
 
     def light_of(self, frame: Image) -> Image:
         """Convert grey levels to light, as 16-bit integers; values brighter than white are clipped

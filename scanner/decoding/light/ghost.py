@@ -48,14 +48,14 @@ _INTERLACED, _OF_THE_OTHER = 0.05, 0.3
 
 @dataclass(frozen=True)
 class Ghost:
-    """The `share` of the previous picture in the frame at a `place` of the capture, or in each frame if None.
-
-    `of_odd_rows`: the share in odd rows, for a device that updates half of the rows at a time; None if the same.
-    """
+    """The share of the previous picture that is left in frames."""
 
     share: float
+    """Of the previous picture."""
     place: int | None = None
+    """Of the only such frame in the capture; None if it is in each frame."""
     of_odd_rows: float | None = None
+    """The share in odd rows, for a device that updates half of the rows at a time; None if the same."""
 
     def description(self, plan: SequencePlan) -> str:
         """Return a clause for the operator."""

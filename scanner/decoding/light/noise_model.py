@@ -26,14 +26,14 @@ _ROUNDING, _MOST_STRAY = 1.0, 5.0
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of a pixel at grey level I: `at_black` + `gain` · I (read noise and quantisation, shot noise).
-
-    `stray`: smaller differences between frames may be rounding, compression and stray light, whatever the noise.
-    """
+    """Variance of a pixel at grey level I: at_black + gain · I."""
 
     at_black: float
+    """Read noise and quantisation."""
     gain: float
+    """Shot noise per grey level."""
     stray: float = _MOST_STRAY
+    """Smaller differences between frames may be rounding, compression and stray light, whatever the noise."""
 
     def sigma(self, level: NDArray[np.generic]) -> Floats32:
         """Return the standard deviation in grey levels at each level; any shape."""

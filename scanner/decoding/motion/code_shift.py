@@ -44,32 +44,34 @@ _LEAST_PX = 0.5
 
 @dataclass(frozen=True)
 class CodeShift:
-    """Motion by `px` projector pixels or more along an axis, between the frames of its codes and those of its fringes.
-
-    `px` is known only up to whole periods, and is a part of the motion if that happened during either group of frames.
-    `by_periods`: whether it includes whole periods of the longest fringe, which leave all pixels decodable. `sure`:
-    whether the motion was along this axis, rather than along the other one alone, by another amount.
-    """
+    """Motion along an axis between the frames of its codes and those of its fringes."""
 
     axis: AxisPlan
+    """Along which."""
     px: float
+    """Projector pixels, or more: it is known only up to whole periods, and is a part of the motion if that happened
+    during either group of frames.
+    """
     by_periods: bool = False
+    """Whether it includes whole periods of the longest fringe, which leave all pixels decodable."""
     sure: bool = True
+    """Whether the motion was along this axis, rather than along the other one alone, by another amount."""
 
 
 @dataclass(frozen=True)
 class Offsets:
-    """Offsets of the longest fringe of an axis from the middle of the code's cell, in projector pixels, at pixels (P,).
-
-    `px`: relative to the common `mean_px`, within half a period. `centre` (P,): middles of the cells. `known` (P,):
-    whether both are known.
-    """
+    """Offsets of the longest fringe of an axis from the middle of the code's cell, in projector pixels, at P pixels."""
 
     axis: AxisPlan
+    """Which."""
     centre: Floats32
+    """(P,): middles of the cells."""
     px: Floats32
+    """(P,): relative to the mean, within half a period."""
     mean_px: float
+    """Common to all pixels."""
     known: Bools
+    """(P,): whether code and fringe are known."""
 
     @property
     def period(self) -> float:

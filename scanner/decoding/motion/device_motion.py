@@ -38,13 +38,14 @@ _LEFT_OF_SINGLE_FRAMES = 0.006
 
 @dataclass(frozen=True)
 class CoordinateShift:
-    """The mean motion of both devices in the x and y coordinates, `motions` (2, 8) as in `rigid`; sizes are (width,
-    height).
-    """
+    """The mean motion of both devices in the x and y coordinates; sizes are (width, height)."""
 
     motions: Floats
+    """(2, 8): of x and of y, as in `rigid`."""
     camera_size: tuple[int, int]
+    """Of the camera's picture."""
     projector_size: tuple[int, int]
+    """Of the projector's picture."""
 
     def shifts(self, camera_px: Floats, projector_px: Floats, gradient: Floats) -> Floats:
         """Return the shifts (N, 2) of matches at camera px (N, 2) and projector px (N, 2).
@@ -72,33 +73,40 @@ class CoordinateShift:
 
 @dataclass(frozen=True)
 class MotionEstimate:
-    """The motion that best explains the fringes of a capture, `motion` (8,) as in `rigid`.
-
-    `significant`: whether it exceeds what is measured at rest. `slow`: whether it is an even drift rather than a bump
-    between the frames `first` and `last`. `size_px`: how far it moved the coordinates. `explained`: the share it
-    explains of the contradiction of rest. `shift`: the resulting shift of x and y against each other; `alternatives`:
-    that of other trajectories that fit about as well. `unseen`: possible undetected shifts, one standard deviation
-    each. `blind`: whether the frames cannot show a turn of a device between the axes. `largest_px`: the largest bump
-    that is corrected. `linear`: whether it is small enough for its size to be measured. `undecided`: whether the other
-    device alone may have moved instead. `one_by_one`: whether each frame moved independently; `motion` is then the root
-    mean square, and `shift` the means over the fringes.
-    """
+    """The motion that best explains the fringes of a capture."""
 
     motion: Floats
+    """(8,): as in `rigid`; the root mean square if each frame moved by itself."""
     significant: bool
+    """Whether it exceeds what is measured at rest."""
     slow: bool
+    """Whether it is an even drift rather than a bump between two frames."""
     first: int
+    """The frame before the bump, or the first of the drift."""
     last: int
+    """The frame after the bump, or the last of the drift."""
     size_px: float
+    """How far it moved the coordinates."""
     explained: float
+    """The share it explains of the contradiction of rest."""
     shift: CoordinateShift
+    """The resulting shift of x and y against each other; of the means over the fringes if each frame moved by itself.
+
+    """
     alternatives: tuple[CoordinateShift, ...]
+    """The shifts by other trajectories that fit about as well."""
     unseen: tuple[CoordinateShift, ...] = ()
+    """Possible undetected shifts, one standard deviation each."""
     blind: bool = False
+    """Whether the frames cannot show a turn of a device between the axes."""
     largest_px: float = _LARGEST_BUMP_PX
+    """The largest bump that is corrected."""
     linear: bool = True
+    """Whether it is small enough for its size to be measured."""
     undecided: bool = False
+    """Whether the other device alone may have moved instead."""
     one_by_one: bool = False
+    """Whether each frame moved independently."""
 
     @property
     def is_too_large(self) -> bool:

@@ -24,15 +24,16 @@ _OF_LIGHT = 4  # unknowns of a frame's light
 
 @dataclass(frozen=True)
 class EquationBlock:
-    """Equations at P pixels, in standard deviations: `observed` (n, P) = `mix` (n, n) @ the changes of n frames.
-
-    `columns` (A, n, P): derivatives of the changes of the frames with these `numbers` (n,), by A unknowns of each.
-    """
+    """Equations at P pixels, in standard deviations: observed = mix @ the changes of n frames."""
 
     numbers: Ints
+    """(n,): of the frames."""
     columns: Floats32
+    """(A, n, P): derivatives of the changes by A unknowns of each frame."""
     mix: Floats
+    """(n, n)"""
     observed: Floats32
+    """(n, P)"""
 
     @property
     def normal(self) -> Floats:
@@ -54,15 +55,16 @@ class EquationBlock:
 
 @dataclass(frozen=True)
 class Projection:
-    """The motion along `directions` (A N, U): unknowns that were `values` (U,), and the decrease of χ², `gained`.
-
-    `information` (U, U): of the unknowns, with their prior.
-    """
+    """The motion along some directions of the unknowns."""
 
     directions: Floats
+    """(A N, U)"""
     values: Floats
+    """(U,): how far along each."""
     information: Floats
+    """(U, U): of the values, with their prior."""
     gained: float
+    """The decrease of χ²."""
 
     @property
     def of_frames(self) -> Floats:
@@ -72,16 +74,16 @@ class Projection:
 
 @dataclass(frozen=True)
 class FrameEquations:
-    """Equations for A unknowns of each of N frames, ordered by kind, then by frame, at pixels in these `tiles` (P,).
-
-    The first of the `blocks` has unknowns of the frames' light as well, which count as nuisance: a gain and an offset
-    of each frame, and the second harmonic of each fringe, the same in all pixels, that a nonlinear brightness curve
-    leaves.
-    """
+    """Equations for A unknowns of each of N frames, ordered by kind, then by frame."""
 
     frames: FringeFrames
+    """Of the fringes."""
     tile: Ints
+    """(P,): in which the pixels are."""
     blocks: tuple[EquationBlock, ...]
+    """The first has unknowns of the frames' light as well, which count as nuisance: a gain and an offset of each frame,
+    and the second harmonic of each fringe, the same in all pixels, that a nonlinear brightness curve leaves.
+    """
 
     @cached_property
     def _beside_light(self) -> tuple[Floats, Floats]:

@@ -19,16 +19,16 @@ _COMPARABLE = 4.0
 
 @dataclass(frozen=True)
 class FringeFrames:
-    """The N frames of F `fringes`, in the order of time; fringes are those of x, then of y, each from the longest.
-
-    `times` (N,): places in the sequence, with repeats. `of_fringe` (N,): number of the fringe. `angles` (N, 1): of the
-    phase steps.
-    """
+    """The N frames of F fringes, in the order of time."""
 
     fringes: tuple[Fringe, ...]
+    """Those of x, then of y, each from the longest."""
     times: Ints
+    """(N,): places in the sequence, with repeats."""
     of_fringe: Ints
+    """(N,): number of the fringe."""
     angles: Floats
+    """(N, 1): of the phase steps."""
 
     @cached_property
     def axis(self) -> Ints:

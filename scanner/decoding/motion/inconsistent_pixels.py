@@ -32,21 +32,24 @@ _TRANSIENT, _MOVED_PX = 1.5, 0.5
 
 @dataclass(frozen=True)
 class InconsistentPixels:
-    """Masks of the pixels where something `moved` (H, W), which is a `share` of the lit ones, and of the lit pixels
-    `static`.
-
-    `frames`: those that contradict others where something moved. `corrupted` (H, W): pixels without a usable
-    coordinate, where fringes changed. With fringes, changes of codes alone are found later, as period slips
-    (wrong_bits.py). `corrupted_by_frames`: with codes alone, and if what moved is gone in later frames, the pixels (H,
-    W) at which a pattern and its inverse contradict the others, by their frames.
-    """
+    """Pixels where something moved."""
 
     moved: Bools
+    """(H, W): where."""
     corrupted: Bools
+    """(H, W): without a usable coordinate, where fringes changed. With fringes, changes of codes alone are found later,
+    as period slips (wrong_bits.py).
+    """
     static: Bools
+    """(H, W): lit, and nothing moved."""
     share: float
+    """Of the lit pixels, where something moved."""
     frames: tuple[int, ...]
+    """Those that contradict others where something moved."""
     corrupted_by_frames: Mapping[tuple[int, ...], Bools] = field(default_factory=dict)
+    """With codes alone, and if what moved is gone in later frames: the pixels (H, W) at which a pattern and its inverse
+    contradict the others, by their frames.
+    """
 
     def message(self, plan: SequencePlan) -> str:
         """Return a sentence for the operator."""

@@ -51,13 +51,14 @@ def trajectories_of(times: Ints) -> list[Trajectory]:
 
 @dataclass(frozen=True)
 class MotionMeasurement:
-    """The `motion` of one event, whether the fringes `contradicted` rest, even if no single event explains it, and the
-    share `by_event` of what independent motion of all frames explains that the event explains.
-    """
+    """The motion of one event, and what else may explain the fringes."""
 
     motion: MotionEstimate
+    """Of the event."""
     contradicted: bool
+    """Whether the fringes contradict rest, even if no single event explains it."""
     by_event: float
+    """Share of what independent motion of all frames explains that the event explains."""
 
 
 class MotionMeter:

@@ -24,14 +24,16 @@ _BLOCK_TILES, _FEWEST_BLOCKS = 4, 4  # side of a block; blocks without which the
 
 @dataclass(frozen=True)
 class _FringeSample:
-    """The frames of one fringe: grey `levels` (N, P), the image `block` of each pixel (P,), and the `times` and phase
-    `shifts` (N,) of the frames.
-    """
+    """The frames of one fringe at P pixels."""
 
     levels: Floats
+    """(N, P): grey levels."""
     block: Ints
+    """(P,): of the image."""
     times: Ints
+    """(N,): of the frames."""
     shifts: Floats
+    """(N,): of the phase, in cycles."""
 
     def fit_jump(self, first_after: int) -> tuple[float, float]:
         """Fit a phase jump before frame `first_after`: the unexplained share of the power, and the jump in cycles.

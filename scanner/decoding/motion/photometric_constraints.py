@@ -30,15 +30,16 @@ _HARMONICS = (2, 3)  # of a nonlinear brightness curve; others are fainter
 
 @dataclass(frozen=True)
 class _Group:
-    """The `deviation` (P,), in grey levels, of `frames` from each other or from the other frames.
-
-    `noise_gain`: noise of `deviation` for a pixel noise of one. `times`: factor on the threshold for a contradiction.
-    """
+    """Frames that must agree with each other or with the other frames."""
 
     frames: tuple[int, ...]
+    """Their numbers."""
     deviation: Floats32
+    """(P,): from agreement, in grey levels."""
     noise_gain: float
+    """Noise of the deviation for a pixel noise of one."""
     times: float = 1.0
+    """Factor on the threshold for a contradiction."""
 
 
 def find_violations(

@@ -22,14 +22,20 @@ MOST_ROUGH_PX = 0.7
 
 @dataclass(frozen=True)
 class ObservedFringes:
-    """The frames of a capture in `tiles`, whose `signals` along x and y have P pixels; sizes are (width, height)."""
+    """The fringes of a capture as motion is measured in them; sizes are (width, height)."""
 
     plan: SequencePlan
+    """Of the sequence."""
     tiles: TileSample
+    """P pixels of the frames."""
     signals: tuple[Signals, Signals]
+    """There, along x and y."""
     noise: NoiseModel
+    """Of a pixel."""
     saturation: float
+    """The lowest clipped grey level."""
     projector_size: tuple[int, int]
+    """Of the projector's picture."""
 
     @property
     def axes(self) -> Iterator[tuple[AxisPlan, Signals]]:
@@ -39,20 +45,22 @@ class ObservedFringes:
 
 @dataclass(frozen=True)
 class MotionPixels:
-    """P pixels by `number` (P,) in a `TileSample`, with the `tile` of each and the `noise` variance of its grey level
-    (P,).
-
-    `projector_px` (P, 2): rough coordinates from the longest fringes. `gradient` (P, 2, 2): their derivative by camera
-    x and y. `by_motion` (P, 2, 8): that by the motion of the devices.
-    """
+    """P pixels at which motion is measured."""
 
     number: Ints
+    """(P,): in a `TileSample`."""
     tile: Ints
+    """(P,): the tile of each."""
     camera_px: Floats
+    """(P, 2)"""
     projector_px: Floats
+    """(P, 2): rough coordinates from the longest fringes."""
     gradient: Floats
+    """(P, 2, 2): their derivative by camera x and y."""
     by_motion: Floats
+    """(P, 2, 8): that by the motion of the devices."""
     noise: Floats
+    """(P,): variance of the grey level."""
 
     @cached_property
     def by_motion32(self) -> Floats32:

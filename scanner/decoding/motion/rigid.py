@@ -19,14 +19,16 @@ PRIOR_PX = 1.0
 
 @dataclass(frozen=True)
 class RigidFit:
-    """The `motion` (8,) of projector and camera, their `covariance`, and the decrease of χ², `gained`.
-
-    For each device: shifts, roll and change of scale, in its px (roll and scale: at half the width from the centre).
+    """A motion of projector and camera. For each device: shifts, roll and change of scale, in its px (roll and scale:
+    at half the width from the centre).
     """
 
     motion: Floats
+    """(8,): of the projector, then of the camera."""
     covariance: Floats
+    """(8, 8)"""
     gained: float
+    """Decrease of χ²."""
 
     @property
     def significance(self) -> float:

@@ -34,18 +34,18 @@ _MOST_BY_EVENT = 0.95
 
 @dataclass(frozen=True)
 class FrameShifts:
-    """Shifts of N frames, taken at `times` (N,) of the sequence, relative to their mean.
-
-    `shift_px` (2, N): shift of the scene to the right and down, with its `covariance` (2 N, 2 N). `by_shifts`: share of
-    the residuals of a fit of light alone that the shifts explain. `by_event`: share of this that one bump or one even
-    drift explains.
-    """
+    """Shifts of N frames relative to their mean."""
 
     times: Ints
+    """(N,): places of the frames in the sequence."""
     shift_px: Floats
+    """(2, N): shift of the scene to the right and down."""
     covariance: Floats
+    """(2 N, 2 N)"""
     by_shifts: float
+    """Share of the residuals of a fit of light alone that the shifts explain."""
     by_event: float
+    """Share of this that one bump or one even drift explains."""
 
     @property
     def is_no_event(self) -> bool:
