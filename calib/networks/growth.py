@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.geometry import NO_FACE, STILL, Matches, Motion
-from calib.networks.labels import label_map, read
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, placed_before_wall, sees, triangulated
 from calib.networks.prior import NetworkKnowledge
+from calib.networks.raster import label_map, read
 from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import Sight, points_on
 from calib.numerics import Bools, Floats, evenly

@@ -1,4 +1,6 @@
-"""Pictures that a device shows, or records, through a homography: keystone correction, digital zoom, a resampled image.
+"""What a network fits better with: pictures through a homography, and a camera that was moved between its captures.
+
+A device shows or records through a homography by keystone correction, digital zoom, or a resampled image.
 
 With one device's picture warped and all others as they are, the captures are likelier by a factor that tells which
 device it is. Noise is measured with all of them free, since what a warp does would else pass for noise.
@@ -15,14 +17,54 @@ from scipy.special import chdtri
 
 from calib.networks.doubts import strains
 from calib.networks.growth import ROUGH, Grown
-from calib.networks.moves import likeliest_move
 from calib.networks.network import PER_WARP, WARP, Network
 from calib.networks.prior import WARP_SIGMA
 from calib.networks.sights import Sight
 from calib.networks.weights import Weights
-from calib.numerics import Bools, Floats
-from calib.refinement import alternative
+from calib.numerics import Bools, Floats, Ints
+from calib.refinement import PER_DEVICE, alternative
 from calib.rooms.likelihood import Fit
+
+_SAME = np.array([1e-5, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])  # of log f, x_0, y_0, k1, k2, p1, p2, k3
+
+
+@dataclass(frozen=True)
+class SameLens:
+    """Two devices, by number, that are one in two places."""
+
+    one: int
+    other: int
+
+    def columns(self, network: Network) -> Ints:
+        """Those of both lenses, (16,)."""
+        every = np.arange(network.size, dtype=np.int32)
+        return np.concatenate([every[network.device_columns(device)][:PER_DEVICE] for device in (self.one, self.other)])
+
+    def misfit(self, network: Network) -> tuple[float, Floats, Floats]:
+        """Of the difference of both lenses: cost, half its gradient (16,) and half its Hessian (16, 16)."""
+        first, second = (network.devices[device].lens for device in (self.one, self.other))
+        off = np.array([np.log(second[0] / first[0]), *(second - first)[1:]]) / _SAME
+        slope = np.concatenate([-np.diag(1 / _SAME), np.diag(1 / _SAME)])
+        return float(off @ off), slope @ off, slope @ slope.T
+
+
+def likeliest_move(grown: Grown, sights: Sequence[Sight], fit: Fit[Network]) -> tuple[float, str]:
+    """The cost, under the scatter of matches, if one camera was moved for one of its captures, and which; of the
+    likeliest. Infinite if none has two.
+    """
+    candidates = [(np.inf, "")]
+    for capture, (name, _) in enumerate(grown.labelled):
+        number, elsewhere = grown.names.index(name), len(grown.names)
+        own = {sight.capture for sight in sights if sight.camera == number}
+        if capture not in own or len(own) == 1:
+            continue
+        split = [replace(sight, camera=elsewhere) if sight.capture == capture else sight for sight in sights]
+        network = replace(fit.layout, devices=(*fit.layout.devices, fit.layout.devices[number]))
+        more = replace(grown, names=(*grown.names, name))
+        weights = replace(Weights.of_noise(split), joints=(SameLens(number, elsewhere),))
+        candidates.append((weights.fitted(more, split, network, more.free(network), ROUGH).cost, name))
+    return min(candidates)
+
 
 _CHANCE = 1e-4
 _BY_CHANCE = float(chdtri(PER_WARP, _CHANCE))

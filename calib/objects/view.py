@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Image, Ints
-from calib.rooms.drawings import logarithmic
-from calib.rooms.marks import Marks, described, no_marks
+from calib.rooms.marks import Marks, described, logarithmic, no_marks
 from calib.rooms.segments import relative_noise
 from calib.rooms.surfaces import spread
 

@@ -18,7 +18,7 @@ from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
 from calib.refinement.likelihood import ROBUST_SIGMAS
 from calib.rooms.contacts import block_inflation
-from calib.rooms.drawings import drawn, logarithmic
+from calib.rooms.marks import drawn, logarithmic
 from calib.rooms.room import Room
 from calib.rooms.tracks import Track
 

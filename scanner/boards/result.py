@@ -8,8 +8,7 @@ from rich.table import Table
 
 from calib.boards import rig_uncertainty
 from scanner.boards.calibrate import FromBoards
-from scanner.boards.page import rows, write_page
-from scanner.boards.verdict import verdict_on
+from scanner.boards.page import rows, verdict_on, write_page
 from scanner.io import write_calibration
 from scanner.results import CALIBRATION_FILE, REPORT_FILE, covariance_entries, verdict_entries
 from scanner.targets import UNIT

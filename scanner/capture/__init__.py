@@ -1,7 +1,6 @@
 """The stream of (pattern, frame), whether live, recorded or simulated, and its recording on disk."""
 
-from scanner.capture.capture_metadata import CaptureMetadata, identity
-from scanner.capture.filmed import SMOOTH_KEY, with_smooth_errors_of_film
+from scanner.capture.capture_metadata import SMOOTH_KEY, CaptureMetadata, identity, with_smooth_errors_of_film
 from scanner.capture.recorder import CAPTURE_FILE, record
 from scanner.capture.recording import Recording, open_capture
 from scanner.capture.resuming import take_up

@@ -8,8 +8,7 @@ import numpy as np
 from calib.numerics import grey, robust_sigma
 from hw.rig import Rig, settable_exposure
 from scanner.checking.light import CLIPPED, Light, flicker_of, photograph_light
-from scanner.checking.limits import LEAST_SHARE
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import LEAST_SHARE, CheckRow, State
 from scanner.decoding import MUCH_FLICKER
 
 _NAME = "exposure"

@@ -7,8 +7,7 @@ import numpy as np
 
 from calib.numerics import Floats
 from scanner.checking.focus import BlurSamples, Lenses
-from scanner.checking.limits import LEAST_AMPLITUDE
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import LEAST_AMPLITUDE, CheckRow, State
 from scanner.patterns import Gray, Pattern, Phase
 
 _NAME = "focus"

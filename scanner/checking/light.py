@@ -1,15 +1,18 @@
-"""Light measured on white and black pictures: where the projector's light arrives, ambient light, and flicker."""
+"""Light measured on white and black pictures: where the projector's light arrives, ambient light, flicker,
+and what is left of the picture before.
+"""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
 from calib.numerics import Bools, Floats, Image, grey, robust_sigma
 from hw.rig import Rig
-from scanner.checking.limits import LEAST_AMPLITUDE, TOLERATED_LOSS
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import LEAST_AMPLITUDE, TOLERATED_LOSS, CheckRow, State
 from scanner.decoding import MUCH_FLICKER
 
 # Least signal in standard deviations, as in the decoder.
@@ -179,3 +182,16 @@ def _ghost(light: Light) -> CheckRow:
         "The panel is slow: turn off noise reduction, motion smoothing and power saving in the projector's menu, and "
         "let it warm up; with a longer exposure less is left, and most DLP projectors leave nothing.",
     )
+
+
+Shown = TypeVar("Shown")
+Observed = TypeVar("Observed")
+
+
+def settled(
+    show: Callable[[Iterator[Shown]], Iterable[Observed]], pictures: Sequence[Shown], light: Light | None = None
+) -> Iterator[Observed]:
+    """What `show` sees of each picture when it has settled; one frame of each will do where `light` knows no ghost."""
+    times = 2 if light is None or leaves_ghost(light) else 1
+    repeated = (picture for picture in pictures for _ in range(times))
+    yield from islice(show(repeated), times - 1, None, times)

@@ -12,10 +12,9 @@ import numpy as np
 from calib.numerics import Floats, grey
 from hw.rig import Rig
 from scanner.capture import lines_of_light
-from scanner.checking.light import Light
+from scanner.checking.light import Light, settled
 from scanner.checking.report import CheckRow, State
 from scanner.checking.response import RAMP_STEPS, Ramp
-from scanner.checking.settled import settled
 from scanner.patterns import Axis
 
 _NAME = "pixels"

@@ -1,15 +1,29 @@
-"""The report of a check: a row for each thing checked, and the conclusions."""
+"""The report of a check: a row for each thing checked, the conclusions, and when a quantity is poor."""
 
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from rich import box
+from rich.markup import escape
+from rich.table import Table
 
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
+
+# One rule for light and lenses. The sigma of a match is proportional to the noise over the amplitude of the fringes,
+# and the sigma of a calibration to that over the root of the number of matches. A quantity is poor if it costs a factor
+# of √2 in sigma, as much as losing half of the frames or half of the pixels.
+TOLERATED_LOSS = sqrt(2.0)
+# Of the amplitude of a fringe, or of the range of grey levels, so much is left then.
+LEAST_AMPLITUDE = 1 / TOLERATED_LOSS
+# Of the number of pixels, or of electrons, whose root sigma goes with.
+LEAST_SHARE = 1 / TOLERATED_LOSS**2
+
 
 Pixels = NDArray[np.uint8]
 
@@ -73,3 +87,34 @@ class CheckReport:
         """The worst of all rows."""
         states = {row.state for row in self.rows}
         return next((state for state in (State.FAILED, State.POOR) if state in states), State.OK)
+
+
+# A sign and a word for each, for colour-blind readers.
+_SIGNS = {State.OK: "✓", State.POOR: "!", State.FAILED: "✗"}
+_PLAIN_SIGNS = {State.OK: "+", State.POOR: "!", State.FAILED: "x"}
+_STYLES = {State.OK: "cyan", State.POOR: "yellow", State.FAILED: "bold magenta"}
+
+
+def signs_for(encoding: str | None) -> dict[State, str]:
+    """Return ✓, ! and ✗, or plain letters where the terminal's encoding lacks them."""
+    try:
+        "".join(_SIGNS.values()).encode(encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return _PLAIN_SIGNS
+    return _SIGNS
+
+
+def table_of(report: CheckReport, encoding: str | None) -> Table:
+    """A line for each row, with the advice below the finding."""
+    signs = signs_for(encoding)
+    table = Table(box=box.SIMPLE, show_header=False, pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for row in report.rows:
+        style = _STYLES[row.state]
+        text = escape(row.finding) + (f"\n[bold]→ {escape(row.advice)}[/bold]" if row.advice else "")
+        if signs is _PLAIN_SIGNS:
+            text = text.replace("→", "->")
+        table.add_row(f"[{style}]{signs[row.state]} {row.state.value}[/{style}]", row.name, text)
+    return table

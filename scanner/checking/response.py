@@ -6,9 +6,8 @@ import numpy as np
 
 from calib.numerics import Floats, grey
 from hw.rig import Rig
-from scanner.checking.light import Light
+from scanner.checking.light import Light, settled
 from scanner.checking.report import CheckRow, State
-from scanner.checking.settled import settled
 from scanner.patterns import ProjectorResponse
 
 _NAME = "response"

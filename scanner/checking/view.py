@@ -12,8 +12,7 @@ from calib.self_calibration import SelfCalibration
 from hw.rig import Rig
 from scanner.capture import capture
 from scanner.checking.fringes import FringeMeter
-from scanner.checking.limits import LEAST_SHARE
-from scanner.checking.report import CheckRow, State
+from scanner.checking.report import LEAST_SHARE, CheckRow, State
 from scanner.configuration import Config
 from scanner.decoding import Decoding, MaskReason, MirroredError
 from scanner.errors import InputError

@@ -1,6 +1,5 @@
 """Configuration files: their schema, and changes to them that keep comments."""
 
-from scanner.configuration.edit import check_text, set_keys, with_key, write_text
-from scanner.configuration.example_files import example
+from scanner.configuration.edit import check_text, example, set_keys, with_key, write_text
 from scanner.configuration.schema import CONFIGURATION_KEY, Config, load_config, recorded_config
 from scanner.configuration.sections import CharucoSettings, ScaleSettings

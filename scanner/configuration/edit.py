@@ -1,8 +1,11 @@
-"""Editing single keys of a configuration file, with everything else unchanged, byte for byte."""
+"""Editing single keys of a configuration file, with everything else unchanged, byte for byte; and
+the commented examples to begin with.
+"""
 
 import os
 import shutil
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -141,3 +144,8 @@ def _end_of(node: yaml.Node, text: str) -> int:
 def _last_of(node: yaml.CollectionNode) -> yaml.Node:
     last: yaml.Node | tuple[yaml.Node, yaml.Node] = node.value[-1]
     return last[1] if isinstance(last, tuple) else last
+
+
+def example(name: str) -> str:
+    """The text of one, by the name of its file."""
+    return (files("scanner.configuration") / "examples" / name).read_text(encoding="utf-8")

@@ -1,12 +1,15 @@
 """Patterns as values, the sequences made of them, and how they are drawn."""
 
 from scanner.patterns.pattern import (
+    PRESETS,
     Axis,
     Black,
     Code,
     Gray,
     Pattern,
     Phase,
+    Preset,
+    PresetName,
     White,
     Xor,
     draw,
@@ -15,7 +18,6 @@ from scanner.patterns.pattern import (
     sequence_for,
     xor_sequence,
 )
-from scanner.patterns.presets import PRESETS, Preset, PresetName
 from scanner.patterns.projector_response import ProjectorResponse
 from scanner.patterns.redundancy import level_groups, unpaired_bits
 from scanner.patterns.sequence_file import (

@@ -1,11 +1,12 @@
-"""The patterns that are projected, as immutable values; drawing them; the sequence that suits a projector.
+"""The patterns that are projected, as immutable values; drawing them; the sequence that suits a projector, and the
+named ones.
 
 Coordinates are projector pixels, x to the right and y down, pixel centres at integers. What each kind means is a file
 format that other programs depend on (see docs/formats.md).
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import ceil, log2
 from typing import Literal
 
@@ -173,3 +174,32 @@ def sequence_for(
         half = (shifts + 1) // 2
         patterns += [*along_x[:half], *along_y, *reversed(along_x[half:])]
     return tuple(patterns)
+
+
+PresetName = Literal["standard", "quick", "concave"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The arguments of `sequence_for`: a code down to `cell` px, fringes of `periods` px in `shifts` steps each."""
+
+    code: Code
+    cell: int
+    inverses: bool
+    periods: tuple[float, ...]
+    shifts: int
+
+    def patterns(self, projector_size: tuple[int, int]) -> tuple[Pattern, ...]:
+        """The sequence for a projector of (width, height)."""
+        return sequence_for(projector_size, **asdict(self))
+
+
+# Two periods whose ratio is far from simple fractions (1.382, or 2.39) seldom agree on a wrong fringe order, so that a
+# wrong bit is detected. Deciding periods are not whole numbers of pixels: otherwise rounding to 256 grey levels would
+# repeat in each cycle, and shift all coordinates by a thousandth of a pixel.
+PRESETS: dict[PresetName, Preset] = {
+    "standard": Preset("gray", cell=8, inverses=True, periods=(16.0, 6.7), shifts=4),
+    "quick": Preset("gray", cell=8, inverses=False, periods=(12.3,), shifts=4),
+    # Two codes that fail in different places, and fringes short enough to cancel in interreflection.
+    "concave": Preset("both", cell=8, inverses=False, periods=(8.43, 6.1), shifts=4),
+}

@@ -12,8 +12,7 @@ from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration, self_calibrate, self_calibrate_jointly
 from scanner.configuration import Config
 from scanner.errors import InputError
-from scanner.reconstruction.face_margins import without_margins
-from scanner.reconstruction.face_masks import label_by_masks
+from scanner.reconstruction.face_masks import label_by_masks, without_margins
 from scanner.reconstruction.keystone import on_panel
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.lens_priors import lenses_of

@@ -39,10 +39,11 @@ from scanner.rendering.downsampling import (
     Map,
     averaged,
     cells_over,
+    even_ticks,
     extent,
     labels_on_grid,
     one_in_cells,
+    tick_text,
 )
 from scanner.rendering.photographs import LONGEST_SIDE, encode_jpeg, jpeg_uri, photograph, png_uri, reduced_size
 from scanner.rendering.templates import page, script, script_hash
-from scanner.rendering.ticks import even_ticks, tick_text

@@ -1,6 +1,6 @@
-"""Maps of millions of pixels, reduced for a page."""
+"""Maps of millions of pixels, reduced for a page, and round numbers along its axes."""
 
-from math import ceil, sqrt
+from math import ceil, floor, log10, sqrt
 
 import cv2
 import numpy as np
@@ -97,3 +97,16 @@ def one_in_cells(camera_px: Floats, side: int, rows: int, columns: int) -> Ints:
         if 0 <= column < columns and 0 <= row < rows and lot > lots[row, column]:
             lots[row, column], drawn[row, column] = lot, i
     return drawn
+
+
+def even_ticks(low: float, high: float, most: int) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten from `low` to `high` > `low`, about `most` at most."""
+    rough = (high - low) / most
+    power = 10.0 ** floor(log10(rough))
+    step = next(digit * power for digit in (1, 2, 5, 10) if digit * power >= rough)
+    return [k * step for k in range(ceil(low / step), floor(high / step) + 1)]
+
+
+def tick_text(tick: float) -> str:
+    """The label of a tick."""
+    return f"{tick:.6g}".replace("-", "−")

@@ -13,7 +13,7 @@ from scanner.decoding import UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
 from scanner.reporting.contents import ReportInput
-from scanner.reporting.principal_point import effect_of_principal_point
+from scanner.reporting.uncertainty import effect_of_principal_point
 from scanner.results import MEASUREMENT_GRADE, Reconstructed, Refused, SelfCalibrated, Verdict
 
 _SYSTEMATIC_MISS_PX = 1.0

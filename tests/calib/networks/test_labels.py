@@ -1,7 +1,6 @@
 import numpy as np
 
-from calib.networks.labels import label_map, read
-from calib.networks.raster import Raster
+from calib.networks.raster import Raster, label_map, read
 
 RASTER = Raster(4, 20, 30)
 

@@ -15,8 +15,7 @@ from hw.errors import DeviceError, OverexposedError
 from hw.open_rig import OpenedRig
 from hw.simulated import SimulatedRoom
 from scanner.checking import check_configured_rig, devices
-from scanner.checking.report import CheckReport, CheckRow, State
-from scanner.checking.table import table_of
+from scanner.checking.report import CheckReport, CheckRow, State, table_of
 from scanner.commands import check as command
 from scanner.commands import main
 from scanner.configuration import load_config

@@ -18,8 +18,7 @@ from scanner.capture import CaptureMetadata
 from scanner.reporting.contents import CaptureRow, JointCaptures, ReportInput
 from scanner.reporting.focal import focal_length
 from scanner.reporting.page import write_report
-from scanner.reporting.principal_point import effect_of_principal_point
-from scanner.reporting.uncertainty import point_sigmas
+from scanner.reporting.uncertainty import effect_of_principal_point, point_sigmas
 from scanner.reporting.verdict import verdict
 from scanner.results import Decoded, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
