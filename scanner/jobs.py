@@ -18,11 +18,12 @@ from scanner import pipeline
 from scanner.capture import CAPTURE_FILE, Recording, check_places, open_capture
 from scanner.configuration import Config, recorded_config
 from scanner.errors import InputError
-from scanner.io import read_calibration, refuse_other_sizes
+from scanner.io import read_calibration, refuse_other_sizes, require_memory
 from scanner.reconstruction import is_calibration, lenses_of, read_captures, read_masks, refuse_impossible
 from scanner.results import CAPTURE_FOLDER, CAPTURES_FOLDER, Decoded, Scan, new_result, read_uncertainty, settle, unused
 from scanner.ui import SILENT, Operator, Progress, Terminal
 
+_BYTES_PER_PIXEL = 50  # of the camera's image, for an organised cloud and its report
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
 
 
@@ -143,6 +144,9 @@ def calibrate(
     One of them may be a calibration from boards: the estimate is then one over both. Raises InputError, RefusalError.
     """
     config.principal_point(config.camera_size)
+    width, height = config.camera_size
+    cloud = f"a cloud and a report for a camera of {width} × {height} pixels"
+    require_memory(_BYTES_PER_PIXEL * width * height, cloud, "give the size of the images that were matched")
     captures = read_captures(matches, config.camera_size, config.projector_size)
     known = tuple(path for path in matches if is_calibration(path))
     if not captures:

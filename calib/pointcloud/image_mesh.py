@@ -18,14 +18,17 @@ from calib.numerics import Floats, Ints, compiled, in_slices, robust_sigma
 _LARGEST_STEP, _LARGEST_STEP_SIGMAS = 6.0, 6.0
 # Among scattered pixels, an edge longer than this multiple of the median spans a hole.
 _LONGEST_EDGE = 3.0
-_STRIP_ROWS = 128
+_STRIP_ROWS, _STRIP_CELLS = 128, 1 << 20
 
 Floats32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """`points` (N, 3) in the camera's frame, their `pixel` (N, 2) and unit `normals` (N, 3); camera's `focal_px`."""
+    """`points` (N, 3) in the camera's frame, unit `normals` (N, 3); the camera's `focal_px`.
+
+    `pixel` (N, 2): where they are seen, no two in one pixel.
+    """
 
     pixel: Floats
     points: Floats
@@ -33,12 +36,12 @@ class SeenPoints:
     focal_px: float
 
 
-def image_triangles(points: SeenPoints, index: Ints) -> Ints:
+def image_triangles(points: SeenPoints) -> Ints:
     """Triangles (T, 3) of point indices, counter-clockwise as seen by the camera.
 
-    `index` (H, W): the point of each pixel, as in `pixel_grid`. In a dense grid, each square of four neighbours gives
-    two triangles, or one if three of its pixels have points. Sparse points, as when the projector's pixels are larger
-    than the camera's, are joined by a Delaunay triangulation of the image.
+    Where points are dense, each square of four pixels gives two triangles, or one if three of its pixels have points.
+    Sparse points, as when the projector's pixels are larger than the camera's, are joined by a Delaunay triangulation
+    of the image. Memory is that of the points, however large the image.
     """
     surface = _Surface(
         points.pixel.astype(np.float32, order="C"),
@@ -46,7 +49,7 @@ def image_triangles(points: SeenPoints, index: Ints) -> Ints:
         points.normals.astype(np.float32, order="C"),
         (points.points[:, 2] / points.focal_px).astype(np.float32),
     )
-    triangles = _grid_triangles(surface, index)
+    triangles = _grid_triangles(surface, np.rint(points.pixel).astype(np.int64))
     return triangles if len(triangles) >= len(points.pixel) else _scattered_triangles(surface)
 
 
@@ -64,21 +67,39 @@ def _limit(steps: Floats32) -> float:
     return max(_LARGEST_STEP, _LARGEST_STEP_SIGMAS * robust_sigma(steps[np.isfinite(steps)].astype(np.float64)))
 
 
-def _grid_triangles(surface: _Surface, index: Ints) -> Ints:
-    along_rows = np.empty((len(index), max(0, index.shape[1] - 1)), np.float32)
+def _grid_triangles(surface: _Surface, pixel: Ints) -> Ints:
+    if not len(pixel):
+        return np.empty((0, 3), np.int32)
+    (left, top), (right, bottom) = pixel.min(axis=0), pixel.max(axis=0)
+    order = np.argsort(pixel[:, 1], kind="stable")
+    column, row = (pixel[order] - (left, top)).T
+    height, width = int(bottom - top + 1), int(right - left + 1)
+    strip_rows = max(1, min(_STRIP_ROWS, _STRIP_CELLS // width))
 
-    def measure(rows: slice) -> None:
-        strip = np.ascontiguousarray(index[rows], np.int64)
-        _steps(surface, strip[:, :-1].ravel(), strip[:, 1:].ravel(), along_rows[rows].reshape(-1))
+    def strip_of(rows: slice) -> tuple[Ints, int]:
+        """The point of each pixel of some rows, −1 for none, and the number of points."""
+        own = slice(*np.searchsorted(row, (rows.start, rows.stop)))
+        strip = np.full((min(rows.stop, height) - rows.start, width), -1)
+        strip[row[own] - rows.start, column[own]] = order[own]
+        return strip, own.stop - own.start
+
+    def measure(rows: slice) -> Floats32:
+        strip, _ = strip_of(rows)
+        first, second = strip[:, :-1].ravel(), strip[:, 1:].ravel()
+        both = (first >= 0) & (second >= 0)
+        steps = np.empty(np.count_nonzero(both), np.float32)
+        _steps(surface, first[both], second[both], steps)
+        return steps
 
     def cut(rows: slice) -> Ints:
-        strip = np.ascontiguousarray(index[rows.start : rows.stop + 1], np.int64)
-        triangles = np.empty((2 * strip.size, 3), np.int32)
+        strip, count = strip_of(slice(rows.start, rows.stop + 1))
+        triangles = np.empty(
+            (2 * count, 3), np.int32
+        )  # a point is in four squares, a triangle takes two of these places
         return triangles[: _strip_triangles(surface, strip, limit, triangles)].copy()
 
-    in_slices(len(index), _STRIP_ROWS, measure)
-    limit = _limit(along_rows)
-    return np.concatenate(in_slices(len(index) - 1, _STRIP_ROWS, cut))
+    limit = _limit(np.concatenate(in_slices(height, strip_rows, measure)))
+    return np.concatenate(in_slices(height - 1, strip_rows, cut))
 
 
 @compiled

@@ -6,6 +6,7 @@ match for each. Gaps between them are filled with the nearest point.
 """
 
 from dataclasses import dataclass
+from math import ceil, sqrt
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ _IN_TURN = 1 << 16  # matches at a time, if they must not be placed in parallel
 _OUTSIDE, _BEHIND, _DISAGREEING, _SHARED, _FATES = 0, 1, 2, 3, 4
 NONE = -1
 _WINDOW_PX = 15
+_LARGEST_SMALL_GRID, _CELLS_PER_POINT = 8_000_000, 16
 # Among unevenly spaced points, the next one is rarely farther than this many spacings.
 _REACH_OF_SPACING = 1.5
 
@@ -175,6 +177,13 @@ def index_grid(pixel: Ints, size: tuple[int, int]) -> Ints:
     grid = np.full(size[::-1], NONE, np.int32)
     grid[pixel[:, 1], pixel[:, 0]] = np.arange(len(pixel), dtype=np.int32)
     return grid
+
+
+def grid_step(count: int, size: tuple[int, int]) -> int:
+    """The step in pixels of a grid over an image of `size` (width, height) that takes little more memory than `count`
+    points; 1 unless these are few in a huge image.
+    """
+    return ceil(sqrt(size[0] * size[1] / max(_LARGEST_SMALL_GRID, _CELLS_PER_POINT * count)))
 
 
 def density(index: Ints) -> float:

@@ -34,7 +34,7 @@ def build_mesh(scan: FinishedScan) -> Mesh:
     """
     focal_px = float(np.mean(scan.calibration.camera.focal_px))
     points = SeenPoints(scan.matches.camera_px, scan.points, scan.normals, focal_px)
-    triangles = image_triangles(points, scan.index_grid)
+    triangles = image_triangles(points)
     if len(triangles) == 0:
         raise InputError(
             "no three points are neighbours on a surface, so there is nothing to make a mesh of: export the cloud as "

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from calib.numerics import Floats
-from calib.pointcloud import NONE, index_grid, without_gaps
+from calib.pointcloud import NONE, grid_step, index_grid, without_gaps
 from scanner.measuring.measurements import FitErrors, Measurements
 from scanner.quantities import ShownUnit, shown_unit
 from scanner.rendering import between, even_ticks, shaded
@@ -80,7 +80,9 @@ def _drawn(panel: _Panel, unit: ShownUnit) -> Image.Image:
     pixel = np.concatenate([part.pixel for part in panel.errors])
     (left, top), (right, bottom) = pixel.min(axis=0), pixel.max(axis=0)
     low, high = np.array([left - 0.5, top - 0.5]), np.array([right + 0.5, bottom + 0.5])
-    index = without_gaps(index_grid(pixel - (left, top), (right - left + 1, bottom - top + 1)))
+    step = grid_step(len(pixel), (right - left + 1, bottom - top + 1))
+    cell = (pixel - (left, top)) // step
+    index = without_gaps(index_grid(cell, cell.max(axis=0) + 1))
     limit = float(np.quantile(np.abs(residual), _SHOWN_SHARE)) or 1.0
     colours = shaded(np.clip(residual / (2 * limit) + 0.5, 0, 1), _SHADES)[index]
     colours[index == NONE] = _NO_POINT

@@ -5,8 +5,18 @@ from itertools import combinations
 import numpy as np
 
 from calib.diagnostics import Budget, LinearFit, Spread, SystematicErrors, footprint_offsets, spread_of_fit, stacked
+from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats, Ints, blocks, robust_sigma
-from calib.pointcloud import OrganisedPoints, Sphere, density, find_sphere, fit_sphere, image_radius_px
+from calib.pointcloud import (
+    OrganisedPoints,
+    Sphere,
+    density,
+    find_sphere,
+    fit_sphere,
+    grid_step,
+    image_radius_px,
+    index_grid,
+)
 from calib.refusal import NoMeasurementError
 from scanner.measuring.measurements import DistanceMeasurement, FitErrors, SphereMeasurement
 from scanner.quantities import percent, shown_unit
@@ -33,7 +43,8 @@ def measure_spheres(
     """Fit one sphere for each diameter, in the scan's unit; a diameter given twice finds two spheres. Raises
     NoMeasurementError.
     """
-    cloud = OrganisedPoints(scan.points, scan.index_grid, scan.calibration.camera)
+    cloud = _organised(scan)
+    density_px = density(cloud.index) * (cloud.camera.width / scan.calibration.camera.width) ** 2
     free = np.ones(len(scan), np.bool_)
     rng = np.random.default_rng(0)
     spheres = []
@@ -41,11 +52,26 @@ def measure_spheres(
         centre = find_sphere(cloud, diameter / 2, free, rng)
         if centre is None:
             raise _not_found(scan, diameter)
-        sphere = _measure(scan, centre, diameter / 2, errors)
+        sphere = _measure(scan, density_px, centre, diameter / 2, errors)
         spheres.append(sphere)
         apart = np.linalg.norm(scan.points - sphere.centre, axis=1)
         free &= apart > (1 + _GATE) * diameter / 2
     return tuple(spheres)
+
+
+def _organised(scan: FinishedScan) -> OrganisedPoints:
+    """The points by the camera's pixels, or by squares of them, as of a coarser camera, if they are few in many."""
+    camera = scan.calibration.camera
+    step = grid_step(len(scan), camera.size)
+    if step > 1:
+        camera = Intrinsics(
+            -(-camera.width // step),
+            -(-camera.height // step),
+            (camera.focal_px[0] / step, camera.focal_px[1] / step),
+            ((camera.principal_point_px[0] + 0.5) / step - 0.5, (camera.principal_point_px[1] + 0.5) / step - 0.5),
+            camera.distortion,
+        )
+    return OrganisedPoints(scan.points, index_grid(scan.pixel // step, camera.size), camera)
 
 
 def centre_distances(spheres: tuple[SphereMeasurement, ...]) -> tuple[DistanceMeasurement, ...]:
@@ -67,12 +93,17 @@ def _distance_budget(first: SphereMeasurement, second: SphereMeasurement) -> Bud
     return stacked([first.spread, second.spread]).through(by_parameters).budget()
 
 
-def _measure(scan: FinishedScan, centre: Floats, radius: float, errors: SystematicErrors) -> SphereMeasurement:
-    """Fit, choose the points again, and so on; then judge whether it is a sphere of that size at all."""
+def _measure(
+    scan: FinishedScan, density_px: float, centre: Floats, radius: float, errors: SystematicErrors
+) -> SphereMeasurement:
+    """Fit, choose the points again, and so on; then judge whether it is a sphere of that size at all.
+
+    `density_px`: points per camera pixel.
+    """
     fitted_centre, fitted_radius = centre, radius
     for _ in range(_REFITS):
         on = _on_ball(scan, fitted_centre, fitted_radius)
-        _refuse_few_points(scan, on, fitted_centre, radius)
+        _refuse_few_points(scan, on, density_px, fitted_centre, radius)
         points, rays = scan.points[on], _rays(scan.points[on])
         sphere = fit_sphere(points, _alike(scan, on), fitted_centre, fitted_radius, rays=rays)
         fitted_centre, fitted_radius = sphere.centre, sphere.radius
@@ -127,9 +158,9 @@ def _image_radius(scan: FinishedScan, centre: Floats, radius: float) -> float:
     return float(image_radius_px(scan.calibration.camera, centre[2:], radius)[0])
 
 
-def _refuse_few_points(scan: FinishedScan, on: Bools, centre: Floats, radius: float) -> None:
+def _refuse_few_points(scan: FinishedScan, on: Bools, density_px: float, centre: Floats, radius: float) -> None:
     image_px = _image_radius(scan, centre, radius)
-    whole = density(scan.index_grid) * np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
+    whole = density_px * np.pi * (image_px * np.sin(np.radians(_FARTHEST_FROM_FACING_DEG))) ** 2
     if np.count_nonzero(on) < max(_FEWEST_POINTS, _LEAST_OF_IMAGE * whole):
         raise NoMeasurementError(
             f"A sphere was found, but it has {np.count_nonzero(on)} points only, in an image of {2 * image_px:.0f} "

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from calib.geometry import Calibration, Matches, intersect
 from calib.numerics import Floats, Ints
-from calib.pointcloud import index_grid
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, read_cloud, read_matches
 from scanner.results.names import CALIBRATION_FILE, CLOUD_FILE
@@ -41,11 +40,6 @@ class FinishedScan:
     def unit(self) -> str:
         """The unit of `points`; 'baseline' if no length is known."""
         return self.calibration.unit
-
-    @property
-    def index_grid(self) -> Ints:
-        """Which point each camera pixel has, (H, W), `NONE` for none."""
-        return index_grid(self.pixel, self.calibration.camera.size)
 
 
 def read_calibration_of(folder: Path) -> Calibration:

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Size
 from calib.numerics import Bools, Ints
-from calib.pointcloud import SeenPoints, image_triangles, index_grid
+from calib.pointcloud import SeenPoints, image_triangles
 from scanner.exporting import Mesh, write_glb
 from scanner.viewing.result import CaptureCloud
 
@@ -47,8 +46,7 @@ def surface_of(cloud: CaptureCloud) -> Surface:
     scan = cloud.scan
     step = max(1, ceil(sqrt(len(scan) / _MOST_POINTS)))
     chosen = np.flatnonzero(np.all(scan.pixel % step == 0, axis=1))
-    width, height = (-(-side // step) for side in scan.calibration.camera.size)
     focal_px = float(np.mean(scan.calibration.camera.focal_px)) / step
     points = SeenPoints(scan.matches.camera_px[chosen] / step, scan.points[chosen], scan.normals[chosen], focal_px)
-    triangles = image_triangles(points, index_grid(scan.pixel[chosen] // step, Size(width, height)))
+    triangles = image_triangles(points)
     return Surface(cloud, chosen[triangles].astype(np.int32))

@@ -9,7 +9,7 @@ import numpy as np
 from calib.geometry import Intrinsics
 from calib.numerics import Bools, Floats
 from calib.pointcloud import build_cloud
-from scanner.io import write_calibration, write_matches, write_ply
+from scanner.io import read_calibration, read_matches, write_calibration, write_matches, write_ply
 from scanner.results import FinishedScan, read_finished_scan
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
@@ -21,6 +21,20 @@ class Written:
     folder: Path
     scan: FinishedScan
     scene: Scene
+
+
+def enlarge(folder: Path, factor: int) -> None:
+    """Change the result in a folder to one whose camera's pixels are `factor` times as fine, with the same matches: few
+    in a huge image.
+    """
+    calibration = read_calibration(folder / "calibration.yaml")
+    camera = calibration.camera
+    x_0, y_0 = ((value + 0.5) * factor - 0.5 for value in camera.principal_point_px)
+    focal_px = camera.focal_px[0] * factor, camera.focal_px[1] * factor
+    finer = Intrinsics(camera.width * factor, camera.height * factor, focal_px, (x_0, y_0), camera.distortion)
+    write_calibration(folder / "calibration.yaml", replace(calibration, camera=finer))
+    matches = read_matches(folder)
+    write_matches(folder / "matches.npz", replace(matches, camera_px=(matches.camera_px + 0.5) * factor - 0.5))
 
 
 def write_result(

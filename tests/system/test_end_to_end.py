@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from calib.geometry import NO_FACE, Sigmas
-from calib.pointcloud import NONE
+from calib.pointcloud import NONE, index_grid
 from hw.settings import SimulatedRigSettings
 from hw.simulated import place_room
 from scanner.capture import open_capture
@@ -135,7 +135,7 @@ def test_one_axis_is_enough_for_a_known_calibration(
     assert names(out) == CALIBRATED | {"capture"}
     of_one, of_both = read_finished_scan(out), read_finished_scan(both)
     assert 0.97 < len(of_one) / len(of_both) < 1.02
-    number = of_both.index_grid[tuple(of_one.pixel.T[::-1])]
+    number = index_grid(of_both.pixel, of_both.calibration.camera.size)[tuple(of_one.pixel.T[::-1])]
     apart = np.linalg.norm(of_one.points - of_both.points[number], axis=1)[number != NONE]
     assert 1e-5 < np.median(apart) < 1e-3  # metres, two metres away
     report = (out / "report.html").read_text()

@@ -1,5 +1,6 @@
 """`scan export` of points and triangles: PLY, E57, OBJ and GLB, read with the libraries of each."""
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -127,38 +128,62 @@ def test_the_surface_is_complete(written: Written, mesh: Mesh) -> None:
     assert np.quantile(off, 0.999) < 0.01
 
 
-def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> tuple[SeenPoints, NDArray[np.int64]]:
-    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, and the index of the point of each pixel."""
+def flat(normal: tuple[float, float, float], shape: tuple[int, int] = (40, 50)) -> SeenPoints:
+    """A plane through (0, 0, 2) seen by a camera of 100 px focal length, in the order of the pixels."""
     column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     pixel = np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)
     rays = np.column_stack([(pixel - (25, 20)) / 100, np.ones(len(pixel))])
     direction = np.array(normal) / np.linalg.norm(normal)
     points = rays * (2 * direction[2] / (rays @ direction))[:, None]
-    index = np.arange(len(points)).reshape(shape)
-    return SeenPoints(pixel, points, np.tile(direction, (len(points), 1)), 100), index
+    return SeenPoints(pixel, points, np.tile(direction, (len(points), 1)), 100)
+
+
+def some(points: SeenPoints, chosen: NDArray[Any]) -> SeenPoints:
+    return SeenPoints(points.pixel[chosen], points.points[chosen], points.normals[chosen], points.focal_px)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 60, 80, 86])
 def test_a_slanting_plane_is_not_cut(tilt_deg: float) -> None:
     tilt = np.radians(tilt_deg)
-    seen, index = flat((0, np.sin(tilt), -np.cos(tilt)), (12, 50))
-    assert len(image_triangles(seen, index)) == 2 * 11 * 49
+    assert len(image_triangles(flat((0, np.sin(tilt), -np.cos(tilt)), (12, 50)))) == 2 * 11 * 49
 
 
 def test_a_step_is_cut_and_a_missing_pixel_costs_its_triangles() -> None:
-    seen, index = flat((0, 0, -1))
-    stepped = seen.points.copy()
-    stepped[index[:, 25:].ravel()] *= 0.9  # 0.2 nearer, ten times the step of a pixel
-    assert len(image_triangles(replace(seen, points=stepped), index)) == 2 * 39 * (24 + 24)
-    holed = index.copy()
-    holed[20, 20] = -1
-    triangles = image_triangles(seen, holed)
-    assert len(triangles) == 2 * 39 * 49 - 4
-    assert 20 * 50 + 20 not in triangles
+    plane = flat((0, 0, -1))
+    nearer = np.where(plane.pixel[:, :1] >= 25, 0.9, 1.0)  # by 0.2, ten times the step of a pixel
+    assert len(image_triangles(replace(plane, points=nearer * plane.points))) == 2 * 39 * (24 + 24)
+    holed = some(plane, np.any(plane.pixel != 20, axis=1))
+    assert len(image_triangles(holed)) == 2 * 39 * 49 - 4
+
+
+@pytest.mark.parametrize("origin", [(0, 0), (14_000, 9_000)])
+def test_the_place_in_the_image_does_not_matter(origin: tuple[int, int]) -> None:
+    plane = flat((0, 0.3, -1), (140, 50))
+    rng = np.random.default_rng(0)
+    there = rng.random(len(plane.pixel)) < 0.95
+    triangles = image_triangles(some(plane, there))
+    moved = image_triangles(some(replace(plane, pixel=plane.pixel + origin), there))
+    assert 1.5 * len(plane.pixel) < len(triangles) < 2 * len(plane.pixel)
+    assert np.array_equal(triangles, moved)
+    shuffled = rng.permutation(np.count_nonzero(there))
+    again = shuffled[image_triangles(some(some(plane, there), shuffled))]
+    assert {*map(frozenset, again.tolist())} == {*map(frozenset, triangles.tolist())}
+
+
+def test_memory_is_that_of_the_points_however_large_the_image() -> None:
+    plane = flat((0, 0, -1))
+    few = replace(plane, pixel=plane.pixel * (300, 300))
+    tracemalloc.start()
+    try:
+        assert len(image_triangles(few)) == 2 * 39 * 49
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 100_000_000  # the image has 176 million pixels
 
 
 def test_processing_in_strips_leaves_no_seam() -> None:
-    assert len(image_triangles(*flat((0, 0, -1), (300, 10)))) == 2 * 299 * 9
+    assert len(image_triangles(flat((0, 0, -1), (300, 10)))) == 2 * 299 * 9
 
 
 def test_scattered_points_give_a_surface(tmp_path: Path) -> None:
@@ -176,11 +201,8 @@ def test_scattered_points_give_a_surface(tmp_path: Path) -> None:
 
 
 def test_a_gap_is_not_bridged() -> None:
-    seen, index = flat((0, 0, -1))
-    kept = np.flatnonzero((index.ravel() % 3 == 0) & (np.abs(seen.pixel[:, 0] - 25) > 8))
-    few = SeenPoints(seen.pixel[kept], seen.points[kept], seen.normals[kept], 100)
-    sparse = np.full(index.shape, -1)
-    sparse[tuple(few.pixel.astype(int).T[::-1])] = np.arange(len(kept))
-    left = few.pixel[image_triangles(few, sparse)][..., 0] < 25
+    plane = flat((0, 0, -1))
+    few = some(plane, (np.arange(len(plane.pixel)) % 3 == 0) & (np.abs(plane.pixel[:, 0] - 25) > 8))
+    left = few.pixel[image_triangles(few)][..., 0] < 25
     assert np.count_nonzero(left.all(axis=1)) > 100
     assert np.array_equal(left.all(axis=1), left.any(axis=1))
