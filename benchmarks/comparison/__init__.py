@@ -1,0 +1,1 @@
+"""The commands, files and differences of `compare_results.py`."""
