@@ -28,11 +28,20 @@ from rich.table import Table
 from calib.numerics import Floats, Image
 from hw.open_rig import open_rig
 from scanner.configuration import Config
-from scanner.live import Account, Decoder, LiveCloud, LiveSequence, Round, watch
-from scanner.live.first_look import FirstLook, look
-from scanner.live.rounds import best_sequence, rounds
-from scanner.live.sequence import FRAMES
-from scanner.live.watching import proven
+from scanner.live import (
+    FRAMES,
+    Account,
+    Decoder,
+    FirstLook,
+    LiveCloud,
+    LiveSequence,
+    Round,
+    best_sequence,
+    look,
+    proven,
+    take_rounds,
+    watch,
+)
 from scanner.pipeline import take
 from scanner.ui import Terminal
 
@@ -67,7 +76,7 @@ def speed(smaller: float, clouds: int, exposure_s: float) -> list[str]:
     """A row of the table: rate and delay of clouds."""
     bench = LiveBench(calibration=calibration(smaller=smaller))
     seen, sequence, decoder = prepared(bench)
-    still = [each for each in islice(rounds(bench.rig, sequence, seen.response), 3) if each is not None]
+    still = [each for each in islice(take_rounds(bench.rig, sequence, seen.response), 3) if each is not None]
 
     def exposed() -> Generator[Round | None]:
         begin_s = time.monotonic()
@@ -116,7 +125,7 @@ def of_ball(speed_m: tuple[float, float, float], exposure_s: float, name: str) -
     bench = LiveBench(speed_m=(speed_m[0] * exposure_s, speed_m[1] * exposure_s, speed_m[2] * exposure_s))
     seen, sequence, decoder = prepared(bench)
     before, earlier = bench.taken, list[LiveCloud]()
-    for each in islice(rounds(bench.rig, sequence, seen.response), 3):
+    for each in islice(take_rounds(bench.rig, sequence, seen.response), 3):
         cloud = None if each is None else proven(decoder, each, earlier)
     assert cloud is not None
     middle = before + FRAMES * cloud.taken.number + (FRAMES - 1) / 2
@@ -150,7 +159,7 @@ def of_corner(seed: int) -> list[list[str]]:
         sequence = best_sequence(opened.rig, seen, opened.truth, None)
         decoder, earlier = Decoder(sequence, seen, opened.truth), list[LiveCloud]()
         cloud = None
-        for each in islice(rounds(opened.rig, sequence, seen.response), 4):
+        for each in islice(take_rounds(opened.rig, sequence, seen.response), 4):
             cloud = cloud if each is None else proven(decoder, each, earlier) or cloud
     assert cloud is not None
     assert full.sigma_px is not None

@@ -28,7 +28,7 @@ from calib.geometry import Motion
 from calib.numerics import Floats
 from calib.open3d_module import open3d
 from calib.refusal import RefusalError
-from calib.rooms.alignment import composed, inverse
+from calib.rooms import composed, inverse
 from hw.simulated.things import Solid
 from scanner.objects import SolvedObject, cloud_of, solve_object, surface_of, verdict_on
 from scanner.rooms import CAMERA_FROM_ROOM, RigStart

@@ -18,9 +18,8 @@ import numpy as np
 
 from calib.geometry import Motion
 from calib.pointcloud import surface
-from calib.rooms import Registration, StationView, marks_of, register, station_view
-from calib.rooms.alignment import composed, inverse
-from calib.synthetic.stations import CAMERA, Paint, Station, moved_rig, random_room, ring, seen_from
+from calib.rooms import Registration, StationView, composed, inverse, marks_of, register, station_view
+from calib.synthetic import STATION_CAMERA, Paint, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 KINDS = ("whole", "open", "stranger", "two", "moved", "bare")
 _LIMITS = (1.0, 0.08)  # degrees, metres
@@ -30,7 +29,7 @@ _LIMITS = (1.0, 0.08)  # degrees, metres
 class Stop:
     """A station with its room and rig."""
 
-    station: Station
+    station: StationCloud
     room: int
 
 
@@ -51,17 +50,17 @@ def stops(kind: str, seed: int, painted: bool = False) -> list[Stop]:
 
 def seen(seed: int, name: int, painted: bool, pieces: int = 8) -> list[Stop]:
     rng = np.random.default_rng(seed)
-    room = random_room(rng, pieces)
+    room = random_furnished_room(rng, pieces)
     paint = Paint(seed) if painted else None
     return [Stop(seen_from(room, place, rng, paint=paint), name) for place in ring(rng, room, 6)]
 
 
-def view_of(station: Station) -> StationView:
-    normals = surface(station.points, float(np.mean(CAMERA.focal_px))).normals
-    view = station_view(station.points, normals, CAMERA)
+def view_of(station: StationCloud) -> StationView:
+    normals = surface(station.points, float(np.mean(STATION_CAMERA.focal_px))).normals
+    view = station_view(station.points, normals, STATION_CAMERA)
     if station.picture is None:
         return view
-    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, CAMERA))
+    return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, STATION_CAMERA))
 
 
 def errors(found: Registration, of: list[Stop]) -> list[tuple[float, float]]:

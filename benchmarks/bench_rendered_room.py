@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from calib.geometry import Calibration, Intrinsics, Motion
 from calib.numerics import Floats
 from calib.refusal import RefusalError
-from calib.rooms.lengths import angle_deg, centre_of, gap
+from calib.rooms import angle_deg, centre_of, gap
 from scanner.configuration import Config
 from scanner.results import Decoded
 from scanner.rooms import RigStart, SolvedRoom, blended, read_stations, rig_from_corners, solve_room

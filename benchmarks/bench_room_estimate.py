@@ -24,9 +24,19 @@ from calib.geometry import Intrinsics, Matches, Size
 from calib.numerics import Floats
 from calib.refinement import CAMERA, PROJECTOR, SHARED, State
 from calib.refusal import RefusalError
-from calib.rooms import RigPrior, Room, RoomEstimate, estimate_room
-from calib.rooms.lengths import Measured, angle_deg, centre_of, distance, gap, vertex
-from calib.rooms.priors import RoomPrior
+from calib.rooms import (
+    Measured,
+    RigPrior,
+    Room,
+    RoomEstimate,
+    RoomPrior,
+    angle_deg,
+    centre_of,
+    distance,
+    estimate_room,
+    gap,
+    vertex,
+)
 from calib.self_calibration import PrincipalPoint, self_calibrate
 from calib.synthetic import RoomOptions, SyntheticRoom, random_room
 

@@ -21,8 +21,7 @@ import numpy as np
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints
 from calib.refinement import Cells, Knowledge, Shifts, State, into_cells
-from calib.rooms import RigPrior, Room, RoomEstimate, RoomPlane, estimate_room
-from calib.rooms.lengths import angle_deg
+from calib.rooms import RigPrior, Room, RoomEstimate, RoomPlane, angle_deg, estimate_room
 from hw.errors import DeviceError
 
 sys.path.append(str(Path(__file__).parents[1]))

@@ -20,9 +20,7 @@ import numpy as np
 from bench_registration import view_of
 
 from calib.rooms import RigPrior, RoomEstimate, estimate_room, register
-from calib.synthetic import RoomOptions, random_room
-from calib.synthetic.stations import random_room as furnished
-from calib.synthetic.stations import ring, seen_from
+from calib.synthetic import RoomOptions, random_furnished_room, random_room, ring, seen_from
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
@@ -31,7 +29,7 @@ from tests.support.rooms import cells_of, disturbed, knowledge_of, true_room
 def registered(number: int, seed: int) -> tuple[float, int, int]:
     """Seconds, the number of registered stations, and pairs of them that overlap."""
     rng = np.random.default_rng(seed)
-    room = furnished(rng)
+    room = random_furnished_room(rng)
     views = [view_of(seen_from(room, place, rng)) for place in ring(rng, room, number)]
     register(views[:2])  # compile, or load from the cache, before timing
     began = time.process_time()

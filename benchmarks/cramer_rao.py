@@ -27,10 +27,8 @@ from calib.refinement import (
     predict,
 )
 from calib.refinement import device_of as rig_device_of
-from calib.rooms import Room, RoomPlane
+from calib.rooms import Patch, Room, RoomPlane, RoomPrior
 from calib.rooms.likelihood import evaluate as evaluate_room
-from calib.rooms.patches import Patch
-from calib.rooms.priors import RoomPrior
 from calib.self_calibration import anywhere
 from calib.synthetic import SyntheticBoards, SyntheticCapture, SyntheticNetwork, SyntheticPhotos
 

@@ -21,7 +21,7 @@ from calib.diagnostics.error_propagation import (
     stacked,
 )
 from calib.diagnostics.morans_i import SpatialCorrelation, spatial_correlation
-from calib.diagnostics.next_best_view import NextView, best_next_view
+from calib.diagnostics.next_best_view import NextView, best_next_view, moved_pose, step_taken
 from calib.diagnostics.notes import FURTHER_CAPTURE, WORTH_A_CAPTURE, notes_on
 from calib.diagnostics.sheet_size import SheetSize, size_of_sheet
 from calib.diagnostics.smooth_errors import PlaneForm, footprint_offsets, plane_form
@@ -29,6 +29,7 @@ from calib.diagnostics.uncertainty import (
     NOWHERE,
     Along,
     Uncertainty,
+    along_valley,
     calibration_of,
     moved_calibration,
     sigmas_of,

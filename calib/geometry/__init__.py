@@ -23,7 +23,18 @@ from calib.geometry.homography import (
     mapped,
 )
 from calib.geometry.matches import FACES, NO_FACE, Matches
-from calib.geometry.radial_distortion import project, unproject
+from calib.geometry.radial_distortion import (
+    Distortion,
+    Pinhole,
+    distorted_point,
+    project,
+    project_into,
+    rescaled,
+    rescaled_by_lens,
+    rescaled_point,
+    unproject,
+    unproject_into,
+)
 from calib.geometry.relative_pose import (
     STILL,
     Motion,

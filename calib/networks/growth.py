@@ -19,8 +19,8 @@ from calib.networks.shared_points import SharedPoints
 from calib.networks.sights import Sight, points_on
 from calib.numerics import Bools, Floats, evenly
 from calib.refinement import device_of, into_cells
+from calib.rooms import RoomPlane, plane_through
 from calib.rooms.likelihood import minimise
-from calib.rooms.planes import RoomPlane, plane_through
 from calib.self_calibration import SelfCalibration
 
 ROUGH = 0.1  # tolerance in cost

@@ -17,7 +17,7 @@ import numpy as np
 from calib.geometry import Motion, Size, cross, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
-from calib.rooms.planes import PER_PLANE, RoomPlane
+from calib.rooms import PER_PLANE, RoomPlane
 from calib.rooms.room import PER_PLACE, moved_place, moved_plane
 
 PER_WARP = 4

@@ -15,8 +15,7 @@ from scipy.special import chdtri
 from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network, turned_by
 from calib.networks.raster import Raster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
-from calib.refinement import PER_DEVICE
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
 from calib.rooms.contacts import block_inflation
 
 _MOST, _FEWEST = 2000, 30

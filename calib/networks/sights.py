@@ -8,7 +8,7 @@ from calib.geometry import Motion, tangent_basis
 from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network, turned_by
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
-from calib.rooms.planes import PER_PLANE, RoomPlane
+from calib.rooms import PER_PLANE, RoomPlane
 
 PER_SIGHT = 2 * PER_NODE + PER_PLANE
 _AXES = np.eye(3)

@@ -14,8 +14,7 @@ import numpy as np
 from calib.networks.network import Network
 from calib.networks.sights import Sight
 from calib.numerics import Bools, Floats, Ints, huber_loss, huber_weights
-from calib.refinement import covariance_of
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import ROBUST_SIGMAS, covariance_of
 from calib.rooms.flatness import modes_over
 from calib.rooms.likelihood import Fit
 

@@ -9,7 +9,7 @@ from scipy.special import chdtri
 
 from calib.geometry import Motion, rotation_about, tangent_basis
 from calib.numerics import Floats
-from calib.rooms.alignment import composed, inverse
+from calib.rooms import composed, inverse
 
 _FEWEST = 4  # poses; fewer nearly always share an axis
 _ROUNDS = 6

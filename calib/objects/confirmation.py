@@ -11,7 +11,7 @@ from calib.numerics import Bools
 from calib.objects.joint import NARROW
 from calib.objects.patch_overlap import THROUGH_FREE_SPACE, overlapping_pixels_of_points
 from calib.objects.view import View, without_small_pieces
-from calib.rooms.alignment import composed, inverse
+from calib.rooms import composed, inverse
 
 _FEWEST = 4  # number of views from which a point must be seen by another view as well
 

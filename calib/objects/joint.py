@@ -17,8 +17,9 @@ from calib.geometry import STILL, Motion
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, huber_weights, median
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
-from calib.refinement.likelihood import ROBUST_SIGMAS
-from calib.rooms.alignment import composed, coupled, inverse, twisted
+from calib.refinement import ROBUST_SIGMAS
+from calib.rooms import composed, inverse
+from calib.rooms.alignment import coupled, twisted
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calib.geometry import Motion
 from calib.numerics import Floats, Ints, compiled
 from calib.objects.view import View
-from calib.rooms.alignment import inverse
+from calib.rooms import inverse
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 

@@ -19,7 +19,7 @@ from calib.objects.joint import NARROW, settled
 from calib.objects.patch_overlap import Evidence, evidence, tolerance
 from calib.objects.pose_search import near_each_other
 from calib.objects.view import PATCHES, View
-from calib.rooms.alignment import composed, inverse
+from calib.rooms import composed, inverse
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3

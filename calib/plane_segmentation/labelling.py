@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 
-from calib.geometry import Matches
-from calib.geometry.radial_distortion import rescaled_point
+from calib.geometry import Matches, rescaled_point
 from calib.numerics import Floats, Ints, compiled, in_pieces
 from calib.plane_segmentation.plane_parallax import Lens
 from calib.plane_segmentation.segmentation import Segments

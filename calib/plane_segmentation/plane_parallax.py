@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import homogeneous
-from calib.geometry.radial_distortion import rescaled, rescaled_by_lens
+from calib.geometry import homogeneous, rescaled, rescaled_by_lens
 from calib.numerics import Floats, compiled
 
 LENS_TERMS = 4

@@ -1,10 +1,19 @@
 """Maximum-likelihood estimation: cells of matches, the model and its Jacobian, focal sweep, profile, lens terms."""
 
 from calib.refinement.alternatives import PictureScale, alternative
-from calib.refinement.distortion_from_planes import Straightened
-from calib.refinement.focal_sweep import family_of, minima, sweep_one, twins
-from calib.refinement.further_planes import with_further_planes
-from calib.refinement.likelihood import SQUARENESS_DEG, Fit, Knowledge, Prior, evaluate, misfit, of_any_device
+from calib.refinement.distortion_from_planes import Straightened, straighten
+from calib.refinement.focal_sweep import at_focal, family_of, minima, sweep_one, twins
+from calib.refinement.further_planes import depths, with_further_planes
+from calib.refinement.likelihood import (
+    ROBUST_SIGMAS,
+    SQUARENESS_DEG,
+    Fit,
+    Knowledge,
+    Prior,
+    evaluate,
+    misfit,
+    of_any_device,
+)
 from calib.refinement.match_cells import Cells, follow_one_plane, into_cells, joined
 from calib.refinement.noise_model import Noise, long_waves, noise_of, overdispersion
 from calib.refinement.parameters import (
@@ -15,15 +24,18 @@ from calib.refinement.parameters import (
     PROJECTOR,
     ROTATION,
     SHARED,
+    TANGENTIAL,
     TANGENTIAL_TERMS,
     TRANSLATION,
     WEAK_TERMS,
+    FurtherPlane,
     Pose,
     State,
     device_of,
     intrinsic_distance,
     moved_device,
     predict,
+    without_lens,
 )
 from calib.refinement.photo_starts import photo_family
 from calib.refinement.priors import DECENTERING, ORDINARY_LENSES, THIRD_RADIAL, ColumnPrior, KnownRig, LensPrior

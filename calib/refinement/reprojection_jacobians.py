@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.geometry.radial_distortion import project_into, unproject_into
+from calib.geometry import project_into, unproject_into
 from calib.numerics import Floats, Ints, compiled
 
 _FACES, _PER_CORNER, _PER_POSE, _PER_PLANE = 3, 3, 6, 3

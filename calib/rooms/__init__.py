@@ -1,14 +1,18 @@
 """Whole rooms: the poses of several stations of one rig, their common planes, and one joint estimate."""
 
+from calib.rooms.alignment import composed, inverse
 from calib.rooms.changed_extrinsics import TurnedRig, changed_extrinsics
 from calib.rooms.dense_check import Disagreement, disagreements
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room
+from calib.rooms.lengths import Measured, RoomPoint, angle_deg, centre_of, distance, gap, vertex
 from calib.rooms.marks import Marks, marks_of
-from calib.rooms.planes import RoomPlane
+from calib.rooms.patches import Patch
+from calib.rooms.planes import PER_PLANE, RoomPlane, plane_through
 from calib.rooms.point_tracking import Sight
-from calib.rooms.priors import RigPrior
+from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.registration import Alternative, Group, LeftOut, Pair, Registration, register
 from calib.rooms.room import Room
+from calib.rooms.segments import relative_noise
 from calib.rooms.station import StationView, station_view
 from calib.rooms.straight_planes import split_planes
 from calib.rooms.without_planes import estimate_without_planes

@@ -14,9 +14,7 @@ from scipy.spatial import cKDTree
 from calib.diagnostics import Uncertainty
 from calib.geometry import Matches, cross, unproject
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly, huber_loss, huber_weights, median
-from calib.refinement import SHARED
-from calib.refinement.further_planes import depths
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import ROBUST_SIGMAS, SHARED, depths
 from calib.rooms.room import PER_PLACE, Room
 
 _DENSE, _MOST = 60_000, 4000  # points of a station, and number of them that search for neighbours

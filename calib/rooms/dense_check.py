@@ -13,8 +13,7 @@ from scipy.special import chdtri
 
 from calib.geometry import Matches
 from calib.numerics import SIGMA_PER_MEDIAN, Floats, huber_weights, median
-from calib.refinement import SHARED
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import ROBUST_SIGMAS, SHARED
 from calib.rooms.contacts import SMOOTH, Contact, block_inflation, blocks_of, find_contacts
 from calib.rooms.estimate import RoomEstimate
 from calib.rooms.room import PER_PLACE

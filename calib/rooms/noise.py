@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.numerics import CUBIC, MEDIAN_LENGTH, TERMS, Bools, Floats, huber_weights, median, monomials, normalisation
-from calib.refinement import Cells, Noise, long_waves, noise_of, overdispersion
-from calib.refinement.match_cells import joined
+from calib.refinement import Cells, Noise, joined, long_waves, noise_of, overdispersion
 from calib.rooms.likelihood import AnyLayout, Fit, Part
 from calib.rooms.ties import plane_scores
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
-from calib.refinement import SHARED, Cells, Pose, State, predict
-from calib.refinement.parameters import PER_CORNER, PER_POSE, FurtherPlane
+from calib.refinement import PER_CORNER, PER_POSE, SHARED, Cells, FurtherPlane, Pose, State, predict
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib.geometry import project, tangent_basis, unproject
 from calib.numerics import MEDIAN_LENGTH, Floats, Image, median
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import ROBUST_SIGMAS
 from calib.rooms.contacts import block_inflation
 from calib.rooms.marks import drawn, logarithmic
 from calib.rooms.room import Room

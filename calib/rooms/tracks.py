@@ -6,8 +6,7 @@ import numpy as np
 
 from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Bools, Floats, Ints, by_pixel, huber_loss, huber_weights
-from calib.refinement import CAMERA, SHARED
-from calib.refinement.likelihood import ROBUST_SIGMAS
+from calib.refinement import CAMERA, ROBUST_SIGMAS, SHARED
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 

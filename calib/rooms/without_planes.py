@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.geometry import Matches, Motion, unproject
 from calib.numerics import Floats
-from calib.refinement import Noise, State, covariance_of
-from calib.refinement.further_planes import depths
+from calib.refinement import Noise, State, covariance_of, depths
 from calib.refusal import RefusalError
 from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in

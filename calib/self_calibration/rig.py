@@ -10,6 +10,7 @@ from calib.closed_form import Objective, objective_for, search
 from calib.diagnostics import (
     NextView,
     Uncertainty,
+    along_valley,
     best_next_view,
     calibration_of,
     no_corner,
@@ -20,7 +21,6 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
-from calib.diagnostics.uncertainty import along_valley
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (

@@ -12,4 +12,15 @@ from calib.synthetic.captures import (
 )
 from calib.synthetic.networks import SyntheticNetwork, random_network
 from calib.synthetic.photos import PhotoOptions, SyntheticPhotos, random_photos
-from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, random_room
+from calib.synthetic.rooms import RoomOptions, SyntheticRoom, SyntheticStation, cast, random_room, random_waves
+from calib.synthetic.stations import (
+    STATION_CAMERA,
+    CloudErrors,
+    FurnishedRoom,
+    Paint,
+    StationCloud,
+    moved_rig,
+    random_furnished_room,
+    ring,
+    seen_from,
+)

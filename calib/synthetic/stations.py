@@ -19,10 +19,10 @@ _UP = np.array([0.0, 0.0, 1.0])
 _POSTER_M, _PRINTED_M = 0.6, (0.23, 0.11, 0.07)
 _OFF_THE_WALLS = np.array([0.37, 0.41, 0.43])
 _TABLE, _PRIMES = 65_521, np.array([7919, 104_729, 1_299_709])
-CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0, 0.0, 0.0))
+STATION_CAMERA = Intrinsics(612, 512, (450.0, 450.0), (309.0, 251.0), (-0.06, 0.01, 0.0, 0.0, 0.0))
 
 
-class Room(NamedTuple):
+class FurnishedRoom(NamedTuple):
     """Six walls and furniture, and the sides (3,) of the room."""
 
     scene: Scene
@@ -30,7 +30,7 @@ class Room(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Station:
+class StationCloud:
     """`points` (H, W, 3) in the camera's frame, as measured, NaN for none; `place`: X_world = R X + t.
 
     `picture` (H, W): the lit scene; None for a room without paint.
@@ -66,7 +66,7 @@ class Paint:
 
 
 @dataclass(frozen=True)
-class Errors:
+class CloudErrors:
     """Errors of a measured cloud. `noise_m`: along the ray at 3 m, growing with the distance squared; `shape`: relative
     deformation by a wrong calibration, the same for all stations; `steepest_deg`: surfaces at a steeper slant are not
     seen.
@@ -77,12 +77,12 @@ class Errors:
     steepest_deg: float = 82.0
 
 
-def random_room(
+def random_furnished_room(
     rng: np.random.Generator,
     pieces: int = 8,
     walls_off_deg: float = 0.3,
     size: tuple[float, float, float] | None = None,
-) -> Room:
+) -> FurnishedRoom:
     """A random room with `pieces` of furniture along the walls, and walls that are a little off square."""
     sides = np.array(size or (rng.uniform(3.8, 5.2), rng.uniform(3.2, 4.4), rng.uniform(2.4, 2.9)))
     normals = np.concatenate([np.eye(3), -np.eye(3)])
@@ -90,7 +90,7 @@ def random_room(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     on = np.concatenate([np.tile(sides / 2, (3, 1)) * (1 - np.eye(3)), np.tile(sides / 2, (3, 1)) * (1 + np.eye(3))])
     solids = [(normals, np.sum(normals * on, axis=1)), *(_piece(rng, sides) for _ in range(pieces))]
-    return Room(Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5))), sides)
+    return FurnishedRoom(Scene(solids, np.zeros((0, 4)), np.zeros((6, 1, 5))), sides)
 
 
 def _piece(rng: np.random.Generator, room: Floats) -> tuple[Floats, Floats]:
@@ -104,7 +104,7 @@ def _piece(rng: np.random.Generator, room: Floats) -> tuple[Floats, Floats]:
     return box_on(turned + np.array([room[0], room[1], size[2]]) / 2, size / 2, yaw)
 
 
-def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 60.0) -> list[Motion]:
+def ring(rng: np.random.Generator, room: FurnishedRoom, stations: int, step_deg: float = 60.0) -> list[Motion]:
     """Places of a rig that is carried around once. Each looks across the room, and overlaps with the next."""
     start, places = rng.uniform(0, 2 * np.pi), []
     middle = room.size / 2
@@ -123,17 +123,17 @@ def ring(rng: np.random.Generator, room: Room, stations: int, step_deg: float = 
 
 
 def seen_from(
-    room: Room,
+    room: FurnishedRoom,
     place: Motion,
     rng: np.random.Generator,
-    errors: Errors | None = None,
-    camera: Intrinsics = CAMERA,
+    errors: CloudErrors | None = None,
+    camera: Intrinsics = STATION_CAMERA,
     paint: Paint | None = None,
-) -> Station:
+) -> StationCloud:
     """The cloud of one station and, with `paint`, its picture. The projector is 0.3 m beside the camera; points in its
     shadow are missing.
     """
-    errors = errors or Errors()
+    errors = errors or CloudErrors()
     rays = camera.unproject(camera.size.pixels.reshape(-1, 2))
     directions = rays @ place.rotation.T
     depth, _ = first_hits(directions, place.translation, room.scene)
@@ -147,21 +147,21 @@ def seen_from(
     along = 1 + errors.noise_m / 9.0 * z * rng.normal(size=z.shape)
     cloud = (points * bent * along).reshape(camera.height, camera.width, 3).astype(np.float32)
     if paint is None:
-        return Station(cloud, place)
+        return StationCloud(cloud, place)
     light = np.where(lit, paint.albedo(hit) / np.sum((hit - projector) ** 2, axis=1), 0.0)
     light = np.minimum(light / np.percentile(light, 98), 1.0) + 0.01 * rng.normal(size=len(light))
     picture = np.rint(255 * np.clip(light, 0.0, 1.0)).astype(np.uint8).reshape(camera.height, camera.width)
-    return Station(cloud, place, picture)
+    return StationCloud(cloud, place, picture)
 
 
-def moved_rig(station: Station, stretch: float = 0.08) -> Station:
+def moved_rig(station: StationCloud, stretch: float = 0.08) -> StationCloud:
     """The same station measured with changed extrinsics and the old calibration."""
     z = station.points[..., 2:]
     scale = 1 + stretch * (z / 3.0) + 0.5 * stretch * station.points[..., :1] / z
     return replace(station, points=(station.points * scale).astype(np.float32))
 
 
-def _steep(points: Floats, camera: Intrinsics, errors: Errors) -> Bools:
+def _steep(points: Floats, camera: Intrinsics, errors: CloudErrors) -> Bools:
     """Which points (N, 3) of an image lie on a surface at too steep a slant, or at its edge."""
     grid = points.reshape(camera.height, camera.width, 3)
     across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)

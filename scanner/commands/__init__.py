@@ -4,4 +4,4 @@
 """
 
 from scanner.commands.arguments import NAMED
-from scanner.commands.main import main, parser_of
+from scanner.commands.main import choose_command, main, parser_of

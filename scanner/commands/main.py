@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a terminal without × or ± is no error
     with handlers_restored():
         try:
-            name, rest = _choose(sys.argv[1:] if arguments is None else list(arguments))
+            name, rest = choose_command(sys.argv[1:] if arguments is None else list(arguments))
             args = parser_of(name).parse_args(rest)
             run = _command(name).load()
             on_ending(interrupt)
@@ -92,7 +92,7 @@ def _command(name: str) -> Command:
     return NAMED[name] if name else MAIN
 
 
-def _choose(arguments: list[str]) -> tuple[str, list[str]]:
+def choose_command(arguments: list[str]) -> tuple[str, list[str]]:
     """The command's name, '' for the main job, and its arguments."""
     if not arguments:
         raise InputError(f"nothing to do\n\n{parser_of('').format_help().rstrip()}\n\n{_FIRST_STEP}")

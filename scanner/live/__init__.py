@@ -1,7 +1,9 @@
 """Live clouds from a short sequence, decoded during the capture; kept clouds become stations."""
 
 from scanner.live.cloud import Decoder, LiveCloud, Round
+from scanner.live.first_look import FirstLook, look
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
-from scanner.live.sequence import LiveSequence
+from scanner.live.rounds import best_sequence, take_rounds
+from scanner.live.sequence import FRAMES, LiveSequence
 from scanner.live.texts import account_text, result_texts, round_texts
-from scanner.live.watching import Account, Newest, watch
+from scanner.live.watching import Account, Newest, proven, watch

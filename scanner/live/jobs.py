@@ -20,7 +20,7 @@ from scanner.errors import InputError
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import joining, keep_station
-from scanner.live.rounds import best_sequence, rounds
+from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.sequence import LiveSequence
 from scanner.live.texts import cloud_text
 from scanner.live.watching import Account, watch
@@ -234,7 +234,7 @@ def _watch(
             keeper.offer(cloud, sequence, rig)
 
     watch(
-        rounds(rig, sequence, seen.response),
+        take_rounds(rig, sequence, seen.response),
         Decoder(sequence, seen, found.calibration),
         on_round,
         lambda: keeper.has_ended or (one_only and keeper.begun > begun),

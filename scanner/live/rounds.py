@@ -26,7 +26,7 @@ _IN_A_ROW = 20
 _MOST_LOST = 10  # consecutive lost rounds that indicate a camera failure
 
 
-def rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:
+def take_rounds(rig: Rig, sequence: LiveSequence, response: ProjectorResponse | None) -> Generator[Round | None]:
     """Rounds without end; None for a round with a lost frame. Raises DeviceError."""
     pictures = [_picture(pattern, rig.projector.size, response) for pattern in sequence.patterns]
     level = level_groups(sequence.patterns)
@@ -59,7 +59,7 @@ def best_sequence(
 ) -> LiveSequence:
     """The shortest fringes that are unambiguous, from one round of longer ones. Raises DeviceError, RefusalError."""
     widest = widest_sequence(calibration, depths)
-    with closing(rounds(rig, widest, seen.response)) as taken:
+    with closing(take_rounds(rig, widest, seen.response)) as taken:
         return shortened(widest, next(each for each in taken if each is not None).grey, seen, calibration)
 
 

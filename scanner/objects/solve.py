@@ -27,8 +27,7 @@ from calib.objects import (
 )
 from calib.pointcloud import Cloud, build_cloud
 from calib.refusal import NoMeasurementError
-from calib.rooms.alignment import composed
-from calib.rooms.segments import relative_noise
+from calib.rooms import composed, relative_noise
 from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled

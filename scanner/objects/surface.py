@@ -10,8 +10,7 @@ from calib.numerics import Bools, Floats, Ints
 from calib.pointcloud import MergedCloud
 from scanner.exporting import Mesh, mesh_of, reconstruct_surface
 from scanner.objects.contents import SolvedObject, Surface
-from scanner.rooms import CAMERA_FROM_ROOM, blended_of
-from scanner.rooms.textures import part_of
+from scanner.rooms import CAMERA_FROM_ROOM, blended_of, part_of
 
 _AROUND = 3.0  # over the size: a surface seen from one half closes within a cube of this size
 _DEEPEST = 9  # depth of the octree: 512 cells per side

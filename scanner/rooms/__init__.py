@@ -9,4 +9,5 @@ from scanner.rooms.jobs import scan_room, writing_refusals
 from scanner.rooms.live import Comparison, check_stations, take_object_stations
 from scanner.rooms.mesh import CAMERA_FROM_ROOM
 from scanner.rooms.solve import solve_room
+from scanner.rooms.textures import part_of
 from scanner.rooms.verdict import verdict_on

@@ -11,7 +11,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from calib.numerics import Floats, Ints
-from calib.rooms.lengths import Measured, angle_deg, distance, gap, vertex
+from calib.rooms import Measured, angle_deg, distance, gap, vertex
 from scanner.rooms.contents import SolvedRoom
 from scanner.rooms.upright import ceiling_of, is_vertical
 

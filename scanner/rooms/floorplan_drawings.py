@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from calib.numerics import Floats
-from calib.rooms.lengths import Measured
+from calib.rooms import Measured
 from scanner.quantities import plain, shown_unit
 from scanner.rooms.floorplan import FloorPlan, WallLine
 

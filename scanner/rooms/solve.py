@@ -27,8 +27,8 @@ from calib.rooms import (
     register,
     split_planes,
     station_view,
+    vertex,
 )
-from calib.rooms.lengths import vertex
 from scanner.configuration import Config
 from scanner.reconstruction import lenses_of, scaled, shifts_of
 from scanner.results import Decoded

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from scanner.commands import parser_of
-from scanner.commands.main import _choose
+from scanner.commands import choose_command, parser_of
 from scanner.configuration import load_config
 from tests.support.places import ROOT
 
@@ -120,7 +119,7 @@ def parse(command: Documented) -> None:
     elif program == "python":
         _parse_script(rest)
     else:
-        chosen, arguments = _choose(rest)
+        chosen, arguments = choose_command(rest)
         options = parser_of(chosen).parse_args(arguments)
         configuration = getattr(options, "config", None)
         if configuration is not None and (ROOT / configuration).exists():

@@ -6,8 +6,7 @@ import numpy as np
 import yaml
 
 from calib.numerics import Bools, Floats
-from calib.synthetic import SyntheticNetwork
-from calib.synthetic.rooms import cast
+from calib.synthetic import SyntheticNetwork, cast
 from scanner.io import write_png
 from scanner.patterns import pattern_to_dict, sequence_for
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.numerics import Bools, Floats, Floats32, around, compiled
 from scanner.decoding.between_axes.registration import TILE_PX, centres_of_tiles, moments_of_tiles
-from scanner.decoding.motion.pixels import MOST_ROUGH_PX
+from scanner.decoding.motion import MOST_ROUGH_PX
 from scanner.decoding.significance import FEWEST_PIXELS, NEGLIGIBLE
 
 # Decoded pixels at most this far from the border, in projector px, locate it to this many camera px.

@@ -12,8 +12,7 @@ from calib.numerics import Floats, Floats32, clustered_scatter, huber_weights
 from scanner.decoding.between_axes.borders import REACH_PX
 from scanner.decoding.between_axes.edges import Edges, ScenePixels
 from scanner.decoding.between_axes.registration import shifts_of_tiles, solved
-from scanner.decoding.motion import SUSPECTED_PX, RigidFit
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
+from scanner.decoding.motion import COLUMNS, PER_DEVICE, SUSPECTED_PX, RigidFit
 from scanner.decoding.significance import HALF, HUBER_ROUNDS, HUBER_SIGMAS, NEGLIGIBLE, SIGNIFICANT_SIGMAS
 
 # Systematic error from fringe ripple and fixed patterns, in captures of real devices at rest.

@@ -16,9 +16,15 @@ from scanner.decoding.between_axes.edges import Edges
 from scanner.decoding.between_axes.evenly_lit import EvenlyLit, Half, evenly_lit, pairs_of
 from scanner.decoding.between_axes.time_of_change import TimeOfChange, time_of_change
 from scanner.decoding.code_images import Frames
-from scanner.decoding.motion import SUSPECTED_PX, MotionEstimate
-from scanner.decoding.motion.device_motion import LEAST_PX, CoordinateShift, turns_px
-from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE
+from scanner.decoding.motion import (
+    COLUMNS,
+    LEAST_PX,
+    PER_DEVICE,
+    SUSPECTED_PX,
+    CoordinateShift,
+    MotionEstimate,
+    turns_px,
+)
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD, SIGNIFICANT_SIGMAS
 

@@ -14,8 +14,7 @@ import numpy as np
 from calib.numerics import Bools, Image, Ints, Words, compiled, lines_of
 from scanner.decoding.checks.frame_consistency import LEFT_BY_SWAP, MOST_BROKEN, Anomaly
 from scanner.decoding.codes import CodeWords, cell_numbers
-from scanner.decoding.light import STRAY_PART, NoiseModel
-from scanner.decoding.light.lit_pixels import LIT
+from scanner.decoding.light import LIT, STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
 from scanner.decoding.significance import BRIGHTEST, FARTHEST_PX, FEWEST_COUNTED, OUTLYING_SIGMAS
 from scanner.errors import InputError

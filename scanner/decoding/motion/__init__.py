@@ -1,11 +1,18 @@
 """Detection and correction of motion during a capture: of the camera, the projector or objects in the scene."""
 
 from scanner.decoding.motion.code_shift import CodeShift, shifts_of_codes
-from scanner.decoding.motion.device_motion import SUSPECTED_PX, MotionEstimate, moved_device
+from scanner.decoding.motion.device_motion import (
+    LEAST_PX,
+    SUSPECTED_PX,
+    CoordinateShift,
+    MotionEstimate,
+    moved_device,
+    turns_px,
+)
 from scanner.decoding.motion.inconsistent_pixels import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.measure import measure_motion
 from scanner.decoding.motion.phase_jump import find_phase_jump
-from scanner.decoding.motion.pixels import ObservedFringes
+from scanner.decoding.motion.pixels import MOST_ROUGH_PX, ObservedFringes
 from scanner.decoding.motion.refusals import (
     UNSEEN_MOTION,
     attribute_to_motion,
@@ -15,5 +22,5 @@ from scanner.decoding.motion.refusals import (
     refuse_unexplained_motion,
     remarks_on,
 )
-from scanner.decoding.motion.rigid import RigidFit, fit_motion, shifts_by_motion
+from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, RigidFit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.geometry.radial_distortion import Distortion, Pinhole, distorted_point
+from calib.geometry import Distortion, Pinhole, distorted_point
 from calib.numerics import Bools, Floats, compiled
 from scanner.exporting.mapping.projector_view import Numbers, ProjectorView
 from scanner.io import RowFile, by_rows

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from calib.diagnostics.acceptance import missing_knowledge, no_corner, refuse_degenerate, refuse_untrustworthy
-from calib.refinement import CAMERA, PROJECTOR, Knowledge, Refinement, family_of, into_cells, refine
-from calib.refinement.distortion_from_planes import straighten
-from calib.refinement.focal_sweep import at_focal
+from calib.refinement import (
+    CAMERA,
+    PROJECTOR,
+    Knowledge,
+    Refinement,
+    at_focal,
+    family_of,
+    into_cells,
+    refine,
+    straighten,
+)
 from calib.refusal import PHOTOS, RIG, RefusalError
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 

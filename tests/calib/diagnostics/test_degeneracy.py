@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.diagnostics.degeneracy import reasons_in_images, reasons_in_space
 from calib.numerics import Floats
-from calib.refinement import Cells, Pose, State
-from calib.refinement.parameters import without_lens
+from calib.refinement import Cells, Pose, State, without_lens
 from calib.refusal import RIG
 
 AHEAD = np.array([0.0, 0.0, 1.0])

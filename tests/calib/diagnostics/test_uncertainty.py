@@ -9,9 +9,7 @@ import pytest
 from calib.diagnostics.next_best_view import best_next_view, moved_pose
 from calib.diagnostics.uncertainty import Uncertainty
 from calib.geometry import Matches, unproject
-from calib.refinement import CAMERA, SHARED, Knowledge, family_of, into_cells, refine
-from calib.refinement.distortion_from_planes import straighten
-from calib.refinement.further_planes import depths
+from calib.refinement import CAMERA, SHARED, Knowledge, depths, family_of, into_cells, refine, straighten
 from calib.self_calibration import PrincipalPoint, self_calibrate, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, random_capture
 

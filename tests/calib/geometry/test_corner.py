@@ -1,60 +1,13 @@
-"""The image of a corner, and the corner for given intrinsics, compared with known corners."""
-
-from typing import Any
+"""The legs, normals, axes and planes of a corner."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.closed_form.transfer import image_of_corner, intrinsic_matrices, transfer
-from calib.geometry.corner import Corner, corner_planes, depths_on_planes, polar
-from calib.geometry.homography import face_grams
-from calib.synthetic import PAPER_CAMERA, random_capture
+from calib.geometry.corner import Corner, depths_on_planes, polar
 
 SEEDS = st.integers(0, 10_000)
-
-
-@settings(max_examples=15)
-@given(seed=SEEDS)
-def test_the_image_of_the_vertex(seed: int) -> None:
-    capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
-    image = image_of_corner(face_grams(capture.matches))
-    vertex = image.vertex[:2] / image.vertex[2]
-    assert vertex == pytest.approx(PAPER_CAMERA.project(capture.corner.vertex[None])[0], abs=1e-2)
-
-
-@settings(max_examples=15)
-@given(seed=SEEDS)
-def test_both_solutions_are_square_and_one_is_the_true_corner(seed: int) -> None:
-    capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
-    image = image_of_corner(face_grams(capture.matches))
-    inverse: Any = np.linalg.inv(intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px))
-    normals, rays = corner_planes(image, inverse)
-    for solution in normals[:, 0]:
-        assert np.allclose(solution @ solution.T, np.eye(3), atol=1e-6)
-    # Parallel or antiparallel to the true normals, face by face.
-    agreement = np.abs(np.einsum("nsi,si->ns", normals[:, 0], capture.corner.normals)).min(axis=1)
-    assert agreement.max() > 1 - 1e-6
-    assert agreement.min() < 1 - 1e-3
-    assert rays[0] @ capture.corner.vertex == pytest.approx(np.linalg.norm(capture.corner.vertex), rel=1e-6)
-
-
-@settings(max_examples=15)
-@given(seed=SEEDS)
-def test_transferring_the_true_camera_gives_the_true_projector(seed: int) -> None:
-    capture = random_capture(np.random.default_rng(seed), count=3000, noise_px=0.0)
-    grams = face_grams(capture.matches)
-    matrices = intrinsic_matrices(np.array([1791.1]), PAPER_CAMERA.principal_point_px)
-    result = transfer(grams, image_of_corner(grams), matrices)
-    errors = np.abs(result.matrix - capture.calibration.projector.matrix).max(axis=(1, 2))
-    best = int(np.nanargmin(errors))
-    assert errors[best] < 0.5
-    assert np.allclose(result.rotation[best], capture.calibration.rotation, atol=1e-3)
-    direction = result.translation[best] / np.linalg.norm(result.translation[best])
-    truth = capture.calibration.translation / capture.calibration.baseline
-    assert np.allclose(direction, truth, atol=2e-3)
 
 
 def test_legs_and_normals_are_polar_to_each_other() -> None:

@@ -10,8 +10,7 @@ from calib.numerics import Floats
 from calib.refinement import LensPrior
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint
-from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network
-from calib.synthetic.rooms import random_waves
+from calib.synthetic import RoomOptions, SyntheticNetwork, networks, random_network, random_waves
 
 OPTIONS = RoomOptions(boxes=1, count=6000)
 

@@ -10,7 +10,7 @@ from calib.rooms.assembly import gain_of
 from calib.rooms.cuts import firmly_connected, weakest_cut
 from calib.rooms.misfits import worst_misfit
 from calib.rooms.surfaces import Surfaces, surfaces_of
-from calib.synthetic.stations import moved_rig
+from calib.synthetic import moved_rig
 from tests.calib.rooms.test_registration import stations_in, view_of
 
 pytestmark = pytest.mark.xdist_group("registration")  # shares its stations

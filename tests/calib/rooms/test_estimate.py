@@ -5,8 +5,7 @@ import pytest
 
 from calib.geometry import Motion
 from calib.numerics import CUBIC, Floats, monomials
-from calib.refinement import CAMERA, PROJECTOR, SHARED, Cells, Shifts
-from calib.refinement.parameters import TANGENTIAL
+from calib.refinement import CAMERA, PROJECTOR, SHARED, TANGENTIAL, Cells, Shifts
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, Room, estimate_room
 from calib.rooms.room import PER_PLACE

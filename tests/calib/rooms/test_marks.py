@@ -10,30 +10,30 @@ from calib.rooms.alignment import composed, inverse
 from calib.rooms.marked_poses import marked_poses
 from calib.rooms.marks import Marks, alike
 from calib.rooms.surfaces import surfaces_of
-from calib.synthetic.stations import Paint, Station, random_room, ring, seen_from
+from calib.synthetic import Paint, StationCloud, random_furnished_room, ring, seen_from
 from tests.calib.rooms.test_registration import CAMERA, off, view_of
 
 
-def with_marks(station: Station) -> StationView:
+def with_marks(station: StationCloud) -> StationView:
     view = view_of(station)
     return replace(view, marks=marks_of(station.picture, view.points, view.labels, view.planes, view.camera))
 
 
 @pytest.fixture(scope="module")
-def painted() -> list[Station]:
+def painted() -> list[StationCloud]:
     """Three neighbours of a bare room that is ambiguous without its pictures (test_registration)."""
     rng = np.random.default_rng(3)
-    room = random_room(rng, 0)
+    room = random_furnished_room(rng, 0)
     places = ring(rng, room, 6)[:3]
     return [seen_from(room, place, rng, camera=CAMERA, paint=Paint(3, 0.3)) for place in places]
 
 
 @pytest.fixture(scope="module")
-def views(painted: list[Station]) -> list[StationView]:
+def views(painted: list[StationCloud]) -> list[StationView]:
     return [with_marks(station) for station in painted]
 
 
-def test_matching_marks_are_paired(painted: list[Station], views: list[StationView]) -> None:
+def test_matching_marks_are_paired(painted: list[StationCloud], views: list[StationView]) -> None:
     pose = composed(inverse(painted[0].place), painted[1].place)
     first, second = views[0].marks, views[1].marks
     own, other = alike(first, second)
@@ -46,14 +46,14 @@ def test_matching_marks_are_paired(painted: list[Station], views: list[StationVi
     assert 0.0005 < np.median(far[right]) < 0.03
 
 
-def test_marks_alone_determine_the_pose(painted: list[Station], views: list[StationView]) -> None:
+def test_marks_alone_determine_the_pose(painted: list[StationCloud], views: list[StationView]) -> None:
     poses = marked_poses(*(surfaces_of(view) for view in views[:2]))
     degrees, metres = off(poses[0], composed(inverse(painted[0].place), painted[1].place))
     assert 1e-3 < degrees < 0.8
     assert 1e-4 < metres < 0.04
 
 
-def test_pictures_resolve_a_bare_room(painted: list[Station], views: list[StationView]) -> None:
+def test_pictures_resolve_a_bare_room(painted: list[StationCloud], views: list[StationView]) -> None:
     (group,) = register([views[2], views[0], views[1]]).groups
     assert group.stations == (0, 1, 2)
     assert not group.ambiguous
@@ -75,7 +75,7 @@ def test_repeated_marks_are_not_used(views: list[StationView]) -> None:
     assert len(alike(marks, twice)[0]) == 0
 
 
-def test_a_picture_of_another_size_is_an_error(painted: list[Station], views: list[StationView]) -> None:
+def test_a_picture_of_another_size_is_an_error(painted: list[StationCloud], views: list[StationView]) -> None:
     view = views[0]
     with pytest.raises(ValueError, match=r"\(256, 306\)"):
         marks_of(painted[0].picture[1:], view.points, view.labels, view.planes, view.camera)

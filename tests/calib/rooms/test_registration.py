@@ -12,7 +12,7 @@ from calib.rooms import Registration, StationView, register, station_view
 from calib.rooms.alignment import composed, inverse
 from calib.rooms.features import feature_poses
 from calib.rooms.surfaces import surfaces_of
-from calib.synthetic.stations import Room, Station, moved_rig, random_room, ring, seen_from
+from calib.synthetic import FurnishedRoom, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 pytestmark = pytest.mark.xdist_group("registration")  # what the module shares is made once
 
@@ -20,14 +20,14 @@ CAMERA = Intrinsics(306, 256, (225.0, 225.0), (154.0, 125.5), (-0.06, 0.01, 0.0,
 
 
 @cache
-def stations_in(seed: int, count: int, pieces: int = 8) -> tuple[Room, list[Station]]:
+def stations_in(seed: int, count: int, pieces: int = 8) -> tuple[FurnishedRoom, list[StationCloud]]:
     rng = np.random.default_rng(seed)
-    room = random_room(rng, pieces)
+    room = random_furnished_room(rng, pieces)
     places = ring(rng, room, 6)[:count]
     return room, [seen_from(room, place, rng, camera=CAMERA) for place in places]
 
 
-def view_of(station: Station, factor: float = 1.0) -> StationView:
+def view_of(station: StationCloud, factor: float = 1.0) -> StationView:
     points = (factor * station.points).astype(np.float32)
     return station_view(points, surface(points, CAMERA.focal_px[0]).normals, CAMERA)
 
@@ -40,12 +40,12 @@ def off(found: Motion, true: Motion) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def scene() -> tuple[Room, list[Station]]:
+def scene() -> tuple[FurnishedRoom, list[StationCloud]]:
     return stations_in(0, 4)
 
 
 @pytest.fixture(scope="module")
-def views(scene: tuple[Room, list[Station]]) -> list[StationView]:
+def views(scene: tuple[FurnishedRoom, list[StationCloud]]) -> list[StationView]:
     return [view_of(station) for station in scene[1]]
 
 
@@ -57,7 +57,7 @@ def with_a_stranger(views: list[StationView]) -> Registration:
 
 
 def test_stations_are_registered_and_an_outlier_station_is_left_out(
-    scene: tuple[Room, list[Station]], with_a_stranger: Registration
+    scene: tuple[FurnishedRoom, list[StationCloud]], with_a_stranger: Registration
 ) -> None:
     (group,) = with_a_stranger.groups
     assert group.stations == (0, 2, 3)
@@ -84,7 +84,9 @@ def test_neighbouring_stations_overlap_by_a_stated_share(with_a_stranger: Regist
     assert all(1 not in pair for pair in pairs)
 
 
-def test_shared_walls_have_their_true_planes(scene: tuple[Room, list[Station]], with_a_stranger: Registration) -> None:
+def test_shared_walls_have_their_true_planes(
+    scene: tuple[FurnishedRoom, list[StationCloud]], with_a_stranger: Registration
+) -> None:
     room, stations = scene
     (group,) = with_a_stranger.groups
     seen_by = np.bincount([p for planes in group.plane_of for p in planes if p >= 0], minlength=len(group.planes))
@@ -104,7 +106,7 @@ def test_shared_walls_have_their_true_planes(scene: tuple[Room, list[Station]], 
     assert 1e-6 < metres < 0.02
 
 
-def test_the_unit_does_not_matter(scene: tuple[Room, list[Station]], views: list[StationView]) -> None:
+def test_the_unit_does_not_matter(scene: tuple[FurnishedRoom, list[StationCloud]], views: list[StationView]) -> None:
     one = register(views[:2])
     (group,), (other,) = one.groups, register([view_of(station, 12.5) for station in scene[1][:2]]).groups
     step = off(Motion(other.places[1].rotation, other.places[1].translation / 12.5), group.places[1])
@@ -112,7 +114,9 @@ def test_the_unit_does_not_matter(scene: tuple[Room, list[Station]], views: list
     assert step[1] < 0.005
 
 
-def test_changed_extrinsics_are_named(scene: tuple[Room, list[Station]], views: list[StationView]) -> None:
+def test_changed_extrinsics_are_named(
+    scene: tuple[FurnishedRoom, list[StationCloud]], views: list[StationView]
+) -> None:
     found = register([*views[:2], view_of(moved_rig(scene[1][2], 0.1)), views[3]])
     assert all(2 not in group.stations for group in found.groups)
     assert 2 in {left.station for left in found.left_out}

@@ -13,7 +13,7 @@ from calib.rooms.point_tracking import find_tracks
 from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
-from calib.synthetic.stations import Errors, Paint, random_room, ring, seen_from
+from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
 from scanner.rooms.corner_rig import state_of
 from tests.calib.rooms.test_registration import CAMERA
 from tests.support.numeric import gradient_of
@@ -25,9 +25,9 @@ Scene = tuple[Room, list[Sight], list[tuple[int, ...]]]
 def scene() -> Scene:
     """Two stations of a bare painted room, its walls and floor, in metres."""
     rng = np.random.default_rng(3)
-    made = random_room(rng, 0)
+    made = random_furnished_room(rng, 0)
     places = ring(rng, made, 6)[:2]
-    seen = [seen_from(made, place, rng, Errors(0.0, 0.0), CAMERA, Paint(3, 0.3)) for place in places]
+    seen = [seen_from(made, place, rng, CloudErrors(0.0, 0.0), CAMERA, Paint(3, 0.3)) for place in places]
     rig = Calibration(CAMERA, CAMERA, np.eye(3), np.array([1.0, 0.0, 0.0]), "m", Sigmas())
     normals, heights = made.scene.solids[0]
     planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, Intrinsics, Matches, Motion
 from calib.numerics import Floats
-from calib.refinement import State
-from calib.refinement.parameters import without_lens
+from calib.refinement import State, without_lens
 from calib.refusal import RefusalError
 from calib.rooms import RigPrior, estimate_without_planes
 

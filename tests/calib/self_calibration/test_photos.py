@@ -8,8 +8,7 @@ import pytest
 
 from calib.geometry import Intrinsics, Matches, Motion
 from calib.plane_segmentation import find_sparse_faces
-from calib.refinement import CAMERA, PROJECTOR, Pose, State, predict
-from calib.refinement.parameters import without_lens
+from calib.refinement import CAMERA, PROJECTOR, Pose, State, predict, without_lens
 from calib.refusal import RefusalError
 from calib.self_calibration.photos import anywhere, calibrate_photos
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration

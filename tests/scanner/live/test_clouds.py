@@ -11,7 +11,7 @@ from scanner.configuration import Config
 from scanner.live.cloud import Decoder, LiveCloud
 from scanner.live.first_look import FirstLook, look
 from scanner.live.joining import matches_of
-from scanner.live.rounds import best_sequence, rounds
+from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.sequence import FRAMES, LiveSequence
 from scanner.live.watching import proven
 from tests.support.live_bench import LiveBench, calibration
@@ -31,7 +31,7 @@ def clouds_of(bench: LiveBench, number: int, depths: tuple[float, float] | None 
     """The clouds of a number of rounds; None for dropped ones."""
     seen, sequence, decoder = begun(bench, depths)
     earlier: list[LiveCloud] = []
-    taken = islice(rounds(bench.rig, sequence, seen.response), number)
+    taken = islice(take_rounds(bench.rig, sequence, seen.response), number)
     return [None if each is None else proven(decoder, each, earlier) for each in taken]
 
 

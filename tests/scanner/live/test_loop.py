@@ -21,7 +21,7 @@ from scanner.live import jobs
 from scanner.live.cloud import Decoder, LiveCloud, Round
 from scanner.live.first_look import FirstLook
 from scanner.live.jobs import LiveResult, Watcher, Wishes, scan_live
-from scanner.live.rounds import best_sequence, rounds
+from scanner.live.rounds import best_sequence, take_rounds
 from scanner.live.watching import Account, Newest, watch
 from scanner.rooms import given_rig, read_stations
 from scanner.ui import Terminal
@@ -179,7 +179,7 @@ def test_memory_does_not_grow_over_ten_thousand_clouds() -> None:
     everywhere = np.ones(bench.calibration.camera.size[::-1], np.bool_)
     seen = FirstLook(everywhere, (1.0, 0.02), 255.0, None)
     sequence = best_sequence(bench.rig, seen, bench.calibration, DEPTHS)
-    still = [each for each in islice(rounds(bench.rig, sequence, None), 3) if each is not None]
+    still = [each for each in islice(take_rounds(bench.rig, sequence, None), 3) if each is not None]
     account, pages, done = Account(), list[int](), threading.Event()
 
     def taken() -> Generator[Round | None]:
@@ -221,5 +221,5 @@ def test_a_camera_that_loses_every_frame_has_failed(tmp_path: Path, bench: LiveB
 def _still(bench: LiveBench) -> tuple[list[Round], Decoder]:
     """Some rounds of a static scene, and their decoder."""
     seen, sequence, decoder = begun(bench)
-    taken = islice(rounds(bench.rig, sequence, seen.response), 3)
+    taken = islice(take_rounds(bench.rig, sequence, seen.response), 3)
     return [each for each in taken if each is not None], decoder

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.open3d_module import open3d
 from calib.refusal import RefusalError
-from calib.rooms.alignment import composed, inverse
+from calib.rooms import composed, inverse
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of

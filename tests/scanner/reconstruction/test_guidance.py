@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.diagnostics import NextView
-from calib.diagnostics.next_best_view import moved_pose, step_taken
+from calib.diagnostics import NextView, moved_pose, step_taken
 from calib.geometry import Calibration, Matches
 from calib.refinement import Pose
 from calib.synthetic import PAPER_CAMERA, random_captures

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from calib.geometry import Corner
-from calib.pointcloud import Cloud, View, build_cloud, merged
-from calib.pointcloud.corner_view import cells_of
+from calib.pointcloud import Cloud, View, build_cloud, cells_of, merged
 from calib.self_calibration import Profile, SelfCalibration
 from scanner.capture import CaptureMetadata
 from scanner.reconstruction.merge_clouds import consistency, merge

@@ -7,8 +7,7 @@ import pytest
 
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
-from scanner.decoding.motion import MotionEstimate
-from scanner.decoding.motion.device_motion import CoordinateShift
+from scanner.decoding.motion import CoordinateShift, MotionEstimate
 from scanner.reconstruction.moved_captures import refuse_costly, with_motion_notes
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
