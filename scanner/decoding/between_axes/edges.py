@@ -11,8 +11,7 @@ import numpy as np
 from calib.numerics import Bools, Floats, Floats32
 from scanner.decoding.between_axes.borders import TilePlanes, extrapolated, lit_in, near_border, seen_border
 from scanner.decoding.between_axes.registration import TileWarp, centres_of_tiles
-from scanner.decoding.motion import shifts_by_motion
-from scanner.decoding.motion.rigid import PER_DEVICE
+from scanner.decoding.motion import PER_DEVICE, shifts_by_motion
 from scanner.decoding.significance import NEGLIGIBLE
 
 
