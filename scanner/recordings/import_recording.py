@@ -39,7 +39,7 @@ class Imported:
 
 def import_recording(path: Path, programme: Programme, folder: Path, progress: Progress) -> Imported:
     """`capture.yaml` and `frames/`, into an existing folder. Raises InputError, OSError."""
-    video = open_video(path)
+    video = open_video(path, programme.length_s)
     samples = take_samples(video, progress)
     found = find_loops(samples, programme)
     with progress.step("Finding both clocks"):

@@ -52,7 +52,9 @@ class VideoSamples:
     @cached_property
     def range(self) -> Floats:
         """The range (R, C) from the darkest to the brightest frame, without outliers, relative to the range of luma."""
-        low, high = np.percentile(self.codes, (2, 98), axis=0)
+        # Of a row at a time, because this copies.
+        of_rows = [np.percentile(self.codes[:, row], (2, 98), axis=0) for row in range(len(self.rows))]
+        low, high = np.stack(of_rows, axis=1)
         spread: Floats = (high - low) / (self.video.codes.white - self.video.codes.black)
         return spread
 
@@ -71,9 +73,11 @@ def take_samples(video: VideoFile, progress: Progress) -> VideoSamples:
     rng = np.random.default_rng(_SEED)  # random, because a grid would beat with the stripes
     rows = np.unique(np.linspace(_EDGE * height, (1 - _EDGE) * (height - 1), _ROWS).astype(np.intp))
     columns = np.sort(rng.choice(width, min(_COLUMNS, width), replace=False))
-    times, codes = list[float](), list[NDArray[np.unsignedinteger[Any]]]()
+    times, codes = list[float](), bytearray()
+    kind: np.dtype[np.unsignedinteger[Any]] = np.dtype(np.uint8)
     for time_s, luma in progress.track(video.frames(), video.expected_frames, "Looking at the frames"):
         times.append(time_s)
-        codes.append(luma[np.ix_(rows, columns)])
-    stacked = np.stack(codes)
-    return VideoSamples(stacked, np.array(times), rows.astype(np.float64), video)
+        codes += luma[np.ix_(rows, columns)].tobytes()
+        kind = luma.dtype
+    samples = np.frombuffer(codes, kind).reshape(-1, len(rows), len(columns))
+    return VideoSamples(samples, np.array(times), rows.astype(np.float64), video)

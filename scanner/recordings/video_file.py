@@ -16,7 +16,10 @@ from scanner.recordings.libav import av
 from scanner.recordings.tone_curve import LumaCodes
 
 _FULL_RANGE = 2
+_PER_SECOND = 1_000_000  # of the container's duration
 _FEWEST_FRAMES = 10
+# A film of a video begins before it, ends after it, and may show it slower; more frames tell nothing more.
+_MOST_LENGTHS, _AROUND_S, _MOST_FRAMES = 2, 120.0, 100_000
 _LUMA_FIRST = ("yuv", "nv", "gray", "p0")  # formats whose first plane is luma
 
 
@@ -24,7 +27,8 @@ _LUMA_FIRST = ("yuv", "nv", "gray", "p0")  # formats whose first plane is luma
 class VideoFile:
     """A readable recording. `size`: as coded, before rotation by `quarter_turns` counterclockwise.
 
-    `codes`: of its luma. `expected_frames`: as stated in the file, 0 if not.
+    `codes`: of its luma. `expected_frames`: as stated in the file, 0 if not. `shown_s`: duration of the video that was
+    filmed.
     """
 
     path: Path
@@ -32,17 +36,21 @@ class VideoFile:
     quarter_turns: int
     codes: LumaCodes
     expected_frames: int
+    shown_s: float
 
     def frames(self) -> Iterator[tuple[float, Image]]:
-        """Yield time in seconds and luma (H, W), 8 or 16 bit, of each frame, in order of time.
+        """Yield time in seconds and luma (H, W), 8 or 16 bit, of each frame in order of time; of very many frames, of
+        some, evenly.
 
-        Raises InputError if a frame is of another size or interlaced. A truncated file is read as far as possible.
+        Raises InputError if a frame is of another size or interlaced, or if they go on for too long for a film of the
+        video. A truncated file is read as far as possible.
         """
         with opened_film(self.path) as (container, film):
             stream = _video_stream(self.path, container)
             stream.thread_type = "AUTO"
             per_frame = 1 / float(stream.average_rate or 30)
-            last = -np.inf
+            longest_s = _longest_s(self.shown_s)
+            first, last = np.nan, -np.inf
             for number, frame in enumerate(_decoded(container, stream, film)):
                 if (frame.width, frame.height) != self.size:
                     raise InputError(
@@ -51,15 +59,19 @@ class VideoFile:
                 if frame.interlaced_frame:
                     raise InputError(f"{self.path}: is interlaced: record progressive frames, as in 1080p")
                 time_s = frame.time if frame.time is not None else number * per_frame
-                if time_s > last:  # a frame of the same time is a repeat
+                first = np.fmin(first, time_s)
+                _refuse_longer(self.path, float(time_s - first), self.shown_s)
+                # A frame of the same time is a repeat.
+                if time_s > last and time_s >= last + longest_s / _MOST_FRAMES:
                     last = time_s
                     yield float(time_s), _luma(frame)
 
 
-def open_video(path: Path) -> VideoFile:
-    """Open a recording and read its first frames. Raises InputError for other files."""
+def open_video(path: Path, shown_s: float) -> VideoFile:
+    """Open a film of a video that takes `shown_s`, and read its first frames. Raises InputError for other files."""
     with opened_film(path) as (container, film):
         stream = _video_stream(path, container)
+        _refuse_longer(path, (container.duration or 0) / _PER_SECOND, shown_s)
         frames = _decoded(container, stream, film)
         first = next(frames, None)
         if first is None:
@@ -72,7 +84,23 @@ def open_video(path: Path) -> VideoFile:
         scale = 1 << bits - 8
         black, white = (0, 255 * scale + scale - 1) if full else (16 * scale, 235 * scale)
         turns = round((first.rotation or 0) / 90) % 4
-        return VideoFile(path, Size(first.width, first.height), turns, LumaCodes(black, white), stream.frames or 0)
+        return VideoFile(
+            path, Size(first.width, first.height), turns, LumaCodes(black, white), stream.frames or 0, shown_s
+        )
+
+
+def _longest_s(shown_s: float) -> float:
+    """The duration of the longest film of a video that takes `shown_s`."""
+    return _MOST_LENGTHS * shown_s + _AROUND_S
+
+
+def _refuse_longer(path: Path, length_s: float, shown_s: float) -> None:
+    if length_s > _longest_s(shown_s):
+        raise InputError(
+            f"{path}: takes {length_s:.0f} s or more, and its video {shown_s:.0f} s; expected a film of no more than "
+            f"{_longest_s(shown_s):.0f} s: cut off what is before and after the video; if this is slow motion, film at "
+            "normal speed"
+        )
 
 
 def _video_stream(path: Path, container: Any) -> Any:

@@ -6,12 +6,14 @@ import socket
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 
+from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.interruption import handlers_restored, interrupt, on_ending
 from scanner.recordings import film_bytes
@@ -21,17 +23,24 @@ from tests.support.command_line import run
 from tests.support.filmed_room import FilmedRoom
 
 FRAMES = 24
+TICKS = 90_000  # to a second
+SHOWN_S, LONGEST_S = 10.0, 140.0  # of the video that is filmed, and of a film of it
 
 
-def write_film(path: Path, codec: str = "libx264") -> None:
-    """FRAMES frames of noise, 64 × 48, in the container that the path's suffix names."""
+def write_film(path: Path, codec: str = "libx264", times_s: Floats | None = None) -> None:
+    """Frames of noise, 64 × 48, in the container that the path's suffix names: FRAMES at 30 a second, or at times."""
     rng = np.random.default_rng(0)
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         stream.bit_rate = 5_000_000
-        for image in rng.integers(0, 256, (FRAMES, 48, 64), np.uint8):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray").reformat(format="yuv420p")))
+        if codec != "mpeg4":  # which has not so many bits for it
+            stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS)
+        for time_s in np.arange(FRAMES) / 30 if times_s is None else times_s:
+            image = rng.integers(0, 256, (48, 64), np.uint8)
+            frame = av.VideoFrame.from_ndarray(image, "gray").reformat(format="yuv420p")
+            frame.pts, frame.time_base = round(time_s * TICKS), Fraction(1, TICKS)
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
 
 
@@ -65,7 +74,7 @@ def test_allowed_containers_are_read_whole(tmp_path: Path, name: str, codec: str
     write_film(tmp_path / name, codec)
     # The name does not matter.
     (tmp_path / name).rename(tmp_path / "film")
-    video = open_video(tmp_path / "film")
+    video = open_video(tmp_path / "film", SHOWN_S)
     assert video.size == (64, 48)
     frames = list(video.frames())
     assert len(frames) == FRAMES
@@ -120,7 +129,7 @@ def test_references_to_other_films_are_not_followed(tmp_path: Path) -> None:
     with listening() as (listener, address):
         path = tmp_path / "outside.mp4"
         path.write_bytes(with_external_data((tmp_path / "film.mp4").read_bytes(), address))
-        assert len(list(open_video(path).frames())) == FRAMES
+        assert len(list(open_video(path, SHOWN_S).frames())) == FRAMES
         assert not was_called(listener)
 
 
@@ -130,8 +139,32 @@ def test_even_a_playlist_could_open_nothing(tmp_path: Path, monkeypatch: pytest.
         path = tmp_path / "whole.m3u8"
         path.write_text(PLAYLISTS["whole.m3u8"].format(address=address), encoding="utf-8")
         with pytest.raises(InputError, match=f"refers to 'http://{address}/part.ts'"):
-            open_video(path)
+            open_video(path, SHOWN_S)
         assert not was_called(listener)
+
+
+def test_a_film_much_longer_than_its_video_is_refused_at_once(tmp_path: Path) -> None:
+    write_film(tmp_path / "film.mp4", times_s=np.arange(FRAMES) * 500.0)
+    with pytest.raises(InputError, match=f"takes 11500 s or more, and its video 10 s; .* than {LONGEST_S:.0f} s"):
+        open_video(tmp_path / "film.mp4", SHOWN_S)
+
+
+def test_a_film_longer_than_it_states_is_refused_when_it_is_read(tmp_path: Path) -> None:
+    # The muxer states the time of the last but one frame.
+    write_film(tmp_path / "film.mp4", times_s=np.append(np.arange(FRAMES) / 30, 10_000.0))
+    video = open_video(tmp_path / "film.mp4", SHOWN_S)
+    read = list[object]()
+    with pytest.raises(InputError, match="takes 10000 s or more"):
+        read.extend(video.frames())
+    assert len(read) == FRAMES
+
+
+def test_frames_are_no_more_than_a_film_needs(tmp_path: Path) -> None:
+    path, rate = tmp_path / "film.mp4", 15_000
+    write_film(path, times_s=np.arange(3000) / rate)
+    times = [time_s for time_s, _ in open_video(path, SHOWN_S).frames()]
+    assert np.diff(times).min() > 0.99 * LONGEST_S / 100_000
+    assert 130 < len(times) <= 3000 / rate * 100_000 / LONGEST_S + 1
 
 
 def test_frames_too_large_for_the_memory_are_refused(tmp_path: Path) -> None:
@@ -148,7 +181,7 @@ def test_frames_too_large_for_the_memory_are_refused(tmp_path: Path) -> None:
     assert path.read_bytes().count(honest) == FRAMES
     path.write_bytes(path.read_bytes().replace(honest, claimed))
     with pytest.raises(InputError, match="Invalid argument"):  # what libav says where it would not make such a frame
-        open_video(path)
+        open_video(path, SHOWN_S)
 
 
 class Interrupted(io.BytesIO):
@@ -182,7 +215,7 @@ def test_an_interruption_ends_reading_at_once(
     with handlers_restored():
         on_ending(interrupt)
         with pytest.raises(KeyboardInterrupt):
-            open_video(tmp_path / "film.mp4")
+            open_video(tmp_path / "film.mp4", SHOWN_S)
     assert file.pieces == at
 
 

@@ -84,7 +84,7 @@ def test_weighted_frames_contain_their_picture_only(
     shifts = tuple(np.zeros(len(shown.loop) + 1) for _ in found)
     clocks = Clocks(exposure_s, readout_s / HEIGHT, found, shifts, ToneCurve(), 0.0)
     times_s = np.arange(0, (loops + 1) * length_s + 1, 1 / 24)
-    video = VideoFile(Path("film.mp4"), Size(32, HEIGHT), 0, LumaCodes(16, 235), len(times_s))
+    video = VideoFile(Path("film.mp4"), Size(32, HEIGHT), 0, LumaCodes(16, 235), len(times_s), shown.length_s)
     rows = np.arange(0.0, HEIGHT, 6)
     # A film of white: what frames show is no matter here.
     codes = np.full((len(times_s), len(rows), 4), 200, np.uint8)
