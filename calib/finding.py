@@ -1,14 +1,15 @@
 """Findings: what is worth knowing about a capture, a calibration or a result, as values that programs can act on.
 
-A finding has a kind, declared once beside the code that finds it. Whoever grades, guides or filters reads the kind and
-the data; message and advice are for people. docs/troubleshooting.md lists all kinds, written from these declarations.
+A finding has a kind, declared once beside the code that finds it. Whoever grades, guides or filters reads the kind,
+the severity and the data; message and advice are for people. docs/troubleshooting.md lists all kinds, written from
+their declarations by docs/make_findings.py.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-Datum = float | tuple[float, ...]
+Datum = float | tuple[int, ...]
 
 
 class Severity(StrEnum):
@@ -24,39 +25,56 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class FindingKind:
-    """What may be found. Kinds of one name are equal; the rest is documentation, and checked data."""
+    """What may be found. Kinds of one name are equal; the rest is documentation, and the names of numbers."""
 
     name: str
-    """In files, in lower case with hyphens, such as `too-dark`; used once in the program."""
-    severity: Severity = field(compare=False)
+    """In files, in lower case with hyphens, such as `too-dark`; declared once in the program."""
     meaning: str = field(compare=False)
     """What it means, in a sentence that needs no numbers."""
     remedy: str = field(default="", compare=False)
     """What to do about it, whatever the numbers; '' for nothing."""
     data: tuple[str, ...] = field(default=(), compare=False)
-    """Names of the numbers that such a finding may have, which end in their units; shares are from 0 to 1."""
+    """Names of the numbers that such a finding may have. They end in units; shares and ratios have none."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning, note or reason for a refusal: a kind, with words and numbers."""
+    """A note, a warning, or the reason for a refusal."""
 
     kind: FindingKind
+    severity: Severity
     message: str
     """What was found, in one or more sentences."""
     advice: str = ""
     """What to do about it, in sentences; '' for nothing."""
     data: Mapping[str, Datum] = field(default_factory=dict)
-    """The numbers by name; only names that the kind declares."""
+    """Numbers by name, of those that the kind declares; a tuple has the numbers of frames, captures or bits."""
 
     def __post_init__(self) -> None:
         if undeclared := self.data.keys() - set(self.kind.data):
-            raise ValueError(f"{self.kind.name}: declares no {', '.join(sorted(undeclared))} in its data")
-
-    @property
-    def severity(self) -> Severity:
-        """The consequence of any finding of this kind."""
-        return self.kind.severity
+            raise ValueError(f"{self.kind.name} declares no {', '.join(sorted(undeclared))} in its data")
 
     def __str__(self) -> str:
-        return f"{self.message} {self.advice}".rstrip()
+        return f"{self.message} {self.advice}".strip()
+
+    def number(self, name: str) -> float:
+        """The number under a name. Raises KeyError without one."""
+        datum = self.data[name]
+        if isinstance(datum, tuple):
+            raise KeyError(f"{self.kind.name} has several numbers under {name}")
+        return datum
+
+    def numbers(self, name: str) -> tuple[int, ...]:
+        """The numbers of frames, captures or bits under a name; () without any."""
+        numbers = self.data.get(name, ())
+        return numbers if isinstance(numbers, tuple) else ()
+
+
+def of_kinds(findings: Iterable[Finding], *kinds: FindingKind) -> tuple[Finding, ...]:
+    """The findings of these kinds, in their order."""
+    return tuple(finding for finding in findings if finding.kind in kinds)
+
+
+def without_kinds(findings: Iterable[Finding], *kinds: FindingKind) -> tuple[Finding, ...]:
+    """The findings of all other kinds, in their order."""
+    return tuple(finding for finding in findings if finding.kind not in kinds)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calib.diagnostics import Uncertainty
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Size
 from calib.numerics import Bools
 from scanner import pipeline
@@ -25,6 +26,11 @@ from scanner.ui import SILENT, Operator, Progress, Terminal
 
 _BYTES_PER_PIXEL = 50  # of the camera's image, for an organised cloud and its report
 _NOT_INCOMPLETE = re.compile(r"-incomplete(-\d+)?$")
+
+RESUMED = FindingKind(
+    "resumed",
+    "The capture was completed by scan --resume; frames from before the interruption are in the result, too.",
+)
 
 
 def scan(
@@ -88,16 +94,18 @@ def resume(
         terminal.note(sentence)
     begun = open_capture(folder / CAPTURE_FOLDER if (folder / CAPTURE_FOLDER).is_dir() else folder)
     settings = config or recorded_config(begun.metadata, str(begun.folder / CAPTURE_FILE), overrides)
-    for note in begun.notes:
-        terminal.note(note)
+    for finding in begun.findings:
+        terminal.note(str(finding))
     settings.refuse_other_sizes(folder, begun.camera_size, begun.projector_size)
     whole = [folder] if (folder / CAPTURES_FOLDER).is_dir() else []
     sizes = begun.camera_size, begun.projector_size
     earlier, drawn = _read_beside(1, settings, sizes, masks, [*settings.earlier, *whole])
     with new_result(out, settings, overwrite=overwrite, keep_capture=True, tell=terminal.note) as made:
         name = f"Capture {len(earlier) + 1}"
-        found = pipeline.take(settings.required_rig, settings, made, terminal, name, begun)
-        return pipeline.reconstruct([*earlier, found], settings, made, terminal, masks=drawn), out
+        taken = pipeline.take(settings.required_rig, settings, made, terminal, name, begun)
+        message = f"The frames that {folder} holds are in this result, too."
+        capture = taken.with_findings(Finding(RESUMED, Severity.NOTE, message))
+        return pipeline.reconstruct([*earlier, capture], settings, made, terminal, masks=drawn), out
 
 
 def replay(

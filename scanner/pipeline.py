@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.diagnostics import Uncertainty
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration
 from calib.numerics import Bools
 from calib.refusal import RefusalError
@@ -23,13 +24,13 @@ from scanner.capture import (
     Recording,
     Stream,
     capture_together,
+    findings_on_camera,
+    findings_on_lines,
     identity,
     known_of_lines,
     measure_lines,
     next_place,
     record,
-    remarks_on_camera,
-    remarks_on_lines,
     shows_single_pixels,
     take_up,
     with_smooth_errors_of_film,
@@ -58,6 +59,12 @@ from scanner.ui import Operator, Progress, Terminal
 OnCloud = Callable[[Scan], object]  # called with the clouds once they exist, while they are being saved
 # Bytes of matches and cloud per camera pixel.
 _RESULT_BYTES_PER_PIXEL = 75
+
+RESUMABLE = FindingKind(
+    "resumable",
+    "The recording was interrupted, and names the patterns that it lacks.",
+    "Complete it with scan --resume, if the rig still stands there.",
+)
 
 
 def scan(
@@ -215,21 +222,21 @@ def decode_recording(recording: Recording, terminal: Progress, calibration: Cali
     stream = recording.stream().shown_as(sequence.patterns)
     found = decode(stream, terminal, "Decoding", str(recording.folder), calibration)
     found = _as_recorded(found, recording.metadata, recording.metadata)
-    return found.noting(*recording.notes, *filter(None, [sequence.words, _resumption(recording)]))
+    return found.with_findings(*recording.findings, *filter(None, [sequence.finding, _resumption(recording)]))
 
 
 def _as_recorded(found: Decoded, metadata: Mapping[str, object], account: Mapping[str, object]) -> Decoded:
     """The capture with the metadata about the projector's pixels, and the camera's account."""
     if shows_single_pixels(metadata):
         found = replace(found, panel=AS_SHOWN)
-    return found.noting(*remarks_on_lines(metadata), *remarks_on_camera(account))
+    return found.with_findings(*findings_on_lines(metadata), *findings_on_camera(account))
 
 
-def _resumption(recording: Recording) -> str:
-    missing = len(recording.planned) > len(recording.patterns)
-    return (
-        f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there." if missing else ""
-    )
+def _resumption(recording: Recording) -> Finding | None:
+    if len(recording.planned) <= len(recording.patterns):
+        return None
+    message = f"scan --resume {recording.folder} takes the missing frames, if the rig still stands there."
+    return Finding(RESUMABLE, Severity.WARNING, message)
 
 
 @contextmanager
@@ -238,8 +245,8 @@ def noting_missing_frames(recording: Recording) -> Iterator[None]:
     try:
         yield
     except (InputError, RefusalError) as error:
-        for note in filter(None, [*recording.notes, _resumption(recording)]):
-            error.add_note(note)
+        for finding in filter(None, [*recording.findings, _resumption(recording)]):
+            error.add_note(str(finding))
         raise
 
 
@@ -306,7 +313,8 @@ def reconstruct(
             result = Scan(reconstructed)
             if len(captures) > 1 and config.corner.same:
                 with progress.step("Merging the clouds"):
-                    result = Scan(reconstructed, *merge(calibrated, [capture.cloud for capture in reconstructed]))
+                    merged, finding = merge(calibrated, [capture.cloud for capture in reconstructed])
+                    result = Scan(reconstructed, merged, (finding,))
         return _finished(result, config, folder, progress, matches, on_cloud)
 
 

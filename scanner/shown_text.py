@@ -33,6 +33,11 @@ def shown(value: object) -> str:
     return shortened(harmless(_REPR.repr(value)))
 
 
+def capitalised(text: str) -> str:
+    """The text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]
+
+
 def unbroken(text: str) -> str:
     """The text with no-break spaces within numbers and between them and their units."""
     return _WITHIN_NUMBERS.sub(NO_BREAK, text)

@@ -7,6 +7,7 @@ from scipy.special import chdtri
 
 from calib.diagnostics.degeneracy import one_plane, reasons_in_images, reasons_in_space
 from calib.diagnostics.next_best_view import best_next_view
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats
 from calib.refinement import (
     CAMERA,
@@ -23,9 +24,6 @@ from calib.refinement import (
 )
 from calib.refusal import RefusalError, Wording
 
-# Begin of the note on captures between which the rig was not moved.
-FROM_ONE_PLACE = "Taken from the same place: captures"
-
 USEFUL_SIGMA = 0.15  # of a focal length; beyond it no sigma describes the long, curved valley
 _TENSION_SIGMAS = 4.0
 CENTRED = 1e-4  # p1 and p2 of a lens that is hardly decentred: a twentieth of a pixel at the image's corner
@@ -33,6 +31,19 @@ _SIGNIFICANT = 0.9999
 _SCALED = 0.05  # probability of a scaled picture that is worth a sentence
 _MISFIT_PX, _MISFIT_OF_NOISE = 0.1, 0.3
 _PLAUSIBLE_FOCALS = {"camera": (0.3, 4.0), "projector": (0.2, 10.0)}  # in image widths
+
+FROM_ONE_PLACE = FindingKind(
+    "from-one-place",
+    "The rig was not moved between captures: their smooth errors are the same, so together they count as one.",
+    "Move the rig between captures.",
+    ("captures",),
+)
+PICTURE_SCALED = FindingKind(
+    "picture-scaled",
+    "The projector's picture may be scaled in one direction; the sigmas allow for it.",
+    "Show the picture in the projector's own resolution, without keystone correction, zoom or overscan.",
+    ("aspect_percent", "sigma_percent", "probability_share"),
+)
 
 
 def no_corner(captures: Sequence[Cells], words: Wording) -> RefusalError:
@@ -66,7 +77,7 @@ def refuse_untrustworthy(refinement: Refinement, knowledge: Knowledge) -> None:
                 f"This view hardly determines the {device}'s focal length: its sigma is {100 * value:.0f} %"
                 + _because(_reasons(refinement, words))
                 + _if_centred(refinement),
-                " ".join([*on_repeats(refinement), *on_picture_scale(refinement), _where_to_go(refinement, knowledge)])
+                _sentences(*on_repeats(refinement), *on_picture_scale(refinement), _where_to_go(refinement, knowledge))
                 + missing_knowledge(knowledge),
             )
     centre = sigma[PROJECTOR][1:3] / fit.state.projector[0]
@@ -129,15 +140,21 @@ def missing_knowledge(knowledge: Knowledge) -> str:
     return f" {sentence[0].upper()}{sentence[1:]}{',' if len(unsaid) > 1 else ''} also helps."
 
 
-def on_repeats(refinement: Refinement) -> list[str]:
-    """A sentence on each group of captures between which the rig was not moved."""
+def on_repeats(refinement: Refinement) -> list[Finding]:
+    """A note on each group of captures between which the rig was not moved."""
     state, count = refinement.fit.state, len(refinement.noise)
     if state.one_camera:
         return []
     groups = {tuple(j + 1 for j in range(count) if state.same_place(i, j)) for i in range(count)}
     return [
-        f"{FROM_ONE_PLACE} {', '.join(map(str, group[:-1]))} and {group[-1]}. Their smooth errors are the same, "
-        "so together they count as one. Move the rig between captures."
+        Finding(
+            FROM_ONE_PLACE,
+            Severity.NOTE,
+            f"Taken from the same place: captures {', '.join(map(str, group[:-1]))} and {group[-1]}. Their smooth "
+            "errors are the same, so together they count as one.",
+            FROM_ONE_PLACE.remedy,
+            {"captures": group},
+        )
         for group in sorted(groups)
         if len(group) > 1
     ]
@@ -180,11 +197,9 @@ def _refuse_skew(refinement: Refinement, knowledge: Knowledge) -> None:
                 else "they should be"
             )
             + f": with the angles free, −2 log likelihood is lower by {refinement.tension:.0f}.",
-            " ".join(
-                [
-                    *on_picture_scale(refinement),
-                    "Choose another corner, or allow for walls farther from square (a larger squareness_deg).",
-                ]
+            _sentences(
+                *on_picture_scale(refinement),
+                "Choose another corner, or allow for walls farther from square (a larger squareness_deg).",
             )
             + _given_centre(knowledge)
             + knowledge.words.shape,
@@ -237,16 +252,30 @@ def _intrinsics(fit: Fit) -> str:
     return f"a camera focal length of {camera[0]:.0f} px with a projector of {projector[0]:.0f} px"
 
 
-def on_picture_scale(refinement: Refinement) -> list[str]:
-    """A sentence on a picture that seems to be scaled in one direction."""
+def on_picture_scale(refinement: Refinement) -> list[Finding]:
+    """A note on a picture that seems to be scaled in one direction."""
     scale = refinement.scale
     if scale is None or scale.probability < _SCALED:
         return []
     return [
-        f"The projector's picture may be scaled in one direction (by {100 * scale.aspect:+.1f} ± "
-        f"{100 * scale.sigma:.1f} % along x, with a probability of {100 * scale.probability:.0f} %; the sigmas allow "
-        "for it). Show it in the projector's own resolution, without keystone correction, zoom or overscan."
+        Finding(
+            PICTURE_SCALED,
+            Severity.NOTE,
+            f"The projector's picture may be scaled in one direction (by {100 * scale.aspect:+.1f} ± "
+            f"{100 * scale.sigma:.1f} % along x, with a probability of {100 * scale.probability:.0f} %; the sigmas "
+            "allow for it).",
+            "Show it in the projector's own resolution, without keystone correction, zoom or overscan.",
+            {
+                "aspect_percent": 100 * scale.aspect,
+                "sigma_percent": 100 * scale.sigma,
+                "probability_share": scale.probability,
+            },
+        )
     ]
+
+
+def _sentences(*parts: Finding | str) -> str:
+    return " ".join(map(str, parts))
 
 
 def _reasons(refinement: Refinement, words: Wording) -> list[str]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from calib.diagnostics import (
     calibration_of,
+    findings_on_solution,
     no_corner,
-    notes_on,
     refuse_degenerate,
     refuse_untrustworthy,
     sigmas_of,
@@ -104,7 +104,7 @@ def calibrate_photos(
 
 
 def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Matches]) -> tuple[SelfCalibration, ...]:
-    state, notes = refinement.fit.state, notes_on(refinement, knowledge)
+    state, findings = refinement.fit.state, findings_on_solution(refinement, knowledge)
     profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost)
     solutions = []
     for i, matches in enumerate(pairs):
@@ -117,7 +117,7 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
         prior = knowledge.prior(alone)
         uncertainty = uncertainty_of(alone, covariance, information, prior, refinement.noise[i].match_px)
         solutions.append(
-            SelfCalibration(calibration, matches, corner, profile, residual_px, "refined", notes, uncertainty)
+            SelfCalibration(calibration, matches, corner, profile, residual_px, "refined", findings, uncertainty)
         )
     return tuple(solutions)
 

@@ -13,14 +13,15 @@ from calib.diagnostics import (
     along_valley,
     best_next_view,
     calibration_of,
+    findings_on_solution,
     no_corner,
-    notes_on,
     refuse_contradiction,
     refuse_degenerate,
     refuse_untrustworthy,
     sigmas_of,
     uncertainty_of,
 )
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
@@ -55,6 +56,17 @@ _KNOWN_TRIALS, _AROUND_KNOWN, _AROUND_SIGMAS = 5, 0.05, 5.0  # camera focals, wh
 
 _CLOSED_CYCLE = 0.1  # paper's objective, in camera focals
 
+PAPER_METHOD = FindingKind(
+    "paper-method",
+    "The paper's method models neither lens distortion nor uncertainty; it is meant for comparison.",
+    "Use 'method: refined'.",
+)
+WITH_BOARDS = FindingKind(
+    "with-boards",
+    "Calibrated together with boards of the same rig, with which the captures agree.",
+    data=("cost", "limit"),
+)
+
 
 @dataclass(frozen=True)
 class PrincipalPoint:
@@ -77,7 +89,7 @@ class SelfCalibration:
     """A calibration found from the corner alone, in units of the baseline (|t| = 1).
 
     `matches` are labelled with their faces, `corner` is in the camera's frame, `residual_px` is the root mean square
-    reprojection error of a match in the projector, `notes` are messages for the user. `uncertainty` is None for a
+    reprojection error of a match in the projector, `findings` are for the user. `uncertainty` is None for a
     method that estimates none. `order_nats`: for captures of one corner, the log likelihood ratio between the numbering
     of the faces and the next best one, given the corner's angles; 0 where the angles do not distinguish them.
     Standard deviations of the intrinsics: `at_rest_percent` without shifts of the matches, `likely_percent` from
@@ -92,7 +104,7 @@ class SelfCalibration:
     profile: Profile
     residual_px: float
     method: Method
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     uncertainty: Uncertainty | None = None
     order_nats: float = 0.0
     at_rest_percent: float = 0.0
@@ -267,8 +279,12 @@ def _by_paper(
         residual_px,
         "paper",
         (
-            "The paper's method models neither lens distortion nor uncertainty: with ordinary lenses its error is "
-            "several per cent. It is meant for comparison; use the method 'refined' instead.",
+            Finding(
+                PAPER_METHOD,
+                Severity.NOTE,
+                "The paper's method models neither lens distortion nor uncertainty: with ordinary lenses its error is "
+                "several per cent. It is meant for comparison; use the method 'refined' instead.",
+            ),
         ),
     )
 
@@ -307,9 +323,9 @@ def _by_refinement(
     )
     at_rest_percent = percent_of_intrinsics(refinement.fit.state, np.sqrt(np.diag(refinement.covariance)))
     refinement, likely_percent = _with_shifts(refinement, [capture_shifts.likely for capture_shifts in shifts])
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     if known is not None:
-        notes = (_on_known(*refuse_contradiction(refinement, known.rig, refinement.covariance - by_curvature)),)
+        findings = (_on_known(*refuse_contradiction(refinement, known.rig, refinement.covariance - by_curvature)),)
     refuse_untrustworthy(refinement, knowledge)
     refinement, possible_percent = _with_shifts(refinement, [capture_shifts.possible for capture_shifts in shifts])
     fit = refinement.fit
@@ -322,7 +338,7 @@ def _by_refinement(
     if known is not None:
         calibration = known.with_own_pixels(calibration)
     next_view = best_next_view(refinement, knowledge)
-    notes += notes_on(refinement, knowledge, next_view)
+    findings += findings_on_solution(refinement, knowledge, next_view)
     profile = Profile(refinement.valley.focal_px, refinement.valley.posterior_cost)
     sameness = refinement.sameness
     order_nats = max(0.0, sameness.lead) / 2 if sameness and sameness.same else 0.0
@@ -347,7 +363,7 @@ def _by_refinement(
                 profile,
                 residual_px,
                 "refined",
-                notes,
+                findings,
                 uncertainty,
                 order_nats,
                 at_rest_percent,
@@ -367,10 +383,13 @@ def _trials_around(known: KnownCalibration) -> Floats:
     return focal * np.exp(np.linspace(-reach, reach, _KNOWN_TRIALS))
 
 
-def _on_known(raised: float, limit: float) -> str:
-    return (
+def _on_known(raised: float, limit: float) -> Finding:
+    return Finding(
+        WITH_BOARDS,
+        Severity.NOTE,
         "Calibrated together with boards of the same rig. Captures and boards agree: combining them raises "
-        f"−2 log likelihood by {raised:.0f}; chance explains up to {limit:.0f}."
+        f"−2 log likelihood by {raised:.0f}; chance explains up to {limit:.0f}.",
+        data={"cost": raised, "limit": limit},
     )
 
 

@@ -7,11 +7,11 @@ from scanner.capture.resuming import take_up
 from scanner.capture.rig_placement import check_places, next_place
 from scanner.capture.single_pixels import (
     CHANGED_SHAPE,
+    findings_on_lines,
     known_of_lines,
     lines_of_light,
     measure_lines,
-    remarks_on_lines,
     shows_single_pixels,
 )
-from scanner.capture.steady_camera import remarks_on_camera
+from scanner.capture.steady_camera import findings_on_camera
 from scanner.capture.stream import Stream, capture, capture_together, refuse_another_size

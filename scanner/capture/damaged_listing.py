@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from calib.finding import Finding, FindingKind, Severity
 from scanner.capture.recorder import frame_file
 from scanner.errors import InputError
 from scanner.io import Entry, parse_mapping, read_image, read_text, validate
@@ -14,13 +15,19 @@ from scanner.patterns import Pattern, PatternEntry
 _BEGUN = re.compile(r" *-? ?|\w[\w ]*")
 _BRACKETED = re.compile(r"( *- |\w[\w ]*: )\{.*")
 
+BROKEN_OFF = FindingKind(
+    "broken-off",
+    "The recording was broken off while it was being written; what was incomplete is left out.",
+    "Complete the capture with scan --resume, or capture again.",
+)
+
 
 class _PlanEntry(Entry):
     sequence: list[PatternEntry]
 
 
-def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The mapping in a `capture.yaml`, without a last line that is torn, and a sentence on that. Raises InputError."""
+def read_listing(path: Path) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """The mapping in a `capture.yaml`, without a last line that is torn, and a warning if it was. Raises InputError."""
     text = read_text(path)
     whole, newline, last = text.rpartition("\n")
     torn = _is_damaged(last)
@@ -29,7 +36,12 @@ def read_listing(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     value = parse_mapping(text, str(path))
     if "sequence" in value and not value.get("frames"):
         raise InputError(f"{path}: no frame was recorded before the interruption: capture again")
-    return value, ((f"The last line of {path.name} is incomplete, and left out.",) if torn else ())
+    return value, ((left_out(f"The last line of {path.name} is incomplete, and left out."),) if torn else ())
+
+
+def left_out(message: str) -> Finding:
+    """A warning about what is incomplete in a recording."""
+    return Finding(BROKEN_OFF, Severity.WARNING, message)
 
 
 def _is_damaged(last: str) -> bool:
@@ -39,20 +51,20 @@ def _is_damaged(last: str) -> bool:
     return bool(last) and _BEGUN.fullmatch(last) is not None
 
 
-def damaged_image(folder: Path, file: str) -> str:
-    """A sentence on the last frame's image if it is missing or damaged; nothing if it is whole, or no file in there."""
+def damaged_image(folder: Path, file: str) -> Finding | None:
+    """A warning about the last frame's image if it is missing or damaged; None if it is whole, or no file in there."""
     path = folder / file
     if Path(file).is_absolute() or ".." in Path(file).parts or "\0" in file:
-        return ""
+        return None
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):
-            return ""
+            return None
         read_image(path)
     except OSError:
-        return ""
+        return None
     except InputError as error:
-        return f"The last frame, {file}, is left out ({str(error).removeprefix(f'{path}: ')})."
-    return ""
+        return left_out(f"The last frame, {file}, is left out ({str(error).removeprefix(f'{path}: ')}).")
+    return None
 
 
 def unlisted(folder: Path, count: int) -> Path | None:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from calib.finding import Finding
 from calib.geometry import Size
 from calib.numerics import Image
 from hw.rig import Frame
-from scanner.capture.damaged_listing import damaged_image, planned_patterns, read_listing, unlisted
+from scanner.capture.damaged_listing import damaged_image, left_out, planned_patterns, read_listing, unlisted
 from scanner.capture.recorder import CAPTURE_FILE
 from scanner.capture.stream import Stream
 from scanner.errors import InputError
@@ -77,7 +78,7 @@ class Recording:
 
     `files` are the frames' paths relative to `folder`, one for each of `patterns`; `read_back` their exposures (µs) and
     time stamps (ns) where known. `metadata` is all of `capture.yaml`. `planned`: the patterns that were to be shown, as
-    far as the recording says so, the frames' own first; empty if it does not. `notes`: sentences on what is left out.
+    far as the recording says so, the frames' own first; empty if it does not. `findings`: what is left out of it.
     """
 
     folder: Path
@@ -88,7 +89,7 @@ class Recording:
     metadata: Mapping[str, Any]
     read_back: tuple[tuple[float | None, int | None], ...]
     planned: tuple[Pattern, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def stream(self) -> Stream:
         """The capture as it once arrived. Walking through the frames raises InputError at the first bad image."""
@@ -152,21 +153,21 @@ def open_capture(path: Path) -> Recording:
     """
     folder = path.parent if path.name == CAPTURE_FILE else path
     listing = _listing_in(folder)
-    data, notes = read_listing(listing)
+    data, findings = read_listing(listing)
     entry = validate(_CaptureEntry, data, str(listing))
-    frames, left_out = entry.frames, set[Path]()
+    frames, unread = entry.frames, set[Path]()
     if len(frames) > 1 and (torn := damaged_image(folder, frames[-1].file)):
-        left_out.add((folder / frames[-1].file).resolve())
-        frames, notes = frames[:-1], (*notes, torn)
+        unread.add((folder / frames[-1].file).resolve())
+        frames, findings = frames[:-1], (*findings, torn)
     files = tuple(frame.file for frame in frames)
     patterns = tuple(frame.pattern.pattern() for frame in frames)
     paths = tuple(_frame_path(listing, file) for file in files)
     _refuse_repeats(listing, paths, "shows the file", files)
     planned = planned_patterns(data, patterns)
     if len(planned) > len(patterns) and (extra := unlisted(folder, len(entry.frames))):
-        left_out.add(extra.resolve())
-        notes = (*notes, f"The image {extra.name} is left out: it was not listed any more.")
-    _refuse_extra_images(folder, {*paths, *left_out})
+        unread.add(extra.resolve())
+        findings = (*findings, left_out(f"The image {extra.name} is left out: it was not listed any more."))
+    _refuse_extra_images(folder, {*paths, *unread})
     return Recording(
         folder,
         files,
@@ -176,7 +177,7 @@ def open_capture(path: Path) -> Recording:
         data,
         tuple(frame.read_back for frame in frames),
         planned,
-        notes,
+        findings,
     )
 
 

@@ -10,13 +10,21 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, Image, grey
 from hw.rig import Rig
 from scanner.capture.stream import refuse_another_size
 from scanner.patterns import Axis
 
 LINES_KEY = "lines_of_one_pixel_keep"
-CHANGED_SHAPE = "The projector does not show single pixels unchanged"
+CHANGED_SHAPE = FindingKind(
+    "changed-shape",
+    "The projector does not show single pixels unchanged: it scales its picture, changes its shape, or lets pixels "
+    "share their light. Keystone correction would make the focal lengths wrong.",
+    "Show the picture in the projector's own resolution, turn keystone correction, digital zoom and aspect correction "
+    "off, and move the projector instead.",
+    ("kept_contrast_share",),
+)
 _STRIPE_PX = 8
 _BLACK, _MIDDLE, _WHITE = 0, 128, 255
 # What is lit has so much of what the brightest few do.
@@ -87,16 +95,19 @@ def shows_single_pixels(metadata: Mapping[str, object]) -> bool:
     return isinstance(kept, int | float) and kept >= _UNCHANGED
 
 
-def remarks_on_lines(metadata: Mapping[str, object]) -> Iterator[str]:
-    """Return remarks for the operator on the recorded contrast of one-pixel lines."""
+def findings_on_lines(metadata: Mapping[str, object]) -> Iterator[Finding]:
+    """Yield a warning about the recorded contrast of one-pixel lines."""
     kept = metadata.get(LINES_KEY)
     if isinstance(kept, int | float) and kept < _LEAST_KEPT:
-        yield (
-            f"{CHANGED_SHAPE}: lines of one pixel keep {max(kept, 0):.0%} of their contrast. "
-            "It scales the picture, changes its shape, or lets pixels share their light. If it corrects for keystone, "
-            "which the finest stripes do not show, the focal lengths are wrong, by 4 to 20 % for 1 % of "
-            "it. Show the picture in the projector's own resolution, turn such corrections off, and move the projector "
-            "instead."
+        yield Finding(
+            CHANGED_SHAPE,
+            Severity.WARNING,
+            f"The projector does not show single pixels unchanged: lines of one pixel keep {max(kept, 0):.0%} of their "
+            "contrast. It scales the picture, changes its shape, or lets pixels share their light. If it corrects for "
+            "keystone, which the finest stripes do not show, the focal lengths are wrong, by 4 to 20 % for 1 % of it.",
+            "Show the picture in the projector's own resolution, turn such corrections off, and move the projector "
+            "instead.",
+            {"kept_contrast_share": float(kept)},
         )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import FURTHER_CAPTURE, USEFUL_SIGMA
+from calib.finding import of_kinds
 from calib.numerics import Bools, Floats
 from calib.refusal import RIG, RefusalError
 from calib.self_calibration import SelfCalibration
@@ -207,8 +208,8 @@ def view_row(
     described = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     finding = f"focal lengths will be known to about {described}"
     if max(sigmas.values()) > _RISKY_SIGMA:
-        notes = [note for note in solution.notes if note.startswith(FURTHER_CAPTURE)]
-        return CheckRow(_VIEW, State.POOR, finding, " ".join(notes) or RIG.move), None
+        further = of_kinds(solution.findings, FURTHER_CAPTURE)
+        return CheckRow(_VIEW, State.POOR, finding, " ".join(map(str, further)) or RIG.move), None
     if as_configured:
         finding += f"; the {_QUICK} sequence is not sufficient"
         return CheckRow(_VIEW, State.POOR, finding, _UNREADABLE), None

@@ -1,6 +1,6 @@
 """The summary after a successful command: the calibration, its accuracy, and where the files are."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from scanner.quantities import calibration_table, truth_line
@@ -18,19 +18,14 @@ from scanner.results import (
 from scanner.ui import Terminal
 
 
-def show_outcome(scan: Scan, out: Path, terminal: Terminal, remarks: Sequence[str] = ()) -> None:
-    """Print the summary of a result that was published at `out`, the most important last.
-
-    `remarks`: of the command, in addition to the scan's.
-    """
+def show_outcome(scan: Scan, out: Path, terminal: Terminal) -> None:
+    """Print the summary of a result that was published at `out`, the most important last."""
     calibration, truth = scan.newest.calibration, scan.newest.decoded.metadata.truth
     terminal.show(calibration_table(calibration, truth))
     if truth:
         terminal.show(truth_line(calibration, truth))
-    if only := scan.newest.decoded.only_axis:
-        terminal.show(f"Note: only the {only} coordinate was measured, so nothing checks whether the calibration fits.")
-    for remark in (*scan.remarks, *remarks):
-        terminal.show(f"Note: {remark}")
+    for finding in scan.findings:
+        terminal.show(f"Note: {finding}")
     titles = titles_of([capture.decoded for capture in scan.captures])
     for title, capture in zip(titles, scan.captures, strict=True):
         pixels = capture.decoded.metadata.pixels

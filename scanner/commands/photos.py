@@ -32,13 +32,7 @@ def run(args: Namespace) -> None:
     terminal = Terminal(quiet=args.quiet)
     with new_result(args.out, config, overwrite=args.overwrite, tell=terminal.note) as folder:
         scan = reconstruct_photos(photos, wanted, config, folder, terminal)
-    focal_px = photos[0].focal_px
-    used = "used as a prior" if args.exif_prior else "not used; --exif-prior uses it"
-    exif = "EXIF: no focal length" if focal_px is None else f"EXIF: focal length {focal_px:.0f} px ({used})"
-    notes = [exif]
-    if photos[0].reduced > 1:
-        notes.append(f"Photos: reduced {photos[0].reduced} times, to {size} pixels; results are in pixels of that size")
-    show_outcome(scan, args.out, terminal, notes)
+    show_outcome(scan, args.out, terminal)
 
 
 def _given(path: Path, photos: Sequence[Photo]) -> Matches:

@@ -53,4 +53,4 @@ def _resume(args: Namespace) -> None:
         overwrite=args.overwrite,
         terminal=terminal,
     )
-    show_outcome(result, out, terminal, [f"The frames that {args.resume} holds are in this result, too."])
+    show_outcome(result, out, terminal)

@@ -2,7 +2,7 @@
 
 from calib.numerics import Floats32
 from scanner.decoding.checks.map_checks import MirroredError
-from scanner.decoding.checks.operator_advice import MUCH_FLICKER
+from scanner.decoding.checks.operator_advice import MUCH_FLICKER, TOO_DARK
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder import Decoder, Decoding
 from scanner.decoding.finest_stripes import FinestStripes, first_harmonics
@@ -12,6 +12,7 @@ from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.light.lit_pixels import saturation_level
 from scanner.decoding.mask_reasons import MaskReason, PixelFlags
 from scanner.decoding.motion import SUSPECTED_PX, UNSEEN_MOTION, moved
+from scanner.decoding.one_axis import ONE_AXIS
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.samples import TILE_PX, GridSample, Samples, TileSample
 from scanner.decoding.sequence_plan import AxisPlan, Fringe, SequencePlan

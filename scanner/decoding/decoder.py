@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.finding import Finding
 from calib.geometry import Calibration, Matches
 from calib.numerics import Image
 from calib.refinement import Shift
@@ -20,12 +21,12 @@ from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.between_axes import halves_of, motion_between
 from scanner.decoding.checked_maps import checked_maps
 from scanner.decoding.checks.epipolar_test import annotate_errors, assess_anomalies
-from scanner.decoding.checks.frame_consistency import Anomaly
+from scanner.decoding.checks.frame_consistency import suspected
 from scanner.decoding.checks.operator_advice import too_dark, warnings_of
 from scanner.decoding.code_images import CodeImages
 from scanner.decoding.finest_stripes import FinestStripes, finest_stripes
 from scanner.decoding.frame_corrections import FrameCorrections, corrections_of, saturation_of
-from scanner.decoding.fringes.single_fringe import remark_on, shift_of
+from scanner.decoding.fringes.single_fringe import shift_of, unchecked_finding
 from scanner.decoding.fringes.systematic_error import SMOOTH_PX, smooth_error_px
 from scanner.decoding.kept_matches import match_kept
 from scanner.decoding.light.exposure_fusion import ExposureMerger, exposures_of
@@ -34,12 +35,12 @@ from scanner.decoding.motion import (
     MotionEstimate,
     attribute_to_motion,
     attribute_to_shifts,
+    motion_findings,
     refuse_period_slips,
     refuse_unexplained_motion,
-    remarks_on,
 )
 from scanner.decoding.motion.device_motion import between_periods_px
-from scanner.decoding.one_axis import one_axis
+from scanner.decoding.one_axis import one_axis, one_axis_finding
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import check_and_calibrate, observe
 from scanner.decoding.samples import Samples
@@ -50,39 +51,36 @@ from scanner.patterns import Axis, Pattern
 
 @dataclass(frozen=True)
 class Decoding:
-    """The result of decoding a capture.
-
-    `matches` with `sigma_px`: one per decoded camera pixel. If only Gray codes are decoded, without refinement by
-    stripe edges: one per projector cell, at the centre of the camera pixels that see it. `texture`: the fully lit
-    scene, (H, W) or (H, W, 3), as the camera gave it. `reasons`: (H, W), a `MaskReason` for each camera pixel. `noise`:
-    of a camera pixel, in grey levels. `modulation`: median amplitude of the finest fringes relative to the mean
-    brightness; None without fringes. `warnings`: sentences for the operator. `flicker`: relative standard deviation of
-    the frames' brightness; None if no frames must be equally bright. `motion`: of the devices while the fringes were
-    taken; None if unknown. `only_axis`: the axis along which patterns varied if it was only one; the other coordinate
-    then comes from a calibration, and `sigma_px` is along the epipolar line. `darkness`: the warning about frames that
-    are too dark. `footprint_px2`: largest variance of a camera pixel's footprint, in square camera pixels; 0 if
-    unknown. `smooth_px`: smooth error of the coordinates over a surface, and `shifts`: their other systematic errors,
-    both as in `calib.refinement.Shifts`. `stripes`: contrast of the finest stripes; None if unknown.
-    """
+    """The result of decoding a capture."""
 
     matches: Matches
+    """One per decoded camera pixel, with `sigma_px`. If only Gray codes are decoded, without refinement by stripe
+    edges: one per projector cell, at the centre of the camera pixels that see it."""
     texture: Image
+    """The fully lit scene, (H, W) or (H, W, 3), as the camera gave it."""
     reasons: NDArray[np.uint8]
+    """(H, W), a `MaskReason` for each camera pixel."""
     noise: NoiseModel
+    """Of a camera pixel, in grey levels."""
     modulation: float | None
-    warnings: tuple[str, ...]
+    """Median amplitude of the finest fringes relative to the mean brightness; None without fringes."""
+    findings: tuple[Finding, ...]
+    """What is worth knowing about the frames, in the order in which it is shown."""
     flicker: float | None = None
+    """Relative standard deviation of the frames' brightness; None if no frames must be equally bright."""
     motion: MotionEstimate | None = None
+    """Of the devices while the fringes were taken; None if unknown."""
     only_axis: Axis | None = None
-    darkness: str | None = None
+    """The axis along which patterns varied if it was only one; the other coordinate then comes from a calibration, and
+    `sigma_px` is along the epipolar line."""
     footprint_px2: float = 0.0
+    """Largest variance of a camera pixel's footprint, in square camera pixels; 0 if unknown."""
     smooth_px: float = SMOOTH_PX
+    """Smooth error of the coordinates over a surface, as in `calib.refinement.Shifts`."""
     shifts: tuple[Shift, ...] = ()
+    """Other systematic errors of the coordinates, as in `calib.refinement.Shifts`."""
     stripes: FinestStripes | None = None
-
-    def warning(self, sentence: str) -> "Decoding":
-        """Return a copy with a sentence for the operator placed before the other warnings."""
-        return replace(self, warnings=(sentence[0].upper() + sentence[1:], *self.warnings))
+    """Contrast of the finest stripes; None if unknown."""
 
 
 class Decoder:
@@ -189,7 +187,7 @@ class Decoder:
             code_images.log_exposure = self._merger.log_exposure
         observed = observe(code_images, samples, self._projector_size)
         attributing = partial(attribute_to_motion, lambda: observed.motion, observed.phase_jump)
-        anomalies: list[Anomaly] = []
+        anomalies: list[Finding] = []
         with attributing(), annotate_errors(anomalies):
             calibrated = check_and_calibrate(code_images, samples.scattered, observed, anomalies, is_steady=is_steady)
         if isinstance(calibrated, AmbientLightChange):
@@ -221,32 +219,33 @@ class Decoder:
                 )
                 refuse_period_slips(plan, observed.code_shifts)
                 if observed.inconsistent is None:
-                    refuse_unexplained_motion(
-                        plan, {frame for anomaly in anomalies for frame in anomaly.frames}, observed.motion
-                    )
-        darkness = too_dark(observed.levels, observed.noise)
-        warnings = warnings_of(reasons, calibrated.modulation, observed.flicker, darkness)
+                    refuse_unexplained_motion(plan, suspected(anomalies), observed.motion)
         unchecked = [decoder.unchecked for decoder in calibrated.decoders if decoder.unchecked]
-        phase_remark = (remark_on(unchecked),) if unchecked else ()
-        decoding = Decoding(
+        findings = (
+            *([one_axis_finding(self._one_axis.measured.axis)] if self._one_axis else []),
+            *corrections.findings(self._plan),
+            *judged,
+            *observed.findings,
+            *([unchecked_finding(unchecked)] if unchecked else []),
+            *filter(None, [too_dark(observed.levels, observed.noise)]),
+            *warnings_of(reasons, calibrated.modulation, observed.flicker),
+            *motion_findings(motion),
+        )
+        return Decoding(
             matches,
             self._texture if self._merger is None else self._merger.to_shortest_exposure(self._texture),
             reasons,
             observed.noise,
             calibrated.modulation,
-            (*judged, *observed.notes, *phase_remark, *warnings, *remarks_on(motion)),
+            findings,
             flicker=observed.flicker,
             motion=motion,
             only_axis=self._one_axis.measured.axis if self._one_axis else None,
-            darkness=darkness,
             footprint_px2=maps.footprint_px2,
             smooth_px=hypot(smooth_error_px(plan.fringes), between_periods_px(plan, motion)),
             shifts=(shift_of(unchecked),) if unchecked else (),
             stripes=stripes,
         )
-        for sentence in corrections.remarks(self._plan):
-            decoding = decoding.warning(sentence)
-        return decoding
 
     def _check_form(self, image: Image) -> None:
         if self._count == len(self._plan.shown):

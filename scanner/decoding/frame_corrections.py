@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import WHOLE, Image, Part
 from scanner.decoding.ambient_light_change import AmbientLightChange, without_change
 from scanner.decoding.light.camera_response import CameraResponse, camera_response
@@ -13,6 +14,20 @@ from scanner.decoding.light.ghost import Ghost, find_ghost, without_ghost
 from scanner.decoding.light.lit_pixels import saturation_level, unclipped
 from scanner.decoding.samples import Sample
 from scanner.decoding.sequence_plan import SequencePlan
+from scanner.shown_text import capitalised
+
+GHOST = FindingKind(
+    "ghost",
+    "Frames show some of the picture before theirs; it was taken out.",
+    "Let the camera wait longer for the projector.",
+    ("ghost_share",),
+)
+LIGHT_SWITCHED = FindingKind(
+    "light-switched",
+    "The light of the room changed between two frames; it was taken out.",
+    "Leave the room's light as it is.",
+    ("frames", "light_share"),
+)
 
 
 @dataclass(frozen=True)
@@ -40,12 +55,24 @@ class FrameCorrections:
         corrected = read() if self.switch is None else without_change(read, plan, self.switch)
         return (image for place, image in zip(needed, corrected, strict=True) if place in wanted)
 
-    def remarks(self, plan: SequencePlan) -> Iterator[str]:
-        """Yield sentences for the operator."""
-        if self.ghost:
-            yield f"{self.ghost.description(plan)}, which was taken out. Let the camera wait longer for the projector."
+    def findings(self, plan: SequencePlan) -> Iterator[Finding]:
+        """Yield a warning for each effect that was corrected."""
         if self.switch:
-            yield f"{self.switch.description(plan)}, and was taken out. Better: leave the room's light as it is."
+            yield Finding(
+                LIGHT_SWITCHED,
+                Severity.WARNING,
+                f"{capitalised(self.switch.description(plan))}, and was taken out.",
+                "Better: leave the room's light as it is.",
+                {"frames": (self.switch.frame,), "light_share": abs(self.switch.share)},
+            )
+        if self.ghost:
+            yield Finding(
+                GHOST,
+                Severity.WARNING,
+                f"{capitalised(self.ghost.description(plan))}, which was taken out.",
+                GHOST.remedy,
+                {"ghost_share": self.ghost.share},
+            )
 
     def _steady(self, frames: Image, part: Part, places: Sequence[int]) -> Iterator[Image]:
         parts = (frames[place][part] for place in places)

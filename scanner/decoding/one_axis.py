@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, cross_epipolar_lines
 from calib.numerics import STRIP_ROWS, Bools, Image, in_slices
 from scanner.decoding.axis_decoder import EDGE_PX
@@ -15,9 +16,22 @@ from scanner.decoding.codes.code_cells import CellMatches, average_cells
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
+from scanner.patterns import Axis
 
 # At 6° between epipolar line and stripe, calibration errors count ten times.
 _LEAST_SINE = 0.1
+
+ONE_AXIS = FindingKind(
+    "one-axis",
+    "Patterns varied along one axis only; the other coordinate follows from the calibration, which nothing checks.",
+    "Project patterns along the other axis as well to check the calibration.",
+)
+
+
+def one_axis_finding(axis: Axis) -> Finding:
+    """Return the note on the only coordinate that was measured."""
+    message = f"only the {axis} coordinate was measured, so nothing checks whether the calibration fits."
+    return Finding(ONE_AXIS, Severity.NOTE, message)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats32, Image, evenly_spread, lines_of
 from scanner.decoding.axis_decoder import largest_variance, least_contrasts
 from scanner.decoding.checks.code_checks import check_codes
@@ -34,8 +35,21 @@ _BLURS_CELLS = np.linspace(0.01, 2.0, 200)
 # The blur of lenses in focus is not corrected: underestimating the direct light would mask more doubtful bits.
 _IN_FOCUS = 1.5
 
+UNRESOLVED_BITS = FindingKind(
+    "unresolved-bits",
+    "The finest bits of a Gray code are too fine for the lenses; longer cells were decoded instead.",
+    "Focus camera and projector, or move closer.",
+    ("bits", "cell_px"),
+)
+BLURRED_FRINGES = FindingKind(
+    "blurred-fringes",
+    "The fringes are blurred away; the cells of the Gray code were decoded instead.",
+    "Focus camera and projector.",
+    ("cell_px",),
+)
 
-def resolve_bits(code_images: CodeImages, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[str]:
+
+def resolve_bits(code_images: CodeImages, noise: NoiseModel, pixels: NDArray[np.int64]) -> Iterator[Finding]:
     """Drop the bits that are not resolved at sample pixels (P,); yield a warning for each code."""
     chosen = []
     for code_words in code_images.codes:
@@ -43,10 +57,14 @@ def resolve_bits(code_images: CodeImages, noise: NoiseModel, pixels: NDArray[np.
         chosen.append(resolved)
         if count:
             code = code_words.code
-            bits = ", ".join(str(bit) for bit in range(code.bits - count, code.bits))
-            yield (
-                f"Bit {bits} of the Gray code along {code.axis} is too fine for the lenses and was left out: cells of "
-                f"{chosen[-1].code.cell} px are decoded. Focus camera and projector, or move closer."
+            bits, cell = range(code.bits - count, code.bits), chosen[-1].code.cell
+            yield Finding(
+                UNRESOLVED_BITS,
+                Severity.WARNING,
+                f"Bit {', '.join(map(str, bits))} of the Gray code along {code.axis} is too fine for the lenses and "
+                f"was left out: cells of {cell} px are decoded.",
+                UNRESOLVED_BITS.remedy,
+                {"bits": tuple(bits), "cell_px": float(cell)},
             )
     code_images.decode_as(chosen)
 
@@ -111,7 +129,7 @@ def _count_left_out(code_images: CodeImages, all_words: Sequence[CodeWords], noi
     return len(all_words) - 1
 
 
-def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample) -> Iterator[str]:
+def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample) -> Iterator[Finding]:
     """Drop all fringes if blur leaves hardly any on an axis with a code, judged by a sample; yield a warning."""
     pixels = evenly_spread(sample.pixels)
     signals = signals_of(
@@ -125,9 +143,13 @@ def drop_lost_fringes(code_images: CodeImages, noise: NoiseModel, sample: Sample
     if lost and all(axis.codes for axis in code_images.plan.axes):
         code_images.forget_fringes()
         cell = max(axis.cell for axis in lost)
-        yield (
+        yield Finding(
+            BLURRED_FRINGES,
+            Severity.WARNING,
             f"The fringes along {' and '.join(axis.axis for axis in lost)} are blurred away and were left out: cells "
-            f"of the Gray code of {cell:g} px are decoded. Focus camera and projector."
+            f"of the Gray code of {cell:g} px are decoded.",
+            BLURRED_FRINGES.remedy,
+            {"cell_px": float(cell)},
         )
 
 

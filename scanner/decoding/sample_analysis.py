@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Image
 from scanner.decoding.ambient_light_change import AmbientLightChange
 from scanner.decoding.axis_decoder import AxisDecoder
 from scanner.decoding.checks.code_checks import check_codes
 from scanner.decoding.checks.frame_checks import agree, check_frames, is_explained_by_swap
-from scanner.decoding.checks.frame_consistency import Anomaly
+from scanner.decoding.checks.frame_consistency import suspected
 from scanner.decoding.checks.map_checks import check_fringes
 from scanner.decoding.code_images import CodeImages, signals_of
 from scanner.decoding.decoder_calibration import calibrated_decoders, measured_widely, modulation
@@ -36,13 +37,25 @@ from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEWEST_PIXELS
 from scanner.errors import InputError
 
+BRIGHTER_WHITE = FindingKind(
+    "brighter-white",
+    "White is brighter in the patterns than in the white frame; it was taken into account.",
+    "Switch off what makes the projector's or the camera's brightness depend on the picture.",
+    ("brightness_ratio",),
+)
+RAW_COLOURS = FindingKind(
+    "raw-colours",
+    "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey.",
+    "Use a monochrome camera, or let the driver deliver grey or colour frames.",
+)
+
 
 @dataclass(frozen=True)
 class Observations:
     """Properties of the capture that do not depend on the pattern code: noise, light and motion.
 
     `levels`: the sample's grey levels as taken, (frames, P). `flicker`: as in `Decoding`. `measuring_motion`: the
-    device motion, measured in the background. `notes`: sentences for the operator. `phase_jump`: finds, on request, the
+    device motion, measured in the background. `findings`: for the operator. `phase_jump`: finds, on request, the
     two frames between which fringes jumped. `inconsistent`: where an object moved, if the frames agree elsewhere; None
     otherwise.
     """
@@ -53,7 +66,7 @@ class Observations:
     flicker: float | None
     measuring_motion: Future[MotionEstimate | None]
     code_shifts: tuple[CodeShift, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     phase_jump: Callable[[], tuple[int, int] | None]
     inconsistent: InconsistentPixels | None = None
 
@@ -74,13 +87,12 @@ def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int
     The corrections are made in the folded frames and the samples, in place.
     """
     sample, tiles, grid = samples.scattered, samples.tiles, samples.grid
-    notes = list(_with_brighter_white(code_images, sample))
+    findings = list(_with_brighter_white(code_images, sample))
     mosaic = log_mosaic(code_images.white) if code_images.log_exposure is None else None
     if mosaic is not None:
         code_images.log_exposure = mosaic
-        notes.append(
-            "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
-        )
+        message = "The frames are raw ones of a colour camera, pixel by pixel behind filters; they are taken as grey."
+        findings.append(Finding(RAW_COLOURS, Severity.WARNING, message))
     levels = sample.as_taken
     saturation = saturation_level(code_images.peak)
     plan_as_shown = code_images.plan
@@ -89,8 +101,8 @@ def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int
     flicker = _equalise(code_images, samples, inconsistent)
     if grid.is_divided:
         noise = measure_noise(code_images.plan, sample, saturation)
-    notes += drop_lost_fringes(code_images, noise, sample)
-    notes += resolve_bits(code_images, noise, sample.pixels)
+    findings += drop_lost_fringes(code_images, noise, sample)
+    findings += resolve_bits(code_images, noise, sample.pixels)
     if grid.is_divided or code_images.plan != plan_as_shown:
         inconsistent = _inconsistent_pixels(code_images.plan, samples, noise)
     if inconsistent is not None:
@@ -98,7 +110,7 @@ def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int
         inconsistent = inconsistent if agree(code_images.plan, static_levels, noise, saturation) else None
     if inconsistent is not None:
         tiles.leave_out(inconsistent.moved)
-        notes.append(inconsistent.message(code_images.plan))
+        findings.append(inconsistent.finding(code_images.plan))
     plan = code_images.plan
     x, y = signals_of(
         code_images, lambda image: tiles.of(image)[None], lambda frame: tiles.level(plan.shown.index(frame))
@@ -114,7 +126,7 @@ def observe(code_images: CodeImages, samples: Samples, projector_size: tuple[int
         flicker,
         motion,
         shifts_of_codes(fringes),
-        tuple(notes),
+        tuple(findings),
         lambda: find_phase_jump(fringes),
         inconsistent,
     )
@@ -129,16 +141,19 @@ def _inconsistent_pixels(plan: SequencePlan, samples: Samples, noise: NoiseModel
     return None if is_explained_by_swap(plan, levels, pixels.frames) else pixels
 
 
-def _with_brighter_white(code_images: CodeImages, sample: Sample) -> Iterator[str]:
+def _with_brighter_white(code_images: CodeImages, sample: Sample) -> Iterator[Finding]:
     """If white is brighter in the patterns than in the white frame, rescale it in the sample and yield a warning."""
     white, number = code_images.white_gain, code_images.plan.white
     if white == 1 or number is None:
         return
     of_frame, of_patterns = sample.level(number), sample.of(code_images.white)
     sample.divide(number, np.maximum(of_frame, 1) / np.maximum(of_patterns, 1))
-    yield (
-        f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account. "
-        "Switch off what makes the projector's or the camera's brightness depend on the picture."
+    yield Finding(
+        BRIGHTER_WHITE,
+        Severity.WARNING,
+        f"White is {white:.2f} times as bright in the patterns as in the white frame, which was taken into account.",
+        BRIGHTER_WHITE.remedy,
+        {"brightness_ratio": float(white)},
     )
 
 
@@ -177,7 +192,7 @@ class CalibratedDecoders:
 
 
 def check_and_calibrate(
-    code_images: CodeImages, sample: Sample, observed: Observations, anomalies: list[Anomaly], *, is_steady: bool
+    code_images: CodeImages, sample: Sample, observed: Observations, anomalies: list[Finding], *, is_steady: bool
 ) -> CalibratedDecoders | AmbientLightChange:
     """Check the frames, append what is wrong to `anomalies`, and calibrate the decoders on the sample. Raises
     InputError.
@@ -211,10 +226,10 @@ def check_and_calibrate(
 
 def _explained(
     plan: SequencePlan,
-    code_anomalies: Sequence[Anomaly],
-    anomalies: Sequence[Anomaly],
+    code_anomalies: Sequence[Finding],
+    anomalies: Sequence[Finding],
     inconsistent: InconsistentPixels | None,
-) -> Sequence[Anomaly]:
+) -> Sequence[Finding]:
     """Return the `code_anomalies` if each is explained by inconsistent bit pairs in `anomalies` or by motion in or
     next to its frames.
 
@@ -222,10 +237,11 @@ def _explained(
     indication.
     """
     moved = set() if inconsistent is None else _with_next(plan, inconsistent.frames)
-    suspected = {frame for anomaly in anomalies for frame in anomaly.frames}
+    suspects = suspected(anomalies)
     for anomaly in code_anomalies:
-        doubted = suspected.intersection(anomaly.frames)
-        if not moved & {*anomaly.frames} and not any({*pair} <= doubted for pair in plan.complements):
+        frames = {*anomaly.numbers("frames")}
+        doubted = suspects & frames
+        if not moved & frames and not any({*pair} <= doubted for pair in plan.complements):
             raise InputError(anomaly.message)
     return code_anomalies
 

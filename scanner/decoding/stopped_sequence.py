@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
+from calib.finding import Finding, FindingKind, Severity
 from scanner.decoding.light.exposure_fusion import exposures_of
 from scanner.decoding.planning import constant_bits, plan_sequence
 from scanner.decoding.sequence_plan import AxisPlan, SequencePlan
@@ -20,17 +21,24 @@ _AXES: tuple[Axis, Axis] = ("x", "y")
 # 0.05 with 16, 0.1 with 32.
 _BETWEEN_EDGES_PX, _OF_CELL = 0.05, 0.1 / 32
 
+STOPPED_EARLY = FindingKind(
+    "stopped-early",
+    "The capture lacks its last patterns; it was decoded from what there is, less finely.",
+    "Complete it with scan --resume, or capture again.",
+    ("taken_frames", "planned_frames"),
+)
+
 
 @dataclass(frozen=True)
 class Usable:
     """Usable frames of a capture.
 
-    `patterns`: what each frame is decoded as, None if it is left out. `words`: what is missing and what it costs, in
-    sentences; '' if nothing is.
+    `patterns`: what each frame is decoded as, None if it is left out. `finding`: what is missing and what it costs;
+    None if nothing is.
     """
 
     patterns: tuple[Pattern | None, ...]
-    words: str = ""
+    finding: Finding | None = None
 
 
 def usable(
@@ -79,8 +87,10 @@ def _trimmed(
     if plan is None:
         raise InputError(f"{missing}. From what there is nothing can be decoded: {troubles[-1]}")
     kept = (decoded_as.get(pattern) for pattern in patterns[: len(whole)])
-    words = f"{missing}. What it costs: {'; '.join(_cost(axis, by_edges=not plan.fringes) for axis in plan.axes)}."
-    return Usable((*kept, *[None] * (len(patterns) - len(whole))), words)
+    costs = "; ".join(_cost(axis, by_edges=not plan.fringes) for axis in plan.axes)
+    numbers = {"taken_frames": float(len(patterns)), "planned_frames": float(len(planned))} if planned else {}
+    finding = Finding(STOPPED_EARLY, Severity.WARNING, f"{missing}. What it costs: {costs}.", data=numbers)
+    return Usable((*kept, *[None] * (len(patterns) - len(whole))), finding)
 
 
 def _exposures(patterns: Sequence[Pattern]) -> int:

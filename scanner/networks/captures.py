@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import FACES, NO_FACE, Size
 from calib.refusal import RefusalError
 from scanner.capture import Recording, open_capture
@@ -18,6 +19,11 @@ from scanner.results import CAPTURE_FOLDER, Decoded
 from scanner.ui import Terminal
 
 Pair = tuple[str, str]
+
+NO_CORNER_HERE = FindingKind(
+    "no-corner-here",
+    "A pair of a network shows no corner; it was joined by what it shares with others.",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +91,8 @@ def labelled(capture: Decoded, config: Config) -> Decoded:
     try:
         (found,) = label([capture], [capture], config)
     except RefusalError as refusal:
-        return replace(capture, plane=None).noting(f"no corner is found here: {refusal.reason}")
+        finding = Finding(NO_CORNER_HERE, Severity.NOTE, f"no corner is found here: {refusal.reason}")
+        return replace(capture, plane=None).with_findings(finding)
     face, plane = found.matches.labels.clip(NO_FACE), found.plane
     if plane is not None:
         further = (face == NO_FACE) & (plane >= 0) & ~np.isin(plane, np.unique(plane[face >= 0]))

@@ -3,12 +3,13 @@
 As with captures, a RefusalError keeps the matches, and the report gives the reason.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Matches, Size
 from calib.numerics import Bools
 from calib.plane_segmentation import find_same_faces, find_sparse_faces
@@ -34,6 +35,18 @@ from scanner.results import DENSE_FILE, Decoded, GivenMatches, Reconstructed, Sc
 from scanner.ui import Terminal
 
 _EXIF_SIGMA = 0.05  # EXIF focal lengths are rounded to millimetres, and those of zoom lenses are nominal
+
+EXIF_FOCAL = FindingKind(
+    "exif-focal",
+    "What the photos' EXIF data state of the focal length.",
+    "--exif-prior uses it.",
+    ("focal_px",),
+)
+REDUCED_PHOTOS = FindingKind(
+    "reduced-photos",
+    "The photos are larger than any lens resolves; they were reduced, and results are in the reduced pixels.",
+    data=("reduction_ratio",),
+)
 
 
 @dataclass(frozen=True)
@@ -69,9 +82,26 @@ def reconstruct_photos(
             newest = scan.newest
             cloud = dense_cloud(photos[0], photos[1], newest.calibration, newest.decoded.matches)
             write_ply(folder / DENSE_FILE, cloud)
+    scan = replace(scan, own_findings=(*scan.own_findings, *_findings_on(photos[0], exif_prior=options.exif_prior)))
     with terminal.step("Writing the result"):
         save(scan, folder, config)
     return scan
+
+
+def _findings_on(photo: Photo, *, exif_prior: bool) -> Iterator[Finding]:
+    if photo.focal_px is None:
+        yield Finding(EXIF_FOCAL, Severity.NOTE, "EXIF: no focal length")
+    else:
+        used = "used as a prior" if exif_prior else "not used; --exif-prior uses it"
+        message = f"EXIF: focal length {photo.focal_px:.0f} px ({used})"
+        yield Finding(EXIF_FOCAL, Severity.NOTE, message, data={"focal_px": photo.focal_px})
+    if photo.reduced > 1:
+        yield Finding(
+            REDUCED_PHOTOS,
+            Severity.NOTE,
+            f"Photos: reduced {photo.reduced} times, to {photo.size} pixels; results are in pixels of that size",
+            data={"reduction_ratio": float(photo.reduced)},
+        )
 
 
 def refuse_unsuitable(config: Config) -> None:

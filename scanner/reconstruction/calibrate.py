@@ -17,7 +17,7 @@ from scanner.reconstruction.keystone import on_panel
 from scanner.reconstruction.known_calibrations import is_calibration, read_known
 from scanner.reconstruction.lens_priors import lenses_of
 from scanner.reconstruction.metric_scale import scaled
-from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_motion_notes
+from scanner.reconstruction.moved_captures import refuse_costly, refuse_moved, shifts_of, with_motion_findings
 from scanner.reconstruction.sheet_scale import scaled_by_sheet
 from scanner.results import Decoded, SelfCalibrated, Stage, naming
 
@@ -84,7 +84,7 @@ def calibrate(labelled: Sequence[Decoded], config: Config) -> list[SelfCalibrate
     calibration, scaled_solutions = _scaled(labelled, solutions, config)
     return [
         SelfCalibrated(
-            capture.with_matches(solution.matches, capture.plane), with_motion_notes(labelled, solution), calibration
+            capture.with_matches(solution.matches, capture.plane), with_motion_findings(labelled, solution), calibration
         )
         for capture, solution in zip(labelled, scaled_solutions, strict=True)
     ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.diagnostics import FROM_ONE_PLACE, WORTH_A_CAPTURE, NextView
+from calib.finding import of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import build_cloud
 from calib.refusal import RefusalError
@@ -49,7 +50,7 @@ def _of(calibrated: Sequence[SelfCalibrated]) -> Guidance:
     enough = len(sigmas) == 2 and max(sigmas.values()) <= MEASUREMENT_GRADE
     known = " and ".join(f"{100 * sigma:.2g} % ({device})" for device, sigma in sigmas.items())
     sentences = [f"So far the focal lengths are known to {known}." if known else "The uncertainty is unknown."]
-    sentences += [note for note in newest.solution.notes if note.startswith(FROM_ONE_PLACE)]
+    sentences += map(str, of_kinds(newest.solution.findings, FROM_ONE_PLACE))
     if len(calibrated) > 1:
         sentences.append(_on_overlap(calibrated))
     return Guidance((*sentences, *_what_next(newest, sigmas.get("camera"), enough=enough)), enough)

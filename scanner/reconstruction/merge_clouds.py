@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.finding import Datum, Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats, Image
 from calib.pointcloud import Cloud, MergedCloud, Order, View, find_order, merged
 from scanner.results import SelfCalibrated
@@ -14,17 +15,30 @@ from scanner.results import SelfCalibrated
 _SAME_ANGLE_DEG = 1e-6
 _CONSISTENCY_SAMPLE = 20_000
 
+MERGED = FindingKind(
+    "merged",
+    "The clouds of several captures of one corner are merged in its frame.",
+    data=("points", "apart_share"),
+)
+NOT_MERGED = FindingKind(
+    "not-merged",
+    "The relation of several captures is not certain, so their clouds were not merged. The calibration does not depend "
+    "on it.",
+    "Put something into the corner that makes its sides different, and let nothing in it move between captures.",
+)
 
-def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[MergedCloud | None, tuple[str, ...]]:
+
+def merge(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> tuple[MergedCloud | None, Finding]:
     """The merged cloud of captures of one corner, and their agreement; or None, and the reason."""
     if not _one_corner(captures):
-        return None, ("The captures do not show the same corner, so their clouds were not merged.",)
+        message = "The captures do not show the same corner, so their clouds were not merged."
+        return None, Finding(NOT_MERGED, Severity.NOTE, message)
     views = [_view(capture, cloud) for capture, cloud in zip(captures, clouds, strict=True)]
     order = find_order(views, captures[-1].solution.order_nats)
     if not order.decided:
-        return None, (_why_not(order),)
+        return None, _why_not(order)
     cloud = merged(clouds, views, order.turns)
-    return cloud, (_agreement(clouds, views, cloud),)
+    return cloud, _agreement(clouds, views, cloud)
 
 
 def overlap(captures: Sequence[SelfCalibrated], clouds: Sequence[Cloud]) -> float | None:
@@ -61,27 +75,33 @@ def brightness(texture: Image) -> NDArray[np.float32]:
     return grey.astype(np.float32)
 
 
-def _why_not(order: Order) -> str:
+def _why_not(order: Order) -> Finding:
     if order.contradictory:
         reason = "what stands before the faces differs between the captures"
     else:
         reason = "a square corner looks the same from three sides, and nothing in the captures distinguishes them"
-    return (
-        f"The clouds were not merged: {reason}. The calibration does not depend on it; every capture has its own cloud."
+    return Finding(
+        NOT_MERGED,
+        Severity.NOTE,
+        f"The clouds were not merged: {reason}. The calibration does not depend on it; every capture has its own "
+        "cloud.",
     )
 
 
-def _agreement(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> str:
+def _agreement(clouds: Sequence[Cloud], views: Sequence[View], cloud: MergedCloud) -> Finding:
     apart = consistency(clouds, views, cloud.turns)
-    agreement = (
-        f" Where they overlap, they agree to {100 * float(np.median(apart)):.2g} % of the distance (median)."
-        if len(apart)
-        else ""
-    )
+    agreement, data = "", dict[str, Datum](points=float(len(cloud.points)))
+    if len(apart):
+        share = float(np.median(apart))
+        agreement = f" Where they overlap, they agree to {100 * share:.2g} % of the distance (median)."
+        data["apart_share"] = share
     unit = "baselines" if cloud.unit == "baseline" else cloud.unit
-    return (
+    return Finding(
+        MERGED,
+        Severity.NOTE,
         f"The {len(clouds)} clouds are merged in the corner's frame: {len(cloud.points):,} points, at most one in each "
-        f"cube of {cloud.grid:.2g} {unit}.{agreement}"
+        f"cube of {cloud.grid:.2g} {unit}.{agreement}",
+        data=data,
     )
 
 

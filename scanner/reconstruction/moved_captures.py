@@ -1,8 +1,9 @@
-"""Captures during which something moved: refused, or with what may be left of it in their sigmas and notes."""
+"""Captures during which something moved: refused, or with what may be left of it in their sigmas and findings."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.refinement import Shifts
 from calib.self_calibration import SelfCalibration
 from scanner.decoding import SUSPECTED_PX, UNSEEN_MOTION, moved
@@ -11,6 +12,13 @@ from scanner.results import Decoded
 # Largest effect of a remaining motion on the intrinsics, one standard deviation; or as much as their uncertainty at
 # rest.
 _MOST_PERCENT = 0.5
+
+REMAINING_MOTION = FindingKind(
+    "remaining-motion",
+    "A motion was corrected, and what may remain of it matters for the intrinsics; it is part of their sigmas.",
+    "Fasten what moved, and capture again.",
+    ("intrinsics_percent", "at_rest_percent"),
+)
 
 
 def refuse_moved(capture: Decoded) -> None:
@@ -36,22 +44,29 @@ def shifts_of(capture: Decoded) -> Shifts:
     return replace(of_motion, decoding=(*of_panel, *of_decoding), smooth_px=capture.origin.smooth_px)
 
 
-def with_motion_notes(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
-    """Add notes on the loss of accuracy by motion, and on motion that the capture cannot reveal, where either
+def with_motion_findings(captures: Sequence[Decoded], solution: SelfCalibration) -> SelfCalibration:
+    """Add findings on the loss of accuracy by motion, and on motion that the capture cannot reveal, where either
     applies.
     """
     if solution.likely_percent > _MOST_PERCENT:
-        cost = (
+        cost = Finding(
+            REMAINING_MOTION,
+            Severity.NOTE,
             f"The remaining motion may change the intrinsics by {solution.likely_percent:.2g} %; at rest, this view "
-            f"determines them to {solution.at_rest_percent:.2g} %. Both are part of their sigmas."
+            f"determines them to {solution.at_rest_percent:.2g} %. Both are part of their sigmas.",
+            data={"intrinsics_percent": solution.likely_percent, "at_rest_percent": solution.at_rest_percent},
         )
-        solution = replace(solution, notes=(*solution.notes, cost))
+        solution = replace(solution, findings=(*solution.findings, cost))
     motions = [capture.decoding.motion for capture in captures if capture.decoding]
     if not any(motion is not None and motion.blind for motion in motions):
         return solution
-    note = (
-        f"{UNSEEN_MOTION}: {SUSPECTED_PX:g} px would change the intrinsics by {solution.possible_percent:.2g} %, "
-        "which is part of their sigmas; a larger motion is not. Keep the border of the projector's picture in view, or "
-        "show a fringe of the first axis again at the end."
+    unseen = Finding(
+        UNSEEN_MOTION,
+        Severity.NOTE,
+        "All patterns along one axis came before those along the other, so the frames cannot show whether a device "
+        f"turned in between: {SUSPECTED_PX:g} px would change the intrinsics by {solution.possible_percent:.2g} %, "
+        "which is part of their sigmas; a larger motion is not.",
+        UNSEEN_MOTION.remedy,
+        {"suspected_px": SUSPECTED_PX, "intrinsics_percent": solution.possible_percent},
     )
-    return replace(solution, notes=(*solution.notes, note))
+    return replace(solution, findings=(*solution.findings, unseen))

@@ -7,10 +7,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+from calib.finding import Finding, FindingKind, Severity, of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import MergedCloud
 from calib.refusal import RefusalError
 from scanner.configuration import Config
+from scanner.decoding import TOO_DARK
 from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_merged_ply, write_ply, write_poses
 from scanner.reporting import CaptureRow, JointCaptures, ReportInput, verdict, write_report
 from scanner.results import (
@@ -29,9 +31,9 @@ from scanner.results import (
     Stage,
     confidence_entries,
     decoded_of,
+    findings_on,
     folder_of,
     provenance,
-    remarks_on,
     solution_of,
     titles_of,
     verdict_entries,
@@ -43,9 +45,10 @@ log = logging.getLogger(__name__)
 # By which its priority, on Linux a thread's own, is lower: it then gets a third of a processor that is in use.
 _PATIENCE = 5
 
-_ONE_OF_SEVERAL = (
-    "This capture was calibrated together with others; what concerns all of them is in the report of the whole result, "
-    "two folders up."
+ONE_OF_SEVERAL = FindingKind(
+    "one-of-several",
+    "This capture was calibrated together with others; what concerns all of them is in the report of the whole result.",
+    data=("captures",),
 )
 
 
@@ -108,7 +111,7 @@ def refusal_saved(
         yield reached
     except RefusalError as refusal:
         named = _refused_for_darkness(refusal, [decoded_of(stage) for stage in reached])
-        _log(remarks_on(reached[-1]))
+        _log(findings_on(reached[-1]))
         _save([Refused(stage, named) for stage in reached], folder, provenance(folder, config), matches)
         if named is refusal:
             raise
@@ -118,22 +121,21 @@ def refusal_saved(
 def _refused_for_darkness(refusal: RefusalError, captures: Sequence[Decoded]) -> RefusalError:
     """The refusal; if a capture is nearly black, a refusal for that, because it may cause any other."""
     for capture in captures:
-        if capture.decoding is not None and capture.decoding.darkness is not None:
-            what, _, to_do = capture.decoding.darkness.partition(". ")
+        for dark in of_kinds(capture.decoding.findings if capture.decoding else (), TOO_DARK):
             which = f"{capture.name}: " if len(captures) > 1 else ""
-            return RefusalError(f"{which}{what}. What came of it: {refusal.reason}", to_do)
+            return RefusalError(f"{which}{dark.message} What came of it: {refusal.reason}", dark.advice)
     return refusal
 
 
 def save(scan: Scan, folder: Path, config: Config, matches: EarlyMatches | None = None) -> None:
     """Write every capture's files into its folder of a result. Raises OSError."""
-    _log(scan.remarks)
-    _save(scan.captures, folder, provenance(folder, config), matches, scan.merged, scan.remarks_on_merging)
+    _log(scan.findings)
+    _save(scan.captures, folder, provenance(folder, config), matches, scan.merged, scan.own_findings)
 
 
-def _log(remarks: tuple[str, ...]) -> None:
-    for remark in remarks:
-        log.info(remark)
+def _log(findings: tuple[Finding, ...]) -> None:
+    for finding in findings:
+        log.info("%s: %s", finding.kind.name, finding)
 
 
 def _save(
@@ -142,9 +144,9 @@ def _save(
     made: Provenance,
     matches: EarlyMatches | None,
     merged: MergedCloud | None = None,
-    remarks: tuple[str, ...] = (),
+    own_findings: tuple[Finding, ...] = (),
 ) -> None:
-    """Write the stage of each capture; `merged` and `remarks` are on the page of the newest one."""
+    """Write the stage of each capture; `merged` and `own_findings` are on the page of the newest one."""
     count, truth = len(captures), captures[-1].decoded.metadata.truth
     write = _write_matches if matches is None else matches.write
     places = [folder_of(folder, index, count) for index in range(count)]
@@ -159,12 +161,21 @@ def _save(
             written.append(pool.submit(write_merged_ply, folder / MERGED_FILE, merged))
             write_poses(folder / POSES_FILE, merged.from_cameras)
         # The files are still being written while the reports list them.
+        joint = JointCaptures(count, findings=(_one_of(count),))
         for place, capture in zip(places[:-1], captures[:-1], strict=True):
-            _write_report(place, capture, JointCaptures(count, remarks=(_ONE_OF_SEVERAL,)), truth, made)
+            _write_report(place, capture, joint, truth, made)
         rows = _rows(captures) if count > 1 else ()
-        _write_report(folder, captures[-1], JointCaptures(count, rows, merged, remarks), truth, made)
+        _write_report(folder, captures[-1], JointCaptures(count, rows, merged, own_findings), truth, made)
         for each in written:
             each.result()
+
+
+def _one_of(count: int) -> Finding:
+    message = (
+        "This capture was calibrated together with others; what concerns all of them is in the report of the whole "
+        "result, two folders up."
+    )
+    return Finding(ONE_OF_SEVERAL, Severity.NOTE, message, data={"captures": tuple(range(1, count + 1))})
 
 
 def _write_report(

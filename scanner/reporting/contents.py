@@ -5,13 +5,14 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.finding import Finding
 from calib.geometry import Calibration, Matches
 from calib.numerics import Ints
 from calib.pointcloud import CloudStatistics, MergedCloud
 from calib.self_calibration import SelfCalibration
 from scanner.capture import CaptureMetadata
 from scanner.measuring import Scene, measure_scene, one_in_each_cell, sample_cells
-from scanner.results import Provenance, Reconstructed, Refused
+from scanner.results import Provenance, Reconstructed, Refused, findings_on
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class CaptureRow:
 
 @dataclass(frozen=True)
 class JointCaptures:
-    """`count` captures that were calibrated together, and `remarks` on that.
+    """`count` captures that were calibrated together, and `findings` on that.
 
     On the newest one's page: `rows`, all of them if there are several, and `merged`, their cloud.
     """
@@ -40,7 +41,7 @@ class JointCaptures:
     count: int = 1
     rows: tuple[CaptureRow, ...] = ()
     merged: MergedCloud | None = None
-    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,9 @@ class ReportInput:
         return self.reconstructed.solution if self.reconstructed else None
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings of the decoder."""
-        decoding = self.outcome.decoded.decoding
-        return decoding.warnings if decoding else ()
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Further remarks on the capture."""
-        return (*(self.solution.notes if self.solution else ()), *self.joint.remarks)
+    def findings(self) -> tuple[Finding, ...]:
+        """Those on the capture and its calibration, and on the captures that were calibrated together."""
+        return (*findings_on(self.reconstructed or self.outcome.decoded), *self.joint.findings)
 
     @cached_property
     def sample(self) -> Matches:

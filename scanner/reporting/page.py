@@ -70,8 +70,6 @@ def write_report(path: Path, report: ReportInput) -> None:
         provenance=report.provenance,
         configuration=sections.configuration(report.provenance),
         verdict=decision,
-        warnings=[warning for warning in report.warnings if warning in decision.notes],
-        notes=[note for note in report.notes if note in decision.notes],
         method=solution.method if solution else None,
         tables=tables,
         has_sigmas=any(row.sigma is not None for table in tables for row in table.rows),

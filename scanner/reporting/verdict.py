@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.diagnostics import FROM_ONE_PLACE
+from calib.finding import of_kinds
 from calib.geometry import Calibration
 from calib.pointcloud import CloudStatistics
 from scanner.capture import CHANGED_SHAPE
-from scanner.decoding import UNCHECKED, UNSEEN_MOTION
+from scanner.decoding import ONE_AXIS, UNCHECKED, UNSEEN_MOTION
 from scanner.patterns import Axis
 from scanner.quantities import intrinsic_errors_percent, percent, relative_focal_sigmas
 from scanner.reporting.contents import ReportInput
@@ -62,11 +63,8 @@ _CHECK_THE_CALIBRATION = "Check that the calibration belongs to this rig, and th
 
 def verdict(report: ReportInput) -> Verdict:
     """The verdict on a result."""
-    found = _of_outcome(report)
-    # A sentence that is already a reason is not repeated.
-    notes = tuple(note for note in (*report.warnings, *report.notes) if note not in found.reasons)
-    found = replace(found, notes=notes)
-    return found if report.scene is None else replace(found, reasons=(report.scene.sentence, *found.reasons))
+    decision = replace(_of_outcome(report), findings=report.findings)
+    return decision if report.scene is None else replace(decision, reasons=(report.scene.sentence, *decision.reasons))
 
 
 def _of_outcome(report: ReportInput) -> Verdict:
@@ -76,9 +74,10 @@ def _of_outcome(report: ReportInput) -> Verdict:
             return Verdict("refused", "Not calibrated", (refusal.reason, matched), refusal.advice)
         case Reconstructed(SelfCalibrated() as calibrated, cloud):
             return _of_self_calibration(report, calibrated, cloud.statistics)
-        case Reconstructed(cloud=cloud) if unchecked := [w for w in report.warnings if w.startswith(UNCHECKED)]:
-            reasons = (*unchecked, *_about_matches(report))
-            return Verdict("fair", "Reconstructed from fringes that nothing checks", reasons, _SHORTER_FRINGES)
+        case Reconstructed(cloud=cloud) if unchecked := of_kinds(report.findings, UNCHECKED):
+            reasons = (*map(str, unchecked), *_about_matches(report))
+            headline = "Reconstructed from fringes that nothing checks"
+            return Verdict("fair", headline, reasons, _SHORTER_FRINGES, kinds=(UNCHECKED,))
         case Reconstructed(calibrated, cloud) if axis := calibrated.decoded.only_axis:
             return _of_one_axis(report, cloud.statistics, axis)
         case Reconstructed(cloud=cloud):
@@ -113,7 +112,7 @@ def _of_one_axis(report: ReportInput, statistics: CloudStatistics, axis: Axis) -
     if statistics.matched:
         reasons.append(_about_points(statistics))
     headline = "Reconstructed with the calibration that was given, which one axis cannot check"
-    return Verdict("good", headline, tuple(reasons), _BOTH_AXES)
+    return Verdict("good", headline, tuple(reasons), _BOTH_AXES, kinds=(ONE_AXIS,))
 
 
 def _misses_systematically(statistics: CloudStatistics) -> bool:
@@ -145,18 +144,21 @@ def _of_self_calibration(report: ReportInput, calibrated: SelfCalibrated, statis
     if price.per_px * _CALIBRATED_CENTRE_PX > _MOST_BY_CENTRE:
         headline = "Calibrated, as well as the principal point that was given"
         return Verdict("fair", headline, (*price.sentences, *reasons[: -len(price.sentences)]), _FREE_THE_CENTRE)
-    reasons += [note for note in calibrated.solution.notes if note.startswith(FROM_ONE_PLACE)]
-    unseen = [note for note in calibrated.solution.notes if note.startswith(UNSEEN_MOTION)]
+    reasons += map(str, of_kinds(report.findings, FROM_ONE_PLACE))
+    unseen, changed = of_kinds(report.findings, UNSEEN_MOTION), of_kinds(report.findings, CHANGED_SHAPE)
     if unseen or calibrated.solution.possible_percent > _MOST_BY_MOTION_PERCENT:
-        return Verdict("fair", _IF_NOTHING_MOVED, (*unseen, *reasons), _STANDARD_ORDER)
-    if changed := [warning for warning in report.warnings if warning.startswith(CHANGED_SHAPE)]:
-        return Verdict("fair", _IF_PIXELS_ARE_SQUARE, (*changed, *reasons), _TURN_OFF)
+        kinds = UNSEEN_MOTION, FROM_ONE_PLACE
+        return Verdict("fair", _IF_NOTHING_MOVED, (*map(str, unseen), *reasons), _STANDARD_ORDER, kinds=kinds)
+    if changed:
+        kinds = CHANGED_SHAPE, FROM_ONE_PLACE
+        return Verdict("fair", _IF_PIXELS_ARE_SQUARE, (*map(str, changed), *reasons), _TURN_OFF, kinds=kinds)
     if worst is not None and worst <= MEASUREMENT_GRADE:
-        return Verdict("good", "Calibrated, well enough to measure", tuple(reasons))
+        return Verdict("good", "Calibrated, well enough to measure", tuple(reasons), kinds=(FROM_ONE_PLACE,))
     advice = _ONE_MORE if report.joint.count > 1 else _THREE_CAPTURES
     if metadata.photos:
         advice = _THIRD_PHOTO
-    return Verdict("fair", "Calibrated, well enough for a first look", tuple(reasons), advice)
+    headline = "Calibrated, well enough for a first look"
+    return Verdict("fair", headline, tuple(reasons), advice, kinds=(FROM_ONE_PLACE,))
 
 
 def _doubtful_centre(calibration: Calibration) -> str | None:

@@ -47,8 +47,8 @@ from scanner.results.stages import (
     SelfCalibrated,
     Stage,
     decoded_of,
+    findings_on,
     naming,
-    remarks_on,
     solution_of,
     titles_of,
 )
@@ -57,9 +57,6 @@ from scanner.results.stated_uncertainty import (
     confidence_entries,
     covariance_entries,
     read_uncertainty,
-    read_verdict,
-    verdict_entries,
-    verdict_of,
-    write_refusal,
 )
+from scanner.results.stated_verdict import finding_entries, read_verdict, verdict_entries, verdict_of, write_refusal
 from scanner.results.verdict import DECISIVE, MEASUREMENT_GRADE, SIGNS, Grade, Verdict

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.diagnostics import Uncertainty
+from calib.finding import Finding
 from calib.geometry import Calibration, Corner, Matches
 from calib.numerics import Floats, Image, Ints
 from calib.pointcloud import Cloud, MergedCloud
@@ -77,11 +78,11 @@ class Decoded:
         """The only axis along which the projector's coordinate was measured, if so."""
         return self.origin.only_axis
 
-    def noting(self, *sentences: str) -> "Decoded":
-        """The same capture with a note before all remarks of the decoder."""
-        if self.decoding is None or not sentences:
+    def with_findings(self, *findings: Finding) -> "Decoded":
+        """The same capture with findings before all those of the decoder."""
+        if self.decoding is None or not findings:
             return self
-        return replace(self, origin=replace(self.decoding, warnings=(*sentences, *self.decoding.warnings)))
+        return replace(self, origin=replace(self.decoding, findings=(*findings, *self.decoding.findings)))
 
     def with_matches(self, matches: Matches, plane: Ints | None) -> "Decoded":
         """The same capture, of whose matches more is known."""
@@ -166,7 +167,9 @@ class Scan:
 
     captures: tuple[Reconstructed, ...]
     merged: MergedCloud | None = None
-    remarks_on_merging: tuple[str, ...] = ()
+    """Their clouds in one, where the relation of several captures is certain."""
+    own_findings: tuple[Finding, ...] = ()
+    """Those on all captures together."""
 
     @property
     def newest(self) -> Reconstructed:
@@ -174,9 +177,9 @@ class Scan:
         return self.captures[-1]
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """Remarks for a person, in sentences."""
-        return (*remarks_on(self.newest), *self.remarks_on_merging)
+    def findings(self) -> tuple[Finding, ...]:
+        """Those on the newest capture, and on all together."""
+        return (*findings_on(self.newest), *self.own_findings)
 
 
 def decoded_of(stage: Stage) -> Decoded:
@@ -190,10 +193,10 @@ def solution_of(stage: Stage) -> SelfCalibration | None:
     return calibrated.solution if isinstance(calibrated, SelfCalibrated) else None
 
 
-def remarks_on(stage: Stage) -> tuple[str, ...]:
-    """Return remarks on the decoding and the calibration, in sentences."""
+def findings_on(stage: Stage) -> tuple[Finding, ...]:
+    """Return the findings on the decoding and the calibration of a capture."""
     decoding, solution = decoded_of(stage).decoding, solution_of(stage)
-    return (*(decoding.warnings if decoding else ()), *(solution.notes if solution else ()))
+    return (*(decoding.findings if decoding else ()), *(solution.findings if solution else ()))
 
 
 def titles_of(captures: Sequence[Decoded]) -> tuple[str, ...]:

@@ -1,6 +1,5 @@
-"""The additional parts of calibration.yaml: the verdict on the result, and its covariance."""
+"""The covariance of a calibration as a key of its file."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,9 +11,9 @@ from calib.geometry import Calibration, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import ROTATION, SHARED, TRANSLATION, State, device_of
 from scanner.errors import InputError
-from scanner.io import Entry, Number, block_yaml, read_yaml, validate
-from scanner.results.names import CALIBRATION_FILE, NETWORK_FILE, REFUSAL_FILE
-from scanner.results.verdict import Grade, Verdict
+from scanner.io import Entry, Number, read_yaml, validate
+from scanner.results.stated_verdict import verdict_entries
+from scanner.results.verdict import Verdict
 
 _OF_DEVICE = ("log_focal", "principal_point_x_px", "principal_point_y_px", "k1", "k2", "p1", "p2", "k3")
 COLUMNS = (
@@ -28,14 +27,6 @@ _FURTHER = tuple(f"{device}_{term}" for device in ("camera", "projector") for te
 _LOG_FOCALS = [index for index, column in enumerate(COLUMNS) if column.endswith("log_focal")]
 _MOST_LOG_SIGMA, _MOST_SIGMA = 5.0, 1e7  # a factor of 150 of a focal length; more pixels than any image has
 _ROUNDED, _NOTHING = 1e-6, 1e-9
-
-
-class _VerdictEntry(Entry):
-    grade: Grade
-    headline: str
-    reasons: list[str]
-    advice: str
-    notes: list[str] = Field(default_factory=list)
 
 
 class _AlongEntry(Entry):
@@ -52,7 +43,6 @@ class _CovarianceEntry(Entry):
 
 
 class _ConfidenceEntry(Entry):
-    verdict: _VerdictEntry | None = None
     covariance: _CovarianceEntry | None = None
 
 
@@ -76,41 +66,6 @@ def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
         steps = (along.steps @ to_file.T).tolist()
         covariance["along"] = {"probability": along.probability.tolist(), "steps": steps}
     return {"covariance": covariance}
-
-
-def verdict_entries(verdict: Verdict) -> dict[str, Any]:
-    """A key for a calibration file, or for the file that replaces it after a refusal."""
-    stated = {
-        "grade": verdict.grade,
-        "headline": verdict.headline,
-        "reasons": [*verdict.reasons],
-        "advice": verdict.advice,
-        **({"notes": [*verdict.notes]} if verdict.notes else {}),
-    }
-    return {"verdict": stated}
-
-
-def write_refusal(path: Path, entries: Mapping[str, Any]) -> None:
-    """Write why a capture was refused, for programs: the page says it to people. Raises OSError."""
-    path.write_text(block_yaml(entries), encoding="utf-8")
-
-
-def read_verdict(path: Path) -> Verdict | None:
-    """Read the verdict from a result's calibration file, or from that of a refusal.
-
-    Returns None without one, as in older files. Raises InputError.
-    """
-    entry = validate(_ConfidenceEntry, read_yaml(path), str(path)).verdict
-    if entry is None:
-        return None
-    return Verdict(entry.grade, entry.headline, tuple(entry.reasons), entry.advice, tuple(entry.notes))
-
-
-def verdict_of(folder: Path) -> Verdict | None:
-    """The verdict of a result, or of a refusal; None where no file says one. Raises InputError."""
-    files = (folder / name for name in (REFUSAL_FILE, CALIBRATION_FILE, NETWORK_FILE))
-    path = next((path for path in files if path.is_file()), None)
-    return None if path is None else read_verdict(path)
 
 
 def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from calib.finding import Finding, FindingKind, without_kinds
+
 # Largest sigma of a focal length: of 130 results, one then errs by over 2 %, which bends a room by about twice the
 # deviation of its walls from square.
 MEASUREMENT_GRADE = 0.0075
@@ -16,16 +18,24 @@ SIGNS: dict[str, str] = {"good": "✓", "fair": "◐", "refused": "✕"}
 
 @dataclass(frozen=True)
 class Verdict:
-    """`headline` answers the question, `reasons` say why, `advice` what to do next ('' for nothing).
-
-    `notes` are what else a person should know.
-    """
+    """An answer to whether a result can be trusted."""
 
     grade: Grade
     headline: str
+    """The answer in a sentence."""
     reasons: tuple[str, ...]
+    """Why, in sentences, those that decide first."""
     advice: str = ""
-    notes: tuple[str, ...] = ()
+    """What to do next; '' for nothing."""
+    findings: tuple[Finding, ...] = ()
+    """All that was found out about the result."""
+    kinds: tuple[FindingKind, ...] = ()
+    """Kinds of those findings that the reasons say already."""
+
+    @property
+    def further(self) -> tuple[Finding, ...]:
+        """The findings that the reasons do not say."""
+        return without_kinds(self.findings, *self.kinds)
 
     @property
     def sign(self) -> str:

@@ -25,8 +25,8 @@ def bold(text: str) -> str:
 
 
 def notes_text(verdict: Verdict | None) -> str:
-    """Return the report's further notes on a result; '' if there are none."""
-    said = () if verdict is None else (*verdict.reasons[DECISIVE:], *verdict.notes)
+    """Return the report's further reasons and findings on a result; '' if there are none."""
+    said = () if verdict is None else (*verdict.reasons[DECISIVE:], *map(str, verdict.further))
     return "\n".join(f"- {escaped(sentence)}" for sentence in said)
 
 

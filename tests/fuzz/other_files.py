@@ -15,11 +15,14 @@ from tests.fuzz.mutations import Random, extreme, of_bytes, of_yaml
 
 def refusal(folder: Path) -> Run:
     """`refused.yaml`, and its card in the history."""
+    from calib.finding import Finding, FindingKind, Severity
     from scanner.results import REFUSAL_FILE, Verdict, verdict_entries, verdict_of, write_refusal
     from scanner.viewing import notes_text, verdict_text
 
     path = folder / REFUSAL_FILE
-    write_refusal(path, verdict_entries(Verdict("refused", "No", ("because", "of this"), "Again", ("a note",))))
+    kind = FindingKind("too-warm", "It is too warm.", data=("rooms", "temperature_c"))
+    finding = Finding(kind, Severity.NOTE, "It is warm.", data={"rooms": (1, 2), "temperature_c": 31.5})
+    write_refusal(path, verdict_entries(Verdict("refused", "No", ("because", "of this"), "Again", (finding,), (kind,))))
     seed = yaml.safe_load(path.read_text())
 
     def read(rng: Random) -> None:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Corner, DeviceSigmas, Matches, Sigmas, Size
 from calib.pointcloud import build_cloud
 from calib.refusal import RefusalError
 from calib.self_calibration import Profile, SelfCalibration
 from scanner.capture import CaptureMetadata
-from scanner.decoding import Decoding, MaskReason
+from scanner.decoding import TOO_DARK, Decoding, MaskReason
 from scanner.decoding.light import NoiseModel
 from scanner.patterns import sequence_for
 from scanner.reporting import ReportInput
@@ -17,6 +18,12 @@ from scanner.results import Decoded, Reconstructed, Refused, SelfCalibrated
 from tests.support.cloud_scene import Scene
 
 SIZES = (Size(408, 342), Size(854, 480))
+DARK = Finding(TOO_DARK, Severity.WARNING, "Some frames are dark.", "Expose longer.", {"noise_ratio": 12.0})
+OFF_SQUARE = Finding(
+    FindingKind("off-square", "How far the faces seem to be from square."),
+    Severity.NOTE,
+    "The faces seem to be off by +0.10 degrees.",
+)
 
 
 def decoding_of(scene: Scene) -> Decoding:
@@ -24,7 +31,7 @@ def decoding_of(scene: Scene) -> Decoding:
     column, row = scene.matches.camera_px.astype(int).T
     reasons[row, column] = MaskReason.KEPT
     reasons[:20] = MaskReason.SATURATED
-    return Decoding(scene.matches, scene.texture, reasons, NoiseModel(2.0, 0.01), 0.8, ("Some frames are dark.",))
+    return Decoding(scene.matches, scene.texture, reasons, NoiseModel(2.0, 0.01), 0.8, (DARK,))
 
 
 def calibrated_report(scene: Scene) -> ReportInput:
@@ -40,7 +47,7 @@ def calibrated_report(scene: Scene) -> ReportInput:
         Profile(focal_px, 400 * np.log(focal_px / 299.5) ** 2),
         0.083,
         "refined",
-        ("The faces seem to be off by +0.10 degrees.",),
+        (OFF_SQUARE,),
     )
     metadata = CaptureMetadata(*SIZES, sequence_for(SIZES[1]), {"camera": "Simulated"}, (33333.0, 33333.0))
     calibrated = SelfCalibrated(Decoded(metadata, scene.matches, decoding), solution, calibration)

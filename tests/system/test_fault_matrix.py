@@ -43,7 +43,7 @@ def decoded(capture: Path) -> int:
     """Number of matches of an interrupted capture."""
     recording = open_capture(capture)
     sequence = usable(recording.patterns, recording.planned, recording.projector_size)
-    assert f"{len(recording.patterns)} of its {len(PATTERNS)} frames were taken" in sequence.words
+    assert f"{len(recording.patterns)} of its {len(PATTERNS)} frames were taken" in str(sequence.finding)
     stream = recording.stream().shown_as(sequence.patterns)
     decoder = Decoder(stream.patterns, stream.projector_size)
     for _, frame in stream.frames:
@@ -88,8 +88,8 @@ def test_killed_while_recording(bench: FaultBench, config: Path, fault: str, mom
     if moment.frames:
         found = open_capture(left)
         assert found.patterns == PATTERNS[: moment.frames]
-        assert moment.word in " ".join(found.notes)
-        assert bool(moment.word) == bool(found.notes)
+        assert moment.word in " ".join(map(str, found.findings))
+        assert bool(moment.word) == bool(found.findings)
     after = bench.run(folder, *scan)  # the next start
     assert after.code == 0
     kept = folder / "room-incomplete"
@@ -114,7 +114,7 @@ def test_interrupted_while_recording(bench: FaultBench, config: Path, fault: str
     assert "Traceback" not in ended.said
     assert names(folder) == {"room-incomplete"}
     found = open_capture(folder / "room-incomplete" / "capture")
-    assert (found.patterns, found.notes) == (PATTERNS[: moment.frames], ())
+    assert (found.patterns, found.findings) == (PATTERNS[: moment.frames], ())
 
 
 def test_interrupted_while_cleaning_up(bench: FaultBench, config: Path) -> None:

@@ -11,8 +11,9 @@ from math import sqrt
 
 import numpy as np
 
+from calib.finding import Finding
 from calib.numerics import Bools, Image, Ints, Words, compiled, lines_of
-from scanner.decoding.checks.frame_consistency import LEFT_BY_SWAP, MOST_BROKEN, Anomaly
+from scanner.decoding.checks.frame_consistency import LEFT_BY_SWAP, MOST_BROKEN, anomaly
 from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.light import LIT, STRAY_PART, NoiseModel
 from scanner.decoding.sequence_plan import FINE_BITS, GrayCode, SequencePlan
@@ -64,7 +65,7 @@ def check_codes(
     threshold: Image,
     white: Image,
     moved: Bools | None = None,
-) -> list[Anomaly]:
+) -> list[Finding]:
     """Return the anomalies of Gray codes whose single-bit changes do not join neighbouring cells.
 
     `threshold` (H, W): grey level half-way between lit and unlit; `white` (H, W): grey level when lit; `moved` (H, W):
@@ -96,7 +97,7 @@ def check_codes(
                 f"in the Gray code along {code_words.code.axis}, cells that differ in bit {', '.join(map(str, bits))} "
                 f"only are not neighbours, as they must be; was a frame exchanged with another? {plan.names(suspects)}"
             )
-            anomalies.append(Anomaly(message, tuple(suspects)))
+            anomalies.append(anomaly(message, suspects))
     return anomalies
 
 

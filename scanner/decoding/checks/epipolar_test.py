@@ -10,15 +10,16 @@ pixels. Pixels that were decoded without some of their bits are tested in the sa
 amplitude is that of direct light.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import cv2
 import numpy as np
 
+from calib.finding import Datum, Finding, Severity
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats, Floats32, Image, at_random
-from scanner.decoding.checks.frame_consistency import MOST_BROKEN, Anomaly
+from scanner.decoding.checks.frame_consistency import FRAMES_CONTRADICT, MOST_BROKEN, suspected
 from scanner.decoding.code_images import CodeImages
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.mask_reasons import BROKEN, MaskReason, Reasons, count_reasons
@@ -34,7 +35,7 @@ _FEWEST = _STEPS * FEWEST_PIXELS
 
 
 @contextmanager
-def annotate_errors(anomalies: Sequence[Anomaly]) -> Iterator[None]:
+def annotate_errors(anomalies: Sequence[Finding]) -> Iterator[None]:
     """Prepend the anomalies to the message of an InputError that is raised in the block."""
     try:
         yield
@@ -45,9 +46,9 @@ def annotate_errors(anomalies: Sequence[Anomaly]) -> Iterator[None]:
 
 
 def assess_anomalies(
-    anomalies: Sequence[Anomaly], reasons: Reasons, matches: Matches, *, one_axis: bool = False
-) -> str:
-    """Return a sentence for the operator about anomalies that do no harm, from the `reasons` (H, W) of all pixels.
+    anomalies: Sequence[Finding], reasons: Reasons, matches: Matches, *, one_axis: bool = False
+) -> Finding:
+    """Return one warning about anomalies that do no harm, from the `reasons` (H, W) of all pixels.
 
     `one_axis`: whether matches were placed on the lines of an epipolar geometry, which therefore cannot test them.
 
@@ -62,10 +63,12 @@ def assess_anomalies(
             "their surface: did something move in most of the picture, or were frames exchanged?"
         )
     if len(matches) < FEWEST_PIXELS:
-        return f"{_description(anomalies)}. Too few pixels have a match to assess the effect."
+        return _harmless(anomalies, "Too few pixels have a match to assess the effect.")
     if one_axis:
-        return (
-            f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent."
+        return _harmless(
+            anomalies,
+            f"It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent.",
+            {"consistent_share": 1 - share},
         )
     distance, outliers = _epipolar(matches)
     if outliers > _MOST_OUTLIERS:
@@ -73,14 +76,22 @@ def assess_anomalies(
             f"{_description(anomalies)}; and {outliers:.0%} of the matches are more than {EPIPOLAR_PX:g} projector "
             "pixels from the epipolar geometry of the others"
         )
-    return (
-        f"{_description(anomalies)}. It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in "
-        f"themselves and with their surface, and fit one epipolar geometry to {distance:.2f} px. Did someone walk "
-        "through the picture, or did the light change?"
+    return _harmless(
+        anomalies,
+        f"It was decoded nevertheless: {1 - share:.0%} of the lit pixels are consistent in themselves and with their "
+        f"surface, and fit one epipolar geometry to {distance:.2f} px. Did someone walk through the picture, or did "
+        "the light change?",
+        {"consistent_share": 1 - share, "epipolar_px": distance},
     )
 
 
-def _description(anomalies: Sequence[Anomaly]) -> str:
+def _harmless(anomalies: Sequence[Finding], effect: str, data: Mapping[str, Datum] | None = None) -> Finding:
+    frames = tuple(sorted(suspected(anomalies)))
+    message = f"{_description(anomalies)}. {effect}"
+    return Finding(FRAMES_CONTRADICT, Severity.WARNING, message, data={"frames": frames, **(data or {})})
+
+
+def _description(anomalies: Sequence[Finding]) -> str:
     return "the frames do not show what the capture says: " + "; ".join(anomaly.message for anomaly in anomalies)
 
 

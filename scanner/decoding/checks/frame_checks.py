@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from calib.finding import Finding
 from calib.numerics import TRIAL_PIXELS, Bools, Floats32, evenly_spread
 from scanner.decoding.ambient_light_change import AmbientLightChange, light_switch, may_be_switched
 from scanner.decoding.checks.frame_consistency import (
     LEFT_BY_SWAP,
-    Anomaly,
     LitSample,
+    anomaly,
     find_anomalies,
+    suspected,
     total_inconsistency,
 )
 from scanner.decoding.light import NoiseModel
@@ -43,7 +45,7 @@ _MOST_BRIGHTER = 4.0
 
 def check_frames(
     plan: SequencePlan, levels: Floats32, equalised: Floats32, noise: NoiseModel, saturation: float
-) -> tuple[list[Anomaly], AmbientLightChange | None]:
+) -> tuple[list[Finding], AmbientLightChange | None]:
     """Return the anomalies of the sample `levels` (frames, P), and an ambient light change if there was one.
 
     `equalised`: the levels after equalising brightness, which resolves some contradictions.
@@ -60,10 +62,10 @@ def check_frames(
     equalised_sample = _with_brighter_white(plan, equalised_sample)
     if not anomalies and switch is None:
         return [], None
-    switched = [] if switch is None else [Anomaly(switch.description(plan), (switch.frame,))]
+    switched = [] if switch is None else [anomaly(switch.description(plan), [switch.frame])]
     mistake = _find_swap(plan, sample, equalised_sample, anomalies) or _duplicate(plan, sample, anomalies)
     if mistake:
-        message = "; ".join([*(anomaly.message for anomaly in anomalies), mistake])
+        message = "; ".join([*(finding.message for finding in anomalies), mistake])
         raise InputError(f"the frames do not show what the capture says: {message}")
     return [*switched, *find_anomalies(plan, equalised_sample)], switch
 
@@ -158,7 +160,7 @@ def _with_white(plan: SequencePlan, white: int, equalised: LitSample, least: flo
     return replace(equalised, levels=times(float(optimum.x)))
 
 
-def _find_swap(plan: SequencePlan, sample: LitSample, equalised: LitSample, anomalies: Sequence[Anomaly]) -> str:
+def _find_swap(plan: SequencePlan, sample: LitSample, equalised: LitSample, anomalies: Sequence[Finding]) -> str:
     """Return a message that names two exchanged frames, or ''.
 
     Exchanging them back must reduce the contradictions in proportion to their difference. They are not named if
@@ -167,7 +169,7 @@ def _find_swap(plan: SequencePlan, sample: LitSample, equalised: LitSample, anom
     levels, swing, of_equalised = (
         evenly_spread(n, TRIAL_PIXELS, -1) for n in (sample.levels, sample.swing, equalised.levels)
     )
-    suspects = sorted({frame for anomaly in anomalies for frame in anomaly.frames})
+    suspects = sorted(suspected(anomalies))
     before = total_inconsistency(plan, levels, swing)
     least, pair = total_inconsistency(plan, of_equalised, swing), (0, 0)
     tried: dict[tuple[int, int], float] = {}
@@ -181,9 +183,9 @@ def _find_swap(plan: SequencePlan, sample: LitSample, equalised: LitSample, anom
     return f"with {plan.names(pair)} exchanged they do"
 
 
-def _duplicate(plan: SequencePlan, sample: LitSample, anomalies: Sequence[Anomaly]) -> str:
+def _duplicate(plan: SequencePlan, sample: LitSample, anomalies: Sequence[Finding]) -> str:
     """Return a message that names a suspected frame and its duplicate, or ''."""
-    for frame in sorted({frame for anomaly in anomalies for frame in anomaly.frames}):
+    for frame in sorted(suspected(anomalies)):
         equal = np.abs(sample.levels - sample.levels[frame]) < OUTLYING_SIGMAS * np.sqrt(2) * sample.sigma
         share = np.mean(equal, axis=1)
         for twin in np.flatnonzero(share > NEARLY_ALL).tolist():

@@ -4,11 +4,12 @@ White is the brightest of all frames and black the darkest, pattern and inverse 
 fringe lie on a cosine, and all fringes have the same mean. What a frame misses of this is its residual.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats32, median, medians, robust_sigmas
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
@@ -24,13 +25,22 @@ MOST_BROKEN = 0.35
 # contradictions: all but those of noise and of the projector's and the camera's curves, which leave 0.05.
 LEFT_BY_SWAP = 0.3
 
+FRAMES_CONTRADICT = FindingKind(
+    "frames-contradict",
+    "Some frames do not show what the capture says; most of the picture decodes nevertheless, so it was used.",
+    "Keep people out of the picture and the light as it is; switch automatic exposure and white balance off.",
+    ("frames", "consistent_share", "epipolar_px"),
+)
 
-@dataclass(frozen=True)
-class Anomaly:
-    """A contradiction, with a short `message` and the suspected `frames`."""
 
-    message: str
-    frames: tuple[int, ...]
+def anomaly(message: str, frames: Iterable[int]) -> Finding:
+    """A contradiction between frames, with a short message and the suspected frames."""
+    return Finding(FRAMES_CONTRADICT, Severity.WARNING, message, data={"frames": tuple(frames)})
+
+
+def suspected(anomalies: Iterable[Finding]) -> set[int]:
+    """The frames that any of the anomalies suspects."""
+    return {frame for finding in anomalies for frame in finding.numbers("frames")}
 
 
 @dataclass(frozen=True)
@@ -79,38 +89,38 @@ def total_inconsistency(plan: SequencePlan, levels: Floats32, swing: Floats32) -
     return sum(float(np.sum((residual / swing) ** 2)) for residual in residuals) / len(swing)
 
 
-def find_anomalies(plan: SequencePlan, sample: LitSample) -> list[Anomaly]:
+def find_anomalies(plan: SequencePlan, sample: LitSample) -> list[Finding]:
     """Return all contradictions between the frames and the sequence."""
     return [*_extremes(plan, sample), *_pairs(plan, sample), *_fringes(plan, sample)]
 
 
-def _extremes(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
+def _extremes(plan: SequencePlan, sample: LitSample) -> Iterator[Finding]:
     for frame, excess in range_residuals(plan, sample.levels):
         beyond = excess > HALF * sample.swing
         wrong = np.mean(beyond.any(axis=0))
         if wrong > _WRONG_SHARE:
             suspect = int(np.argmax(np.count_nonzero(beyond, axis=1)))
-            yield Anomaly(
+            yield anomaly(
                 f"{plan.name(frame)} is {'darker' if frame == plan.white else 'brighter'} than others at {wrong:.0%} "
                 f"of the lit pixels, above all than {plan.name(suspect)}",
                 (frame, suspect),
             )
 
 
-def _pairs(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
+def _pairs(plan: SequencePlan, sample: LitSample) -> Iterator[Finding]:
     wrong = np.mean(np.abs(pair_sum_residuals(plan, sample.levels)) > HALF * sample.swing, axis=1)
     suspects = [
         frame for pair, share in zip(plan.complements, wrong, strict=False) for frame in pair if share > _WRONG_SHARE
     ]
     if suspects:
-        yield Anomaly(
+        yield anomaly(
             f"pattern and inverse do not complement each other at {wrong.max():.0%} of the lit pixels, in "
             f"{plan.names(suspects)}",
-            tuple(suspects),
+            suspects,
         )
 
 
-def _fringes(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
+def _fringes(plan: SequencePlan, sample: LitSample) -> Iterator[Finding]:
     """Yield the fringes whose mean is uneven, or whose steps make no cosine; blurred ones cannot be checked."""
     levels = {fringe: sample.levels[list(fringe.frames)] for fringe in plan.fringes}
     # Scatter of the steps in standard deviations of the noise; a barely visible fringe has 3.
@@ -129,11 +139,11 @@ def _fringes(plan: SequencePlan, sample: LitSample) -> Iterator[Anomaly]:
         # N times the scatter of the mean is about an amplitude if one of N frames shows another pattern, 0.1 to 0.2 of
         # it from harmonics.
         if steps * np.sqrt(max(spread**2 - relative_noise**2 / steps, 0.0)) > HALF * median(amplitude / sample.swing):
-            yield Anomaly(
+            yield anomaly(
                 f"the mean of {plan.names(fringe.frames)} is no even grey, as it is for a fringe in equal steps",
                 fringe.frames,
             )
     for fringe in visible:
         swings = levels[fringe] - fringe.weights[0].astype(np.float32) @ levels[fringe]
         if np.mean(sinusoid_residuals(fringe, sample.levels) ** 2) > LEFT_BY_SWAP * np.mean(swings**2):
-            yield Anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)
+            yield anomaly(f"{plan.names(fringe.frames)} make no fringe together", fringe.frames)

@@ -10,9 +10,10 @@ from math import sqrt
 
 import numpy as np
 
+from calib.finding import Finding
 from calib.numerics import MANY_PIXELS, Bools, Floats32, Ints, lines_of
 from scanner.decoding.axis_decoder import AxisDecoder, UnwrappedFringes
-from scanner.decoding.checks.frame_consistency import Anomaly
+from scanner.decoding.checks.frame_consistency import anomaly
 from scanner.decoding.coordinate_maps import Maps
 from scanner.decoding.decoder_calibration import agreeing
 from scanner.decoding.fringes import disagreements
@@ -33,7 +34,7 @@ _NEARLY = 0.25
 _MOST_BAD = 0.6  # of the lit pixels: a wrong frame makes half and more of them contradict
 
 
-def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedFringes) -> Iterator[Anomaly]:
+def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedFringes) -> Iterator[Finding]:
     """Yield anomalies where the fringes of an axis agree poorly with its Gray code or with each other, on a sample
     that was `measured` with the widest tolerances.
 
@@ -56,7 +57,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedF
                     f"the fringes of {plan.names(fringe.frames)} do not follow the Gray code along {axis.axis}; were "
                     f"some of these frames exchanged{_or_code(plan, axis)}?"
                 )
-            yield Anomaly(
+            yield anomaly(
                 f"the fringes of {plan.names(fringe.frames)} follow the Gray code along {axis.axis} badly",
                 fringe.frames,
             )
@@ -75,7 +76,7 @@ def check_fringes(plan: SequencePlan, decoder: AxisDecoder, measured: UnwrappedF
                 f"{message}. Were some of these exchanged{_or_code(plan, axis)}? Or do the projector's gamma or "
                 "interreflection bend the fringes so much that more shifts or shorter periods are needed?"
             )
-        yield Anomaly(message, frames)
+        yield anomaly(message, frames)
 
 
 def check_cycles(plan: SequencePlan, projector_px: Floats32) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Image
 from scanner.decoding.light import NoiseModel
 from scanner.decoding.mask_reasons import MaskReason, Reasons, count_reasons
@@ -17,9 +18,47 @@ _FEW_MATCHED = 0.02  # of the camera's pixels
 # One per cent of flicker shifts a fringe of four steps by up to 1/600 of its period.
 MUCH_FLICKER = 0.01
 
+TOO_DARK = FindingKind(
+    "too-dark",
+    "The projector's light hardly exceeds the camera's noise, which may be the cause of everything else.",
+    "Expose longer, open the aperture, or bring the projector closer.",
+    ("noise_ratio", "swing_grey_levels"),
+)
+FEW_MATCHES = FindingKind(
+    "few-matches",
+    "Hardly any pixel of the camera has a match.",
+    "Point the camera at the projector's light; check lens cap, aperture and exposure.",
+    ("matched_share",),
+)
+SATURATED = FindingKind(
+    "saturated",
+    "Lit pixels reach the largest value, so that they are lost.",
+    "Shorten the exposure; if one wall is bright and another dark, use two exposures.",
+    ("saturated_share",),
+)
+INCONSISTENT_PIXELS = FindingKind(
+    "inconsistent-pixels",
+    "At many pixels the frames contradict each other: interreflection, or something moved.",
+    "Keep the scene still; between bright walls use sequence.preset=concave.",
+    ("inconsistent_share",),
+)
+FLICKER = FindingKind(
+    "flicker",
+    "The brightness of the frames varies; it was corrected as far as the frames show it.",
+    "Expose for whole refresh periods of the projector, which are also whole turns of its colour wheel, and switch "
+    "off other lamps.",
+    ("flicker_share",),
+)
+FAINT_FRINGES = FindingKind(
+    "faint-fringes",
+    "The finest fringes have little contrast, so that noise counts more.",
+    "Focus camera and projector, darken the room, or use a longer period.",
+    ("modulation_share",),
+)
 
-def too_dark(levels: Image, noise: NoiseModel) -> str | None:
-    """Return a sentence if the patterns hardly exceed the noise, else None.
+
+def too_dark(levels: Image, noise: NoiseModel) -> Finding | None:
+    """Return a warning if the patterns hardly exceed the noise, else None.
 
     `levels` (frames, P): of pixels sampled from the whole image.
     """
@@ -28,42 +67,62 @@ def too_dark(levels: Image, noise: NoiseModel) -> str | None:
     ratio = change / float(noise.sigma(np.array([bright]))[0])
     if ratio >= _DARK_RATIO:
         return None
-    return (
+    return Finding(
+        TOO_DARK,
+        Severity.WARNING,
         f"The frames are too dark: even where the projector's light is brightest it is only {ratio:.2g} times the "
-        f"noise of a pixel, {change:.2g} grey levels. Expose longer, open the aperture, or bring the projector closer."
+        f"noise of a pixel, {change:.2g} grey levels.",
+        TOO_DARK.remedy,
+        {"noise_ratio": ratio, "swing_grey_levels": change},
     )
 
 
-def warnings_of(
-    reasons: Reasons, modulation: float | None, flicker: float | None, darkness: str | None = None
-) -> Iterator[str]:
+def warnings_of(reasons: Reasons, modulation: float | None, flicker: float | None) -> Iterator[Finding]:
     """Yield warnings from the `reasons` (H, W) of all pixels, the `modulation` of the finest fringes, and the
     `flicker`.
-
-    `darkness`: the result of `too_dark`.
     """
-    if darkness is not None:
-        yield darkness
     count = count_reasons(reasons, (MaskReason.KEPT, MaskReason.DARK, MaskReason.SATURATED, MaskReason.INCONSISTENT))
     matched, dark = count[MaskReason.KEPT], count[MaskReason.DARK]
     lit = max(1, reasons.size - dark)
     if matched < _FEW_MATCHED * reasons.size:
-        yield f"Only {matched / reasons.size:.1%} of the camera's pixels have a match: does the camera see the light?"
+        share = matched / reasons.size
+        yield Finding(
+            FEW_MATCHES,
+            Severity.WARNING,
+            f"Only {share:.1%} of the camera's pixels have a match: does the camera see the light?",
+            data={"matched_share": share},
+        )
     if count[MaskReason.SATURATED] > FEW * lit:
-        yield f"{count[MaskReason.SATURATED] / lit:.0%} of the lit pixels are saturated: shorten the exposure."
+        share = count[MaskReason.SATURATED] / lit
+        yield Finding(
+            SATURATED,
+            Severity.WARNING,
+            f"{share:.0%} of the lit pixels are saturated.",
+            "Shorten the exposure.",
+            {"saturated_share": share},
+        )
     if count[MaskReason.INCONSISTENT] > FEW * lit:
-        yield (
-            f"At {count[MaskReason.INCONSISTENT] / lit:.0%} of the lit pixels the frames contradict each other: "
-            "interreflection, or something moved."
+        share = count[MaskReason.INCONSISTENT] / lit
+        yield Finding(
+            INCONSISTENT_PIXELS,
+            Severity.WARNING,
+            f"At {share:.0%} of the lit pixels the frames contradict each other: interreflection, or something moved.",
+            data={"inconsistent_share": share},
         )
     if flicker is not None and flicker > MUCH_FLICKER:
-        yield (
-            f"The brightness of the frames varies by {flicker:.1%}, which was corrected as far as the frames show it. "
+        yield Finding(
+            FLICKER,
+            Severity.WARNING,
+            f"The brightness of the frames varies by {flicker:.1%}, which was corrected as far as the frames show it.",
             "Better: expose for whole refresh periods of the projector, which are also whole turns of its colour "
-            "wheel, and switch off other lamps."
+            "wheel, and switch off other lamps.",
+            {"flicker_share": flicker},
         )
     if modulation is not None and modulation < _LOW_MODULATION:
-        yield (
-            f"The finest fringes are faint, {modulation:.0%} of the mean brightness: focus camera and projector, "
-            "darken the room, or use a longer period."
+        yield Finding(
+            FAINT_FRINGES,
+            Severity.WARNING,
+            f"The finest fringes are faint, {modulation:.0%} of the mean brightness.",
+            FAINT_FRINGES.remedy,
+            {"modulation_share": modulation},
         )

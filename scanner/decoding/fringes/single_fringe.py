@@ -19,14 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Floats, Floats32, biweight, fit_reweighted
 from calib.refinement import Shift
 from scanner.decoding.fringes.gamma_ripple import CYCLE, ENOUGH_CYCLES, TABLE_LENGTH
 from scanner.decoding.sequence_plan import AxisPlan, Fringe
 from scanner.decoding.significance import FEWEST_PIXELS, MEDIAN_ROUNDS
 
-# Beginning of the remark, by which other modules recognise it.
-UNCHECKED = "Nothing as fine checks"
+UNCHECKED = FindingKind(
+    "unchecked-fringe",
+    "Nothing checks the single fringe of an axis, so that a brightness curve or light from other surfaces may bend it.",
+    "Project a shorter fringe along each axis as well, or the patterns of scan patterns.",
+    ("period_px", "exponent", "exponent_sigma"),
+)
 # Exponents of projector and camera together, with a uniform prior.
 _EXPONENTS = np.linspace(0.4, 3.2, 57)
 # Least uncertainty of the amplitude ripple: harmonics that no power curve has, clipping.
@@ -158,15 +163,19 @@ def _place(coordinate: NDArray[np.floating[Any]], period: float) -> NDArray[np.i
     return place
 
 
-def remark_on(unchecked: Sequence[Unchecked]) -> str:
-    """Return the remark for the operator."""
+def unchecked_finding(unchecked: Sequence[Unchecked]) -> Finding:
+    """Return the warning about axes that nothing checks."""
     axes = " and ".join(error.axis.axis for error in unchecked)
     fringe, response = max((error.fringe for error in unchecked), key=lambda error: error.period), unchecked[0].response
-    return (
-        f"{UNCHECKED} the single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps along {axes}. "
+    return Finding(
+        UNCHECKED,
+        Severity.WARNING,
+        f"Nothing as fine checks the single fringe of {fringe.period:g} px in {len(fringe.shifts)} steps along {axes}. "
         f"Its amplitude tells of a brightness curve of exponent {response.exponent:.2g} ± {response.sigma:.1g}, which "
         "was taken out. What is not known of it, and what light from other surfaces may do, is part of each match's "
-        "sigma. Better: add a shorter fringe."
+        "sigma.",
+        "Better: add a shorter fringe.",
+        {"period_px": fringe.period, "exponent": response.exponent, "exponent_sigma": response.sigma},
     )
 
 

@@ -17,10 +17,10 @@ from scanner.decoding.motion.refusals import (
     UNSEEN_MOTION,
     attribute_to_motion,
     attribute_to_shifts,
+    motion_findings,
     moved,
     refuse_period_slips,
     refuse_unexplained_motion,
-    remarks_on,
 )
 from scanner.decoding.motion.rigid import COLUMNS, PER_DEVICE, RigidFit, fit_motion, shifts_by_motion
 from scanner.decoding.motion.wrong_bits import mask_wrong_bits

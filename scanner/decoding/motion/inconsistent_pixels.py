@@ -12,6 +12,7 @@ from typing import cast
 import cv2
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.numerics import Bools, Floats32
 from scanner.decoding.discontinuities import SMALLEST_PATCH
 from scanner.decoding.light import NoiseModel
@@ -28,6 +29,13 @@ _WINDOW, _DENSE = 9, 0.3
 # A transient object is gone again in later frames: its pixels are inconsistent in about one group of frames, and in
 # many after a bump of the camera. Largest shift of the whole picture, in pixels of the grid.
 _TRANSIENT, _MOVED_PX = 1.5, 0.5
+
+MOVING_OBJECT = FindingKind(
+    "moving-object",
+    "Something moved in a part of the picture, which was masked.",
+    "Keep people and things that move out of the picture.",
+    ("moved_share", "frames"),
+)
 
 
 @dataclass(frozen=True)
@@ -51,11 +59,14 @@ class InconsistentPixels:
     contradict the others, by their frames.
     """
 
-    def message(self, plan: SequencePlan) -> str:
-        """Return a sentence for the operator."""
-        return (
+    def finding(self, plan: SequencePlan) -> Finding:
+        """Return the warning for the operator."""
+        return Finding(
+            MOVING_OBJECT,
+            Severity.WARNING,
             f"Something moved in {max(self.share, 0.01):.0%} of the lit picture, which shows in "
-            f"{plan.names(self.frames)}; the affected pixels were masked, and the rest is used."
+            f"{plan.names(self.frames)}; the affected pixels were masked, and the rest is used.",
+            data={"moved_share": self.share, "frames": self.frames},
         )
 
 

@@ -3,17 +3,28 @@
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import contextmanager
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.refusal import RefusalError
 from scanner.decoding.motion.code_shift import CodeShift
 from scanner.decoding.motion.device_motion import MotionEstimate
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import AS_GOOD
 from scanner.errors import InputError
+from scanner.shown_text import capitalised
 
 ADVICE = "Fasten what moved, let a projector warm up, keep away from the rig while it captures, and capture again."
-UNSEEN_MOTION = (
-    "All patterns along one axis came before those along the other, so the frames cannot show whether a device "
-    "turned in between"
+MOTION_CORRECTED = FindingKind(
+    "motion-corrected",
+    "Camera or projector moved during the capture; it was corrected, and what remains is part of the sigmas.",
+    ADVICE,
+    ("frames", "size_px"),
+)
+UNSEEN_MOTION = FindingKind(
+    "unseen-motion",
+    "All patterns along one axis came before those along the other, so the frames cannot show whether a device turned "
+    "in between.",
+    "Keep the border of the projector's picture in view, or show a fringe of the first axis again at the end.",
+    ("suspected_px", "intrinsics_percent"),
 )
 
 
@@ -80,7 +91,7 @@ def refuse_unexplained_motion(plan: SequencePlan, anomalous: Set[int], motion: M
 
 def moved(motion: MotionEstimate) -> RefusalError:
     """Return the refusal of a capture that this motion has made unusable."""
-    return RefusalError(f"{_capital(motion)}.", ADVICE)
+    return RefusalError(f"{capitalised(str(motion))}.", ADVICE)
 
 
 def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
@@ -98,15 +109,17 @@ def _moved_before_fringes(plan: SequencePlan, shift: CodeShift) -> RefusalError:
     )
 
 
-def remarks_on(motion: MotionEstimate | None) -> tuple[str, ...]:
+def motion_findings(motion: MotionEstimate | None) -> tuple[Finding, ...]:
     """Return a warning for the operator about a motion that was corrected; nothing if there was none or it was too
     large.
     """
     if motion is None or not motion.significant or motion.is_too_large:
         return ()
-    return (f"{_capital(motion)}; this was corrected, and the remaining uncertainty is part of the sigmas.",)
-
-
-def _capital(motion: MotionEstimate) -> str:
-    sentence = str(motion)
-    return sentence[0].upper() + sentence[1:]
+    return (
+        Finding(
+            MOTION_CORRECTED,
+            Severity.WARNING,
+            f"{capitalised(str(motion))}; this was corrected, and the remaining uncertainty is part of the sigmas.",
+            data={"frames": (motion.first, motion.last), "size_px": motion.size_px},
+        ),
+    )

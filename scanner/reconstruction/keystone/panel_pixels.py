@@ -5,12 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.finding import Finding, FindingKind, Severity, without_kinds
 from calib.geometry import mapped
 from calib.numerics import Floats
 from scanner.capture import CHANGED_SHAPE
 from scanner.quantities import percent
 from scanner.reconstruction.keystone.measure import Keystone, measure_keystone
 from scanner.results import AS_SHOWN, Decoded, Panel
+
+KEYSTONE_CORRECTED = FindingKind(
+    "keystone-corrected",
+    "The projector corrects its picture for keystone, as the beat of the finest stripes shows; it was removed.",
+    "Turn the correction off for captures that are to use this calibration.",
+    ("narrower_share",),
+)
 
 
 def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
@@ -32,10 +40,10 @@ def on_panel(capture: Decoded, others: Sequence[Decoded] = ()) -> Decoded:
             break
     matches = replace(capture.matches, projector_px=mapped(homography, capture.matches.projector_px))
     # A check before the scan suspected keystone correction; the capture has measured it.
-    warnings = tuple(warning for warning in decoding.warnings if not warning.startswith(CHANGED_SHAPE))
+    findings = without_kinds(decoding.findings, CHANGED_SHAPE)
     panel = Panel(homography, keystone.shifts)
-    measured = replace(capture, matches=matches, panel=panel, origin=replace(decoding, warnings=warnings))
-    return measured.noting(_note(keystone))
+    measured = replace(capture, matches=matches, panel=panel, origin=replace(decoding, findings=findings))
+    return measured.with_findings(_finding(keystone))
 
 
 def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Floats:
@@ -45,10 +53,13 @@ def beginning_as(other: Floats, homography: Floats, size: tuple[int, int]) -> Fl
     return np.array([[1, 0, apart[0]], [0, 1, apart[1]], [0, 0, 1]]) @ homography
 
 
-def _note(keystone: Keystone) -> str:
-    return (
+def _finding(keystone: Keystone) -> Finding:
+    return Finding(
+        KEYSTONE_CORRECTED,
+        Severity.WARNING,
         f"The projector corrects its picture for keystone: one edge is {percent(keystone.narrower)} narrower than the "
         "other, as the beat of the finest stripes shows. This was measured and corrected: matches and calibration "
-        "are in pixels of the projector's panel, as if it showed its picture as it is. Turn the correction off for "
-        "captures that are to use this calibration."
+        "are in pixels of the projector's panel, as if it showed its picture as it is.",
+        KEYSTONE_CORRECTED.remedy,
+        {"narrower_share": float(keystone.narrower)},
     )

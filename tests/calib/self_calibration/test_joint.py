@@ -11,6 +11,7 @@ from calib.refinement import shared_corner
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_captures
+from tests.support.findings import kinds_of, the_only
 
 CAMERA_SIZE = (PAPER_CAMERA.width, PAPER_CAMERA.height)
 PROJECTOR_SIZE = (PAPER_PROJECTOR.width, PAPER_PROJECTOR.height)
@@ -71,7 +72,7 @@ def test_captures_that_no_common_corner_fits_get_angles_of_their_own(monkeypatch
         lambda *given: replace(trial := fits(*given), fit=replace(trial.fit, cost=np.inf)),
     )
     found = _calibrate(captures, KNOWN)
-    assert any("do not show the same corner" in note for note in found[0].notes)
+    assert "different-corners" in kinds_of(found[0].findings)
     assert np.abs(_errors(found[0])[1]).max() < 5
 
 
@@ -137,7 +138,7 @@ def test_different_square_corners_determine_the_principal_point() -> None:
 def test_different_corners_are_distinguished() -> None:
     captures = random_captures(np.random.default_rng(4), 2, walls_off_deg=0.5, same=False, count=20_000, **RIG)
     found = _calibrate(captures, KNOWN, squareness_deg=0.5)
-    assert any("do not show the same corner" in note for note in found[0].notes)
+    assert "different-corners" in kinds_of(found[0].findings)
     apart = _calibrate(captures, KNOWN, squareness_deg=0.5, same=False)
     assert np.allclose(_errors(found[0])[0], _errors(apart[0])[0], atol=1e-4)
     assert np.abs(_errors(found[0])[1]).max() < 5
@@ -161,8 +162,8 @@ def test_a_repeated_view_adds_no_information() -> None:
     noise = rng.normal(0, 0.1, capture.matches.projector_px.shape)
     again = replace(capture, matches=replace(capture.matches, projector_px=capture.matches.projector_px + noise))
     once, twice = _calibrate([capture], KNOWN)[0], _calibrate([capture, again], KNOWN)[0]
-    assert not any("same place" in note for note in once.notes)
-    assert any("same place: captures 1 and 2" in note for note in twice.notes)
+    assert "from-one-place" not in kinds_of(once.findings)
+    assert the_only("from-one-place", twice.findings).numbers("captures") == (1, 2)
     sigmas = [found.calibration.sigma.camera.focal_px for found in (once, twice)]
     assert sigmas[0] is not None
     assert sigmas[1] is not None

@@ -10,6 +10,7 @@ from calib.geometry import Matches
 from calib.refusal import RefusalError
 from calib.self_calibration.rig import Method, PrincipalPoint, SelfCalibration, self_calibrate
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, SyntheticCapture, random_capture
+from tests.support.findings import kinds_of
 
 KNOWN = PrincipalPoint(PAPER_CAMERA.principal_point_px, 0.0)
 LENSES = {
@@ -114,7 +115,7 @@ def test_walls_farther_off_square_than_assumed_stay_within_a_wider_sigma() -> No
         found = _calibrate(capture, "refined", squareness_deg=0.3, decentering=0.0)
         sigma = found.calibration.sigma.camera.focal_px[0]
         deviations.append(_errors(found)[0] * PAPER_CAMERA.focal_px[0] / sigma)
-        warned += any("farther from square than expected" in note for note in found.notes)
+        warned += "far-from-square" in kinds_of(found.findings)
     assert 0.05 < np.sqrt(np.mean(np.square(deviations))) < 2.0
     assert 1 <= warned <= 5
 

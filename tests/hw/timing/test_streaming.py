@@ -11,7 +11,7 @@ from calib.numerics import Image
 from hw.errors import DeviceError
 from hw.rig import Redundancy
 from hw.timing.streamed_rig import StreamedRig, streamed
-from scanner.capture import remarks_on_camera
+from scanner.capture import findings_on_camera
 from scanner.patterns import Black, Gray, Pattern, Phase, White, draw, level_groups, unpaired_bits
 from tests.support.stream_bench import SIZE, StreamBench, seen_row
 
@@ -112,13 +112,14 @@ def test_a_setting_that_the_camera_changes_is_named(
     bench.changed = coloured
     rig = streamed(bench, bench, {})
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
-    assert [*remarks_on_camera(rig.account())] == []
+    assert [*findings_on_camera(rig.account())] == []
     bad_s = bench.now + 2
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
     percent = cast(dict[str, float], rig.account()["camera_changed"])
     assert least < abs(percent[f"{key}_percent"]) < 3 * least
-    (remark,) = remarks_on_camera(rig.account())
-    assert key.replace("_", " ") in remark
+    (finding,) = findings_on_camera(rig.account())
+    assert key.replace("_", " ") in finding.message
+    assert finding.data == {f"{key}_percent": abs(percent[f"{key}_percent"])}
 
 
 @pytest.mark.parametrize("most_gain", [1.1, 2.0])
@@ -139,7 +140,7 @@ def test_automatic_exposure_is_named_or_refused(monkeypatch: pytest.MonkeyPatch,
         return
     rig = streamed(bench, bench, {})
     assert len([*photographed(rig, INVERSES)]) == len(INVERSES)
-    assert any("adapts automatically" in remark for remark in remarks_on_camera(rig.account()))
+    assert any("after_white_percent" in finding.data for finding in findings_on_camera(rig.account()))
 
 
 def test_a_picture_that_never_settles_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,7 @@ def test_a_truncated_listing_is_read_to_its_last_complete_line(
     found = open_capture(folder)
     assert found.patterns == PATTERNS[:count]
     assert found.planned == PATTERNS
-    assert len(found.notes) <= 2  # the line, and the image that it was about
+    assert len(found.findings) <= 2  # the line, and the image that it was about
     assert sum(1 for _ in found.stream().frames) == count
 
 
@@ -78,9 +78,9 @@ def test_a_damaged_last_image_is_left_out_with_a_note(recorded: Path, tmp_path: 
     last.write_bytes(last.read_bytes()[: int(share * last.stat().st_size)])
     found = open_capture(folder)
     assert found.patterns == PATTERNS[:-1]
-    assert f"The last frame, frames/{last.name}, is left out" in found.notes[0]
+    assert f"The last frame, frames/{last.name}, is left out" in found.findings[0].message
     last.unlink()
-    assert "cannot be read" in open_capture(folder).notes[0]
+    assert "cannot be read" in open_capture(folder).findings[0].message
     found.copy_to(tmp_path / "copy")
     assert len(open_capture(tmp_path / "copy").patterns) == len(PATTERNS) - 1
 
@@ -93,7 +93,7 @@ def test_an_unlisted_image_is_left_out(recorded: Path, tmp_path: Path) -> None:
         if name == "007.png":
             found = open_capture(folder)
             assert found.patterns == PATTERNS[:7]
-            assert "007.png is left out" in found.notes[0]
+            assert "007.png is left out" in found.findings[0].message
     with pytest.raises(InputError, match=r"008\.png is not listed"):
         open_capture(folder)
 

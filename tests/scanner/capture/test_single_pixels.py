@@ -6,7 +6,7 @@ import pytest
 
 from hw.settings import SimulatedRigSettings
 from hw.simulated import SimulatedRoom
-from scanner.capture import CHANGED_SHAPE, known_of_lines, measure_lines, remarks_on_lines, shows_single_pixels
+from scanner.capture import CHANGED_SHAPE, findings_on_lines, known_of_lines, measure_lines, shows_single_pixels
 from tests.support.check_bench import changed, rig_in
 
 pytestmark = pytest.mark.xdist_group("single pixels")  # the rooms are made once
@@ -41,8 +41,8 @@ def test_single_pixel_lines_survive_unless_the_picture_is_resampled(
     (kept,) = found.values()
     assert isinstance(kept, float)
     assert least < kept < most
-    said = list(remarks_on_lines({"camera": "of one who recorded it", **found}))
-    assert [sentence.startswith(CHANGED_SHAPE) for sentence in said] == [True] * (most < 0.6)
+    said = list(findings_on_lines({"camera": "of one who recorded it", **found}))
+    assert [finding.kind for finding in said] == [CHANGED_SHAPE] * (most < 0.6)
     assert shows_single_pixels(found) == (most > 1)
     assert known_of_lines({"frames": [], **found}) == found
 
@@ -58,9 +58,9 @@ def test_relevant_keystone_correction_blurs_single_pixels(sizes: tuple[tuple[int
 
 def test_a_projector_with_a_linear_response_gives_no_result() -> None:
     assert measured(gamma=1.0) == {}
-    assert not list(remarks_on_lines({}))
+    assert not list(findings_on_lines({}))
 
 
 def test_foreign_metadata_values_are_ignored() -> None:
-    assert not list(remarks_on_lines({"lines_of_one_pixel_keep": "nothing"}))
+    assert not list(findings_on_lines({"lines_of_one_pixel_keep": "nothing"}))
     assert not shows_single_pixels({"lines_of_one_pixel_keep": "nothing"})

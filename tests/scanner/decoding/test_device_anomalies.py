@@ -10,6 +10,7 @@ import pytest
 from calib.numerics import Image
 from scanner.decoding.mask_reasons import MaskReason
 from scanner.patterns import Pattern, sequence_for
+from tests.support.findings import kinds_of, the_only
 from tests.support.synthetic_capture import Scene, decode, dimmed
 
 SCENE = Scene(camera=(400, 300), projector=(400, 260))
@@ -112,10 +113,10 @@ def test_a_capture_with_an_anomaly_decodes(case: Case) -> None:
     assert np.mean(errors.max(axis=1) > 3) < 0.02
     assert np.mean(decoding.reasons[case.scene.well_lit()] == MaskReason.KEPT) > case.kept
     if case.change in (flickering, banded, the_10th_darker, a_step_darker):
-        assert any("brightness of the frames varies" in warning for warning in decoding.warnings)
-    assert any("raw ones of a colour camera" in said for said in decoding.warnings) == (case.change is behind_filters)
+        assert "flicker" in kinds_of(decoding.findings)
+    assert ("raw-colours" in kinds_of(decoding.findings)) == (case.change is behind_filters)
     if case.change is passed_by:
-        assert any("frame 6 (" in warning and "decoded nevertheless" in warning for warning in decoding.warnings)
+        assert 6 in the_only("frames-contradict", decoding.findings).numbers("frames")
 
 
 # The last: lit in a fifth of the image only.
@@ -138,7 +139,9 @@ def test_lossy_compression_raises_the_sigma(quality: int, scene: Scene) -> None:
 @pytest.mark.parametrize("scene", [replace(SCENE, projector_blur_px=2.5), replace(SCENE, camera_blur_px=3.0)])
 def test_unresolved_bits_are_ignored(scene: Scene) -> None:
     decoding = scene.decode(CODE)
-    assert any("was left out: cells of 2 px" in warning for warning in decoding.warnings)
+    unresolved = [finding for finding in decoding.findings if finding.kind.name == "unresolved-bits"]
+    assert unresolved
+    assert {finding.data["cell_px"] for finding in unresolved} == {2}
     assert 5_000 < len(decoding.matches) < 30_000, "a few hundred with all bits"
     assert decoding.matches.sigma_px is not None
     ratio = scene.errors(decoding) / decoding.matches.sigma_px[:, None]
@@ -170,7 +173,7 @@ def test_where_a_lens_weakens_the_only_fringes_faint_ones_count() -> None:
 def test_where_the_only_fringes_are_blurred_away_the_code_is_decoded_alone() -> None:
     scene = replace(SCENE, projector_blur_px=6.0)
     decoding = scene.decode(QUICK)
-    assert any("blurred away" in warning and "of 8 px" in warning for warning in decoding.warnings)
+    assert the_only("blurred-fringes", decoding.findings).data["cell_px"] == 8
     assert 500 < len(decoding.matches) < 1200, "one for each cell"
     assert decoding.matches.sigma_px is not None
     errors = np.abs(scene.errors(decoding))

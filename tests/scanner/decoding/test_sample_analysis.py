@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scanner.decoding.checks.frame_consistency import Anomaly
+from scanner.decoding.checks.frame_consistency import anomaly
 from scanner.decoding.motion import InconsistentPixels
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.sample_analysis import _explained
@@ -19,9 +19,9 @@ def test_bits_beside_frames_with_motion_are_not_taken_for_exchanged(first_moved:
     plan = plan_sequence(PRESETS["quick"].patterns(SCENE.projector), SCENE.projector)
     nowhere = np.zeros((1, 1), np.bool_)
     inconsistent = InconsistentPixels(nowhere, nowhere, ~nowhere, 0.05, (first_moved, first_moved + 1))
-    anomaly = Anomaly("cells are not neighbours", (7, 8))
+    contradicting = anomaly("cells are not neighbours", (7, 8))
     if is_explained:
-        assert [*_explained(plan, [anomaly], [], inconsistent)] == [anomaly]
+        assert [*_explained(plan, [contradicting], [], inconsistent)] == [contradicting]
     else:
         with pytest.raises(InputError, match="not neighbours"):
-            _explained(plan, [anomaly], [], inconsistent)
+            _explained(plan, [contradicting], [], inconsistent)

@@ -47,9 +47,9 @@ def test_every_prefix_decodes_or_is_refused(name: PresetName, share: float, expo
     kept = [pattern for pattern in found.patterns if pattern is not None]
     plan = plan_sequence(kept[::exposures], SIZE)
     assert len(kept) == exposures * len(plan.shown)
-    assert (found.words == "") == (len(taken) == len(planned))
+    assert (found.finding is None) == (len(taken) == len(planned))
     finest = max(plan.x.cell, plan.y.cell)
-    assert finest == 8 or f"cells of {finest:g} projector px" in found.words
+    assert finest == 8 or f"cells of {finest:g} projector px" in str(found.finding)
 
 
 def test_more_frames_give_more_or_better_matches() -> None:
@@ -69,7 +69,7 @@ def test_more_frames_give_more_or_better_matches() -> None:
 
 
 def test_an_incomplete_fringe_is_reported() -> None:
-    words = usable(STANDARD[: FRINGES + 10], STANDARD, SIZE).words
+    words = str(usable(STANDARD[: FRINGES + 10], STANDARD, SIZE).finding)
     assert f"{FRINGES + 10} of its {len(STANDARD)} frames were taken" in words
     assert "the fringes along x of 6.7 px, the fringes along y of 6.7 px" in words
     assert "x comes from fringes of 16 px; y comes from fringes of 16 px" in words
@@ -77,12 +77,12 @@ def test_an_incomplete_fringe_is_reported() -> None:
 
 def test_a_calibration_replaces_the_missing_coordinate() -> None:
     found = usable(STANDARD[: FRINGES - 4], STANDARD, SIZE, calibrated=True)
-    assert "y follows from the calibration" in found.words
+    assert "y follows from the calibration" in str(found.finding)
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Gray)} == {"x"}
     # The fringe along y is complete, that along x is not.
     found = usable(STANDARD[: FRINGES + 7], STANDARD, SIZE, calibrated=True)
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Phase)} == {"y"}
-    assert "x follows from the calibration" in found.words
+    assert "x follows from the calibration" in str(found.finding)
     device = Intrinsics(*SIZE, (200.0, 200.0), (107.0, 60.0))
     known = Calibration(device, device, np.eye(3), np.array([0.3, 1.0, 0.0]))
     Decoder([pattern for pattern in found.patterns if pattern is not None], SIZE, known)
@@ -92,9 +92,9 @@ def test_the_finest_bits_of_another_programs_capture_may_be_missing() -> None:
     whole = sequence_for(SIZE, cell=1, shifts=0)
     without = tuple(pattern for pattern in whole if not (isinstance(pattern, Gray) and pattern.bit >= 6))
     found = usable(without, (), SIZE)
-    assert "bits 6, 7 of the Gray code along x" not in found.words  # nobody has said that there were any
-    assert "x is known to some 0.05 projector px between the edges of stripes" in found.words
-    assert "elsewhere to cells of 4 projector px (± 1.2 px); y is known" in found.words
+    assert "bits 6, 7 of the Gray code along x" not in str(found.finding)  # nobody has said that there were any
+    assert "x is known to some 0.05 projector px between the edges of stripes" in str(found.finding)
+    assert "elsewhere to cells of 4 projector px (± 1.2 px); y is known" in str(found.finding)
     off = sees_itself(found.patterns, without)
     assert 0.9 < len(off) / (SIZE[0] * SIZE[1]) <= 1
     assert 0.001 < np.abs(off).max() < 0.1
@@ -108,7 +108,7 @@ def test_a_missing_bit_keeps_the_coarser_ones(preset: PresetName, fringes: int) 
     found = usable(left, (), SIZE)
     assert {p.bits for p in found.patterns if isinstance(p, Gray) and p.axis == "x"} == {2}
     assert sum(isinstance(pattern, Phase) for pattern in found.patterns) == fringes
-    assert ("to cells of 64 projector px" in found.words) == (fringes == 0)
+    assert ("to cells of 64 projector px" in str(found.finding)) == (fringes == 0)
 
 
 def test_undecodable_sequences_are_refused_as_usual() -> None:

@@ -96,11 +96,12 @@ def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> Sel
 
 def test_captures_are_merged_for_any_order_of_faces(scene: Scene, cloud: Cloud) -> None:
     corners = scene.corner, renumbered(scene.corner, 1)
-    found, (remark,) = merge([found_in(scene, corner, scene.texture) for corner in corners], [cloud, cloud])
+    found, finding = merge([found_in(scene, corner, scene.texture) for corner in corners], [cloud, cloud])
     assert found is not None
     assert len(found.points) < cloud.there.sum()
-    assert "2 clouds are merged" in remark
-    assert "agree to" in remark
+    assert finding.kind.name == "merged"
+    assert "2 clouds are merged" in finding.message
+    assert 0 <= finding.number("apart_share") < 0.01
 
 
 def test_ambiguous_captures_are_not_merged(scene: Scene, cloud: Cloud) -> None:
@@ -108,9 +109,10 @@ def test_ambiguous_captures_are_not_merged(scene: Scene, cloud: Cloud) -> None:
     column, row = scene.matches.camera_px[scene.surface < 3].astype(int).T
     on_walls[row, column] = True
     bare = replace(cloud, points=np.where(on_walls[..., None], cloud.points, np.nan))
-    found, (remark,) = merge([found_in(scene, scene.corner, None) for _ in range(2)], [bare, bare])
+    found, finding = merge([found_in(scene, scene.corner, None) for _ in range(2)], [bare, bare])
     assert found is None
-    assert "looks the same from three sides" in remark
+    assert finding.kind.name == "not-merged"
+    assert "looks the same from three sides" in finding.message
 
 
 def test_different_corners_are_not_merged(scene: Scene, cloud: Cloud) -> None:
@@ -118,6 +120,7 @@ def test_different_corners_are_not_merged(scene: Scene, cloud: Cloud) -> None:
     legs[0] += 0.002 * legs[1]
     other = Corner(scene.corner.vertex, legs / np.linalg.norm(legs, axis=1, keepdims=True))
     captures = [found_in(scene, corner, scene.texture) for corner in (scene.corner, other)]
-    found, (remark,) = merge(captures, [cloud, cloud])
+    found, finding = merge(captures, [cloud, cloud])
     assert found is None
-    assert "do not show the same corner" in remark
+    assert finding.kind.name == "not-merged"
+    assert "do not show the same corner" in finding.message

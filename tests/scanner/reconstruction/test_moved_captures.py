@@ -8,7 +8,7 @@ import pytest
 from calib.refusal import RefusalError
 from calib.self_calibration import SelfCalibration
 from scanner.decoding.motion import CoordinateShift, MotionEstimate
-from scanner.reconstruction.moved_captures import refuse_costly, with_motion_notes
+from scanner.reconstruction.moved_captures import refuse_costly, with_motion_findings
 from scanner.results import Decoded, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import room
 from tests.support.reports import SIZES, calibrated_report
@@ -43,7 +43,8 @@ def test_motion_is_accepted_up_to_the_uncertainty_at_rest(
             refuse_costly([decoded], solution)
         return
     refuse_costly([decoded], solution)
-    added = with_motion_notes([decoded], solution).notes[len(solution.notes) :]
+    added = with_motion_findings([decoded], solution).findings[len(solution.findings) :]
     assert len(added) == (likely > 0.5)
-    for note in added:
-        assert "may change the intrinsics by 0.9 %; at rest, this view determines them to 1.2 %" in note
+    for finding in added:
+        assert finding.data == {"intrinsics_percent": 0.9, "at_rest_percent": 1.2}
+        assert "may change the intrinsics by 0.9 %; at rest, this view determines them to 1.2 %" in finding.message

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import DeviceSigmas, Sigmas
 from calib.pointcloud import Cloud
 from scanner.capture import CaptureMetadata
@@ -197,15 +198,16 @@ def test_no_text_is_smaller_than_12_px(calibrated_html: str) -> None:
 
 def test_hostile_strings_are_escaped(calibrated: ReportInput, scene: Scene, tmp_path: Path) -> None:
     hostile = "</style><script>alert(1)</script>\"'><img src=x>{{ 7 * 7 }}"
+    said = Finding(FindingKind(hostile, hostile, hostile), Severity.WARNING, hostile, hostile)
     found, (decoded, cloud) = _calibrated(calibrated), _parts(calibrated)
     outcome = Reconstructed(
         SelfCalibrated(
             replace(
                 decoded,
                 metadata=replace(decoded.metadata, identity={hostile: hostile}),
-                origin=replace(decoding_of(scene), warnings=(hostile,)),
+                origin=replace(decoding_of(scene), findings=(said,)),
             ),
-            replace(found.solution, notes=(hostile,)),
+            replace(found.solution, findings=(said,)),
             replace(found.calibration, unit=hostile),
         ),
         replace(cloud, unit=hostile),
@@ -344,22 +346,27 @@ def test_a_misfit_beyond_the_noise_is_not_graded_good(calibrated: ReportInput) -
 
 
 @pytest.mark.parametrize(
-    ("warnings", "grade", "said"),
-    [((), "good", "all patterns along x agree"), ((f"{UNCHECKED} it.",), "fair", f"{UNCHECKED} it.")],
+    ("findings", "grade", "said"),
+    [
+        ((), "good", "all patterns along x agree"),
+        ((Finding(UNCHECKED, Severity.WARNING, "Nothing checks it."),), "fair", "Nothing checks it."),
+    ],
 )
 def test_stated_match_errors_limit_the_grade_of_one_axis(
-    calibrated: ReportInput, warnings: tuple[str, ...], grade: str, said: str
+    calibrated: ReportInput, findings: tuple[Finding, ...], grade: str, said: str
 ) -> None:
     """With one axis, rays meet for any calibration; an unchecked fringe is graded fair at best."""
     decoded, cloud = _parts(calibrated)
     assert decoded.decoding is not None
     matches = replace(decoded.matches, sigma_px=np.full(len(decoded.matches), 0.05))
-    origin = replace(decoded.decoding, only_axis="x", warnings=warnings)
+    origin = replace(decoded.decoding, only_axis="x", findings=findings)
     of_one = replace(decoded, matches=matches, origin=origin)
     given = GivenCalibration(of_one, _calibrated(calibrated).calibration)
     found = verdict(ReportInput(Reconstructed(given, cloud)))
     assert found.grade == grade
     assert any(said in reason for reason in found.reasons)
+    assert [finding for finding in found.findings if str(finding) in found.reasons] == [*found.findings]
+    assert found.further == ()
     assert any("state a sigma of 0.05 projector px" in reason for reason in found.reasons)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.diagnostics import Uncertainty
+from calib.finding import Finding, FindingKind, Severity
 from calib.geometry import Calibration, Corner, Matches, unproject
 from calib.pointcloud import View, build_cloud, merged
 from calib.refinement import CAMERA as CAMERA_COLUMNS
@@ -24,6 +25,8 @@ from scanner.results import Decoded, GivenMatches, Reconstructed, SelfCalibrated
 from tests.support.cloud_scene import CAMERA, PROJECTOR, Scene, room
 
 SIGMA_F = 0.01
+
+MERGED_CLOUDS = Finding(FindingKind("merged", "Merged."), Severity.NOTE, "The 2 clouds are merged.")
 
 
 def state_of(calibration: Calibration) -> State:
@@ -66,7 +69,7 @@ def report(scene: Scene) -> ReportInput:
         CaptureRow("capture 1", "captures/1/report.html", 1234, 0.0712, cloud.statistics, calibration),
         CaptureRow("capture <2>", "", 5678, None, None),
     )
-    joint = JointCaptures(2, rows, merged([cloud, cloud], [view, view], (0, 0)), ("The 2 clouds are merged.",))
+    joint = JointCaptures(2, rows, merged([cloud, cloud], [view, view], (0, 0)), (MERGED_CLOUDS,))
     return ReportInput(Reconstructed(SelfCalibrated(decoded, solution, calibration), cloud), joint=joint)
 
 

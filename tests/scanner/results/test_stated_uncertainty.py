@@ -13,7 +13,8 @@ from calib.numerics import Floats
 from calib.refinement import CAMERA, ROTATION, SHARED, TRANSLATION, State
 from scanner.errors import InputError
 from scanner.io import read_calibration, write_calibration
-from scanner.results.stated_uncertainty import COLUMNS, confidence_entries, read_uncertainty, read_verdict
+from scanner.results import read_verdict
+from scanner.results.stated_uncertainty import COLUMNS, confidence_entries, read_uncertainty
 from scanner.results.verdict import Verdict
 from tests.support.cloud_scene import Scene, room
 
@@ -140,7 +141,6 @@ def test_an_older_result_has_neither(scene: Scene, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ("verdict: {grade: splendid, headline: a, reasons: [], advice: ''}", "grade"),
         ("covariance: {columns: [a], match_px: 0.1, values: [[1.0]]}", "columns"),
         (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[1.0]]}}", "22 rows"),
         (f"covariance: {{columns: [{', '.join(COLUMNS)}], match_px: 0.1, values: [[.nan]]}}", "values"),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scanner.decoding import Fringe
 from scanner.decoding.fringes.single_fringe import FringeSample, Response, response_of
 from scanner.patterns import Pattern, phase_sequence
+from tests.support.findings import kinds_of, the_only
 from tests.support.synthetic_capture import Scene
 
 SCENE = Scene(electrons_per_level=300.0, read_noise=0.3)
@@ -30,9 +31,8 @@ def test_errors_match_their_sigmas_for_any_gamma(gamma: float, steps: int) -> No
     assert 0.05 < np.median(relative) < 1.2
     assert np.percentile(relative, 90) < 3
     assert 0.5 < np.median(decoding.matches.sigma_px) < 8
-    (told,) = [warning for warning in decoding.warnings if "single fringe" in warning]
-    assert f"{steps} steps" in told
-    assert not any("brightness of the frames varies" in warning for warning in decoding.warnings)
+    assert f"{steps} steps" in the_only("unchecked-fringe", decoding.findings).message
+    assert "flicker" not in kinds_of(decoding.findings)
 
 
 def test_the_unknown_response_gives_a_common_systematic_shift() -> None:

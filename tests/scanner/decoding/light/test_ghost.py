@@ -9,6 +9,7 @@ import pytest
 from calib.numerics import Image
 from scanner.decoding.light.ghost import Ghost, without_ghost
 from scanner.patterns import PRESETS, Gray, Pattern, sequence_for
+from tests.support.findings import the_only
 from tests.support.synthetic_capture import Scene, corrections_to, decode, fringes
 
 SCENE = Scene()
@@ -46,7 +47,7 @@ def test_ghosting_is_detected_and_corrected(sequence: str, share: float) -> None
     decoding = decode(patterns, frames, SCENE.projector)
     limit = 0.4 if sequence == "gray" else 0.08
     assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < limit
-    assert any(f"{found.share:.0%} of the picture before" in warning for warning in decoding.warnings)
+    assert the_only("ghost", decoding.findings).number("ghost_share") == pytest.approx(found.share, abs=0.005)
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
@@ -88,7 +89,9 @@ def test_a_single_late_frame_is_detected_and_corrected(sequence: str, share: flo
         errors = np.abs(SCENE.errors(decoding))
         assert np.mean(errors > 1.2) < 0.005
         assert 0.005 < np.median(errors) < (0.4 if sequence == "gray" else 0.08)
-        assert any(f"Frame {place} (" in warning and f"{found.share:.0%}" in warning for warning in decoding.warnings)
+        said = the_only("ghost", decoding.findings)
+        assert said.message.startswith(f"Frame {place} (")
+        assert said.number("ghost_share") == pytest.approx(found.share, abs=0.005)
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
@@ -125,4 +128,4 @@ def test_half_of_the_rows_may_be_late(patterns: Sequence[Pattern], odd: int) -> 
     decoding = decode(patterns, late, SCENE.projector)
     assert 0.005 < np.median(np.abs(SCENE.errors(decoding))) < (0.4 if patterns is SEQUENCES["gray"] else 0.08)
     assert np.mean(np.abs(SCENE.errors(decoding)) > 1.2) < 0.005
-    assert any("in even and in odd rows" in warning for warning in decoding.warnings)
+    assert "in even and in odd rows" in the_only("ghost", decoding.findings).message

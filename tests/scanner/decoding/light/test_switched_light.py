@@ -9,6 +9,7 @@ import pytest
 from calib.numerics import Image
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, sequence_for
+from tests.support.findings import kinds_of, the_only
 from tests.support.synthetic_capture import Scene, decode
 
 SCENE = replace(Scene(), exposure=150.0)
@@ -32,11 +33,13 @@ def test_a_change_during_an_exposure_is_reported_for_either_frame(number: int) -
     after = switched(frames, number, 0.3)
     half = np.rint((frames[number].astype(np.float64) + after[number]) / 2).astype(np.uint8)
     decoding = decode(GRAY, [*after[:number], half, *after[number + 1 :]], SCENE.projector)
-    (said,) = [warning for warning in decoding.warnings if "was switched on before" in warning]
+    said = the_only("light-switched", decoding.findings).message
+    assert "switched on before" in said
     assert f"frame {number} (" in said
     assert f"frame {number + 1} (" in said
     clear = decode(GRAY, after, SCENE.projector)
-    (said,) = [warning for warning in clear.warnings if "was switched on before" in warning]
+    said = the_only("light-switched", clear.findings).message
+    assert "switched on before frame" in said
     assert " or frame" not in said
 
 
@@ -60,7 +63,9 @@ def test_switched_light_is_removed(patterns: Sequence[Pattern], number: int, sha
     assert np.mean(errors > 3) < 0.005
     assert np.mean(decoding.reasons[SCENE.well_lit()] == 0) > 0.97
     went = "on" if share > 0 else "off"
-    assert any(f"switched {went} before frame {number} (" in warning for warning in decoding.warnings)
+    said = the_only("light-switched", decoding.findings)
+    assert f"switched {went} before frame {number} (" in said.message
+    assert said.numbers("frames") == (number,)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 8), (1, 5), (4, 12), (3, len(QUICK) - 2)])
@@ -73,5 +78,5 @@ def test_exchanged_frames_are_not_taken_for_switched_light(one: int, other: int)
 
 def test_steady_light_changes_nothing() -> None:
     found = decode(QUICK, SCENE.frames(QUICK), SCENE.projector)
-    assert not any("taken out" in warning or "switched" in warning for warning in found.warnings)
+    assert not {"ghost", "light-switched"} & {*kinds_of(found.findings)}
     assert 0.01 < np.median(np.abs(SCENE.errors(found))) < 0.06

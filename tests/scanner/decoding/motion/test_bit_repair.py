@@ -12,6 +12,7 @@ from scanner.decoding import MaskReason, plan_sequence
 from scanner.decoding.codes import CodeWords, cell_numbers
 from scanner.decoding.motion.bit_repair import repair_bits
 from scanner.patterns import Gray, sequence_for
+from tests.support.findings import kinds_of
 from tests.support.synthetic_capture import Scene, decode
 
 PROJECTOR = 512, 384
@@ -95,4 +96,4 @@ def test_somebody_who_goes_past_leaves_most_of_the_picture(first: int) -> None:
     kept = decoding.reasons == MaskReason.KEPT
     assert 0.5 < np.mean(kept[lit]) < 0.98
     assert np.mean(np.abs(scene.errors(decoding)).max(axis=1) > 1.5) < 0.01
-    assert any("Something moved in" in warning for warning in decoding.warnings)
+    assert "moving-object" in kinds_of(decoding.findings)

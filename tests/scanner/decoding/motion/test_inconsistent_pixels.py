@@ -13,6 +13,7 @@ from scanner.decoding.motion import InconsistentPixels, find_inconsistent_pixels
 from scanner.decoding.motion.photometric_constraints import find_violations
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, Pattern, Phase, PresetName, sequence_for
+from tests.support.findings import kinds_of, the_only
 from tests.support.synthetic_capture import Scene, decode
 
 SCENE = Scene()
@@ -76,7 +77,7 @@ def test_a_passing_object_is_masked(preset: PresetName, first: int, named: str) 
     else:
         assert 0.1 < np.mean(kept[around_place(-4) & lit]) < 0.9, "fringes tell where the codes were right"
     assert wrong(decoding) < 0.002
-    assert any("Something moved in" in warning and named in warning for warning in decoding.warnings)
+    assert named in the_only("moving-object", decoding.findings).message
 
 
 def test_an_object_crossing_the_picture_is_masked_where_it_was_seen() -> None:
@@ -91,7 +92,7 @@ def test_an_object_crossing_the_picture_is_masked_where_it_was_seen() -> None:
             frames[number][place] = OTHER.frame(STANDARD[number], number)[place]
     decoding = decode(STANDARD, frames, SCENE.projector)
     kept = decoding.reasons == MaskReason.KEPT
-    assert any("Something moved in" in warning for warning in decoding.warnings)
+    assert "moving-object" in kinds_of(decoding.findings)
     assert np.mean(kept[:, edges[3] + 6 :][lit[:, edges[3] + 6 :]]) > 0.95
     assert 0.3 < np.mean(kept[lit]) < 0.8
     assert wrong(decoding) < 0.005
@@ -150,7 +151,7 @@ def test_a_frame_of_another_scene_is_named_as_corrupted(number: int) -> None:
     except InputError as error:
         said = str(error)
     else:
-        said = " ".join(decoding.warnings)
+        said = " ".join(map(str, decoding.findings))
         assert wrong(decoding) < 0.02
     assert f"frame {number} " in said
 

@@ -19,6 +19,7 @@ from scanner.reconstruction.keystone.panel_pixels import beginning_as
 from scanner.reconstruction.keystone.planes import planes_at
 from scanner.results import CALIBRATION_FILE, read_verdict
 from tests.support.command_line import run
+from tests.support.findings import the_only
 
 SIZE = (480, 270)
 SHIFTS = 4
@@ -178,8 +179,9 @@ def test_keystone_correction_is_undone_before_calibration(tmp_path: Path) -> Non
     found = read_calibration(tmp_path / "scan" / CALIBRATION_FILE)
     verdict = read_verdict(tmp_path / "scan" / CALIBRATION_FILE)
     assert verdict is not None
-    (said,) = [note for note in verdict.notes if "keystone" in note]
-    assert "2.0 % narrower" in said
+    measured = the_only("keystone-corrected", verdict.findings)
+    assert "2.0 % narrower" in measured.message
+    assert 0.019 < measured.number("narrower_share") < 0.021
     with open_rig(SimulatedRigSettings.model_validate({"seed": 0} | plain), (612, 512), (427, 240)) as as_it_is:
         assert as_it_is.truth is not None
         true = as_it_is.truth.camera.focal_px[0]
