@@ -5,16 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Calibration, Motion, Sigmas
+from calib.geometry import Motion
 from calib.numerics import Floats
-from calib.refinement import SHARED
+from calib.refinement import SHARED, State, device_of
 from calib.rooms import Room, RoomPlane, Sight
 from calib.rooms.point_tracking import find_tracks
 from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
 from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
-from scanner.rooms.corner_rig import state_of
 from tests.calib.rooms.test_registration import CAMERA
 from tests.support.numeric import gradient_of
 
@@ -28,7 +27,8 @@ def scene() -> Scene:
     made = random_furnished_room(rng, 0)
     places = ring(rng, made, 6)[:2]
     seen = [seen_from(made, place, rng, CloudErrors(0.0, 0.0), CAMERA, Paint(3, 0.3)) for place in places]
-    rig = Calibration(CAMERA, CAMERA, np.eye(3), np.array([1.0, 0.0, 0.0]), "m", Sigmas())
+    device, along = device_of(CAMERA), np.array([1.0, 0.0, 0.0])
+    rig = State(device, device, np.eye(3), along, np.zeros((0, 3)), ())
     normals, heights = made.scene.solids[0]
     planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))
     sights = []
@@ -38,7 +38,7 @@ def scene() -> Scene:
         on = np.nanmin(np.where(np.isfinite(away), away, 9.0), axis=2) < 1e-3
         labels = np.where(on, np.argmin(np.where(np.isfinite(away), away, 9.0), axis=2), -1)
         sights.append(Sight.of(station.picture, labels.astype(np.int32)))
-    room = Room(rig_of(state_of(rig)), tuple(places), planes)
+    room = Room(rig_of(rig), tuple(places), planes)
     return room, sights, [tuple(range(6))] * 2
 
 
