@@ -30,6 +30,7 @@ _FORMAT, _MODE, _BATTERY = ("imageformat", "imagequality"), ("autoexposuremode",
 _FOCUS, _TARGET = ("focusmode",), ("capturetarget",)
 _IN_MEMORY = ("Internal RAM", "sdram")  # frames need no card there
 _RAW = ("raw", "nef")
+_START_OF_SCAN, _END_OF_IMAGE = b"\xff\xda", b"\xff\xd9"
 _CARD_ADVICE = "Put in a card with room, unlocked, or empty this one."
 _ADVICE = {
     "GP_ERROR_IO_USB_CLAIM": "Another program has it: close it, or unmount the camera in the file manager.",
@@ -190,9 +191,10 @@ class GPhotoCamera(AbstractContextManager["GPhotoCamera"]):
             self._camera.exit()
 
     def _image(self, content: bytes, name: str) -> Image:
-        image = _developed(content) if self._raw else cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        image = _developed(content) if self._raw else _decoded(content)
         if image is None:
-            raise FrameLostError(f"{name} is not an image of the format {'raw' if self._raw else 'jpeg'}")
+            kind = "raw" if self._raw else "jpeg"
+            raise FrameLostError(f"{name}, {len(content):,} bytes, is not a whole image of the format {kind}")
         refuse_other_size(self.name, self.size, (image.shape[1], image.shape[0]))
         return np.asarray(image)
 
@@ -300,6 +302,17 @@ def _seconds(shutter_speed: str) -> float | None:
     try:
         return float(over) / float(under or 1) or None
     except (ValueError, ZeroDivisionError):
+        return None
+
+
+def _decoded(content: bytes) -> Any:
+    """The image of a JPEG file, (H, W, 3) in BGR; None if it is empty, cut off, or cannot be decoded."""
+    # The last scan is followed by the end of the image; a preview before it has its own of both (ITU-T T.81, annex B).
+    if not content.rfind(_START_OF_SCAN) < content.rfind(_END_OF_IMAGE):
+        return None
+    try:
+        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:  # a header of absurd sizes
         return None
 
 

@@ -1,10 +1,15 @@
 """Cameras that OpenCV opens: webcams by number (V4L2, UVC), network streams and pipelines by address."""
 
 import os
+import re
 import sys
+from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from threading import Thread
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -30,7 +35,12 @@ _EXPOSURE_UNIT_US = 100.0  # of V4L2's exposure_time_absolute
 _LIMITS_US = (100.0, 1e6)  # OpenCV does not tell the driver's own
 _TOLERANCE = 0.1  # of exposures, which drivers round
 _BY_HAND = "Leave it out of the rig, set it with the camera's own tool or app, and turn its automatic off there."
+_ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
+_SLICE_S = 0.1  # longest delay of Ctrl-C
 _V4L, _DEVICES = Path("/sys/class/video4linux"), Path("/dev")
+
+
+Result = TypeVar("Result")
 
 
 class OpenCVRigSettings(CameraRigSettings):
@@ -117,7 +127,7 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
         self._local = isinstance(settings.camera, int)
         self.name = f"webcam {settings.camera}" if self._local else str(settings.camera)
         self._refresh_hz = refresh_hz
-        self._capture = self._opened(settings.camera)
+        self._capture = _interruptible(partial(self._opened, settings.camera))
         try:
             self._shape: tuple[int, ...] | None = None
             self._exposure_us: float | None = None
@@ -169,8 +179,8 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
             # One thread: decoders with several delay frames.
             limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPENING_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _OPENING_MS]
             capture = cv2.VideoCapture(camera, cv2.CAP_FFMPEG, [*limits, cv2.CAP_PROP_N_THREADS, 1])
-            if not capture.isOpened():
-                capture = cv2.VideoCapture(camera)  # a pipeline, or whatever else OpenCV was built with
+            if not capture.isOpened() and not _ADDRESS.match(camera):
+                capture = cv2.VideoCapture(camera)  # a pipeline; an address would be tried again, without limits
         if not capture.isOpened():
             raise DeviceError(
                 f"camera {self.name}: OpenCV cannot open it. Check that it is on, that the rig's camera is its number "
@@ -210,7 +220,7 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
 
     def _first(self) -> None:
         """Check the first frame, and note whether frames are grey or colour."""
-        taken = self._read()
+        taken = _interruptible(self._read)
         if taken is None:
             raise DeviceError(
                 f"camera {self.name}: it opens, but delivers no frames. Check that no other program uses it; rerun."
@@ -237,3 +247,26 @@ class OpenCVCamera(AbstractContextManager["OpenCVCamera"]):
             )
         self._shape = image.shape
         return image
+
+
+def _interruptible(work: Callable[[], Result]) -> Result:
+    """The result of a call of OpenCV, which does not return for Ctrl-C.
+
+    After that, its thread goes on to the library's own limit; the process waits for it when everything else is done,
+    because a thread that returns while the interpreter ends would abort it.
+    """
+    done = Future[Result]()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    Thread(target=run, name="opening").start()
+    while True:
+        try:
+            return done.result(_SLICE_S)
+        except TimeoutError:
+            if done.done():
+                raise

@@ -3,7 +3,7 @@
 import importlib
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import pytest
 
 from hw import real_devices
 from hw.backends import BACKENDS
-from hw.errors import DeviceError
+from hw.errors import DeviceError, FrameLostError
 from hw.gphoto2 import GPhotoCamera, GPhotoRigSettings
 from hw.optional_parts import GPHOTO2
 from hw.settings import SimulatedRigSettings
@@ -164,6 +164,43 @@ def test_errors_of_the_library_are_named(device: Device, call: str, code: int, w
     device.fails[call] = GPhoto2Error(code)
     with pytest.raises(DeviceError, match=words):
         opened().grab()
+
+
+def with_size(jpeg: bytes, height: int, width: int) -> bytes:
+    """The JPEG with another size in its header."""
+    at = jpeg.index(b"\xff\xc0") + 5
+    return jpeg[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + jpeg[at + 4 :]
+
+
+SPOILT: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda jpeg: b"",
+    "of an absurd size": lambda jpeg: with_size(jpeg, 65_500, 65_500),
+    "of no size": lambda jpeg: with_size(jpeg, 0, 0),
+    "cut in half": lambda jpeg: jpeg[: len(jpeg) // 2],
+    "cut in half, with a preview": lambda jpeg: jpeg[:2] + jpeg + jpeg[2 : len(jpeg) // 2],
+    "not an image": lambda jpeg: b"<html></html>",
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT.keys())
+def test_a_spoilt_file_is_a_lost_frame(device: Device, spoil: Callable[[bytes], bytes]) -> None:
+    with opened() as camera:
+        device.spoil = lambda _, jpeg: spoil(jpeg)
+        with pytest.raises(FrameLostError, match=r"IMG_0001.JPG, [\d,]+ bytes, is not a whole image"):
+            camera.grab()
+        device.spoil = lambda _, jpeg: jpeg
+        assert camera.grab().image.shape == (*SIZE[::-1], 3)
+    assert not device.files
+
+
+def test_lost_frames_are_taken_again(config: Path, device: Device) -> None:
+    spoils = dict(zip((14, 17, 20, 23, 26), SPOILT.values(), strict=False))
+    device.spoil = lambda number, jpeg: spoils[number](jpeg) if number in spoils else jpeg
+    out = config.with_name("result")
+    assert main(["--config", str(config), "--out", str(out), "--quiet"]) in (0, 4)
+    recording = open_capture(out / "capture")
+    assert device.taken > max(spoils)
+    assert len(recording.patterns) == len(load_config(config).sequence.patterns(PROJECTOR))
 
 
 def test_a_changed_size_or_camera_is_named(device: Device) -> None:

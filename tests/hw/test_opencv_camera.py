@@ -1,11 +1,13 @@
 """Failures of OpenCV capture are named. The capture here is a fake; the loopback tests use a real one."""
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
+from threading import Event, Thread, main_thread
 from typing import Any
 
 import cv2
@@ -97,6 +99,60 @@ def test_an_absent_or_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) ->
     capture = Capture(picture(1), picture(2))
     with pytest.raises(DeviceError, match="stream has ended"), connected(monkeypatch, capture) as camera:
         camera.reader.following(5)
+
+
+@pytest.mark.parametrize(
+    ("camera", "attempts"),
+    [
+        ("http://127.0.0.1:9/video", 1),
+        ("rtsp://127.0.0.1:9/video", 1),
+        ("rtspsrc location=rtsp://127.0.0.1:9/video ! decodebin ! appsink", 2),
+    ],
+)
+def test_only_a_pipeline_is_opened_without_a_time_limit(
+    monkeypatch: pytest.MonkeyPatch, camera: str, attempts: int
+) -> None:
+    calls = list[tuple[Any, ...]]()
+
+    def open_capture(*arguments: object) -> Capture:
+        calls.append(arguments)
+        return Capture(opens=False)
+
+    monkeypatch.setattr(cv2, "VideoCapture", open_capture)
+    with pytest.raises(DeviceError, match="OpenCV cannot open it"):
+        opencv.connect(OpenCVRigSettings(backend="opencv", camera=camera), SIZE, 60.0)
+    assert len(calls) == attempts
+    assert cv2.CAP_PROP_OPEN_TIMEOUT_MSEC in calls[0][2]
+    assert cv2.CAP_PROP_READ_TIMEOUT_MSEC in calls[0][2]
+
+
+@pytest.mark.parametrize("while_reading", [False, True])
+def test_an_interruption_does_not_wait_for_a_silent_camera(
+    monkeypatch: pytest.MonkeyPatch, while_reading: bool
+) -> None:
+    begun, may_end = Event(), Event()
+
+    def silent() -> None:
+        begun.set()
+        Thread(target=lambda: signal.pthread_kill(main_thread().ident, signal.SIGINT)).start()
+        assert may_end.wait(60)
+
+    class Silent(Capture):
+        def read(self) -> tuple[bool, np.ndarray | None]:
+            silent()
+            return False, None
+
+    def open_capture(*_: object) -> Capture:
+        if not while_reading:
+            silent()
+        return Silent()
+
+    monkeypatch.setattr(cv2, "VideoCapture", open_capture)
+    with pytest.raises(KeyboardInterrupt):
+        opencv.connect(OpenCVRigSettings(backend="opencv", camera="http://phone/video"), SIZE, 60.0)
+    assert begun.is_set()
+    assert not may_end.is_set()
+    may_end.set()
 
 
 def test_a_stream_that_stops_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

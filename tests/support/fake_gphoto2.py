@@ -39,6 +39,7 @@ class Device:
             "batterylevel": ("75%", []),
         }
     )
+    spoil: Callable[[int, bytes], bytes] = lambda number, content: content  # of each file, counted from 1
     fails: dict[str, GPhoto2Error] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     taken: int = 0
@@ -145,7 +146,8 @@ class Camera:
         device.check("capture")
         device.taken += 1
         name = f"IMG_{device.taken:04d}.JPG"
-        device.files[name] = bytes(cv2.imencode(".jpg", device.see(), [cv2.IMWRITE_JPEG_QUALITY, 97])[1])
+        jpeg = bytes(cv2.imencode(".jpg", device.see(), [cv2.IMWRITE_JPEG_QUALITY, 97])[1])
+        device.files[name] = device.spoil(device.taken, jpeg)
         return CameraFilePath("/store_00010001", name)
 
     def file_get(self, folder: str, name: str, kind: int) -> CameraFile:

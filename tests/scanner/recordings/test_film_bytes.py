@@ -4,7 +4,7 @@ import io
 import signal
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -13,7 +13,6 @@ import av
 import numpy as np
 import pytest
 
-from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.interruption import handlers_restored, interrupt, on_ending
 from scanner.recordings import film_bytes
@@ -27,7 +26,7 @@ TICKS = 90_000  # to a second
 SHOWN_S, LONGEST_S = 10.0, 140.0  # of the video that is filmed, and of a film of it
 
 
-def write_film(path: Path, codec: str = "libx264", times_s: Floats | None = None) -> None:
+def write_film(path: Path, codec: str = "libx264", times_s: Iterable[float] | None = None) -> None:
     """Frames of noise, 64 × 48, in the container that the path's suffix names: FRAMES at 30 a second, or at times."""
     rng = np.random.default_rng(0)
     with av.open(str(path), "w") as container:
@@ -144,7 +143,7 @@ def test_even_a_playlist_could_open_nothing(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_film_much_longer_than_its_video_is_refused_at_once(tmp_path: Path) -> None:
-    write_film(tmp_path / "film.mp4", times_s=np.arange(FRAMES) * 500.0)
+    write_film(tmp_path / "film.mp4", times_s=np.arange(0.0, 500.0 * FRAMES, 500.0))
     with pytest.raises(InputError, match=f"takes 11500 s or more, and its video 10 s; .* than {LONGEST_S:.0f} s"):
         open_video(tmp_path / "film.mp4", SHOWN_S)
 
@@ -161,7 +160,7 @@ def test_a_film_longer_than_it_states_is_refused_when_it_is_read(tmp_path: Path)
 
 def test_frames_are_no_more_than_a_film_needs(tmp_path: Path) -> None:
     path, rate = tmp_path / "film.mp4", 15_000
-    write_film(path, times_s=np.arange(3000) / rate)
+    write_film(path, times_s=np.arange(3000.0) / rate)
     times = [time_s for time_s, _ in open_video(path, SHOWN_S).frames()]
     assert np.diff(times).min() > 0.99 * LONGEST_S / 100_000
     assert 130 < len(times) <= 3000 / rate * 100_000 / LONGEST_S + 1
