@@ -11,7 +11,7 @@ from calib.networks.network import Network
 from calib.networks.overlaps import PairName
 from calib.networks.raster import Raster, SeenAt
 from calib.networks.sights import Sight
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, evenly, median
+from calib.numerics import Floats, evenly, median, robust_sigma
 from calib.refusal import RefusalError
 from calib.rooms.likelihood import Fit
 
@@ -73,7 +73,7 @@ def strains(sights: Sequence[Sight], fit: Fit[Network]) -> dict[int, Strain]:
         relative = height / np.linalg.norm(sight.points(fit.layout) - eye, axis=1)
         residuals.setdefault(sight.capture, []).append(np.abs([across, sight.cells.sigma_px, relative]))
     return {
-        capture: Strain(SIGMA_PER_MEDIAN * median(across), median(sigma), SIGMA_PER_MEDIAN * median(relative))
+        capture: Strain(robust_sigma(across), median(sigma), robust_sigma(relative))
         for capture, of_capture in residuals.items()
         for across, sigma, relative in (np.concatenate(of_capture, axis=1),)
     }

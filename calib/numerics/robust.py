@@ -49,7 +49,7 @@ def quantile(values: NDArray[np.floating[Any]], share: float) -> float:
     )
 
 
-def robust_sigma(residual: Floats) -> float:
+def robust_sigma(residual: NDArray[np.floating[Any]]) -> float:
     """Standard deviation of residuals (N,) around zero, without outliers; 0 for none."""
     return SIGMA_PER_MEDIAN * median(np.abs(residual)) if len(residual) else 0.0
 
@@ -71,9 +71,14 @@ def huber_loss(size: Floats, limit: Floats | float) -> Floats:
     return weight * size * (2 * size - weight * size)
 
 
+def tukey_weights(relative: Floats) -> Floats:
+    """Tukey's weights (N,) of residuals `relative` (N,) to the size at which they vanish."""
+    return np.clip(1 - relative**2, 0, None) ** 2
+
+
 def biweight(residual: Floats) -> Floats:
     """Tukey's weights (N,), 1 for a residual of zero and 0 beyond 4.7 robust sigmas."""
-    return np.clip(1 - _relative(residual) ** 2, 0, None) ** 2
+    return tukey_weights(_relative(residual))
 
 
 def biweight_slope(residual: Floats) -> Floats:

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import STILL, Motion
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, huber_weights, median
+from calib.numerics import Floats, Ints, huber_weights, robust_sigma
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement import ROBUST_SIGMAS
@@ -93,7 +93,7 @@ def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEs
         *_covariance(found, len(views), middle),
         middle,
         {pair: each.surface / counts[pair] for pair, each in total.items()},
-        {pair: SIGMA_PER_MEDIAN * median(np.abs(each.off[: each.surface])) for pair, each in total.items()},
+        {pair: robust_sigma(each.off[: each.surface]) for pair, each in total.items()},
     )
 
 
@@ -132,7 +132,7 @@ def residuals_of(
     mean /= np.linalg.norm(mean, axis=1, keepdims=True)
     off = np.sum(mean * (points - others), axis=1)
     sigma = np.hypot(first.sigma(on_first), second.sigma(on_second))
-    sigma = sigma * max(1.0, SIGMA_PER_MEDIAN * median(np.abs(off) / sigma))
+    sigma = sigma * max(1.0, robust_sigma(off / sigma))
     by_first = np.hstack([np.cross((points + others) / 2, mean), mean])
     part = np.stack([first.parts(first.pixels(on_first)), second.parts(second.pixels(on_second))], axis=1)
     surface = Residuals(*names, off, sigma, by_first, part, len(off))
@@ -154,7 +154,7 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Motion, the
         return surface
     points, others = points[near], others[near]
     off = points - others
-    sigma = max(SIGMA_PER_MEDIAN * median(np.abs(off).ravel()), 1e-3 * first.grain)
+    sigma = max(robust_sigma(off.ravel()), 1e-3 * first.grain)
     axes = np.broadcast_to(np.eye(3), (len(off), 3, 3))
     by_first = np.concatenate([np.cross(((points + others) / 2)[:, None], axes), axes], axis=2).reshape(-1, 6)
     part = np.stack(

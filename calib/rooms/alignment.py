@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from calib.geometry import Motion, angle_between, rotation_about
-from calib.numerics import Bools, Floats, compiled
+from calib.numerics import Bools, Floats, compiled, tukey_weights
 from calib.rooms.agreement import FINE
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
@@ -117,7 +117,7 @@ def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Mot
     if not near.any():
         return np.zeros((6, 7))
     points, off = points[near], off[near]
-    weight = ((1 - relative[near] ** 2) / depth[near]) ** 2
+    weight = tukey_weights(relative[near]) / depth[near] ** 2
     by_twist = np.concatenate([-np.cross(points[:, None], np.eye(3)), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
     sums = np.empty((6, 7))
     sums[:, :6] = np.einsum("n,nia,nja->ij", weight, by_twist, by_twist)

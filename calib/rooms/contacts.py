@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from calib.diagnostics import Uncertainty
 from calib.geometry import Matches, cross, unproject
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, evenly, huber_loss, huber_weights, median
+from calib.numerics import Floats, Ints, evenly, huber_loss, huber_weights, robust_sigma
 from calib.refinement import ROBUST_SIGMAS, SHARED, depths
 from calib.rooms.room import PER_PLACE, Room
 
@@ -150,7 +150,7 @@ def _variance(contact: Contact, room: Room, match_px: tuple[float, float]) -> Fl
     distances, _, by_pixels = contact.distances(room)
     noise = contact.noise_px(match_px)
     variance: Floats = np.sum((by_pixels * np.repeat(noise, 2, axis=1)) ** 2, axis=1)
-    variance *= max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(distances) / np.sqrt(variance))) ** 2)
+    variance *= max(1.0, robust_sigma(distances / np.sqrt(variance)) ** 2)
     relative = np.clip(distances / np.sqrt(variance), -ROBUST_SIGMAS, ROBUST_SIGMAS)
     return variance * block_inflation(contact.matches[0].camera_px, relative)
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from calib.geometry import Matches
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, huber_weights, median
+from calib.numerics import Floats, huber_weights, robust_sigma
 from calib.refinement import ROBUST_SIGMAS, SHARED
 from calib.rooms.contacts import SMOOTH, Contact, block_inflation, blocks_of, find_contacts
 from calib.rooms.estimate import RoomEstimate
@@ -64,7 +64,7 @@ def _compared(contact: Contact, estimate: RoomEstimate, match_px: tuple[float, f
     variance = alone
     for _ in range(_ROUNDS):
         left = distances + by_twist @ twist
-        variance = alone * max(1.0, (SIGMA_PER_MEDIAN * median(np.abs(left) / np.sqrt(alone))) ** 2)
+        variance = alone * max(1.0, robust_sigma(left / np.sqrt(alone)) ** 2)
         size = np.abs(left) / np.sqrt(variance)
         weight: Floats = huber_weights(size, ROBUST_SIGMAS) / variance
         normal = (by_twist * weight[:, None]).T @ by_twist

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Image, huber_weights
+from calib.numerics import Floats, Image, huber_weights, robust_sigma
 from scanner.errors import InputError
 
 # What a lamp or an exposure that is no whole number of refresh periods does from frame to frame is less.
@@ -83,7 +83,7 @@ def compare(before: Image, now: Image) -> Comparison:
     residuals = np.sqrt(np.mean((off - along) ** 2, axis=1))
     sees = np.ptp(_tiles(smooth), axis=1) > 0.1 * contrast
     # Not of all tiles: unlit ones may be free of noise, and then a compression's specks would tell of motion.
-    noise = _SMOOTHED * SIGMA_PER_MEDIAN * float(np.median(np.abs(off - along)[sees])) if np.any(sees) else np.inf
+    noise = _SMOOTHED * robust_sigma((off - along)[sees].ravel()) if np.any(sees) else np.inf
     strength = np.sum(across[1] ** 2, axis=1)
     tells = np.sqrt(strength) * _SURE_PX > max(noise, 1e-9)
     sees |= residuals > _CHANGED_OF_CONTRAST * contrast
@@ -122,7 +122,7 @@ def _brightness(first: Floats, second: Floats) -> tuple[float, float]:
         gain = gain if gain > _LEAST_GAIN else 1.0
         offset = float(mean_y - gain * mean_x)
         off = np.abs(y - gain * x - offset)
-        scale = max(SIGMA_PER_MEDIAN * float(np.median(off)), 1e-6)
+        scale = max(robust_sigma(off), 1e-6)
         weight = certain * huber_weights(off, scale)
     return gain, offset
 

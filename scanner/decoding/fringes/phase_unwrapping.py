@@ -15,7 +15,7 @@ from math import sqrt
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats32, compiled, median
+from calib.numerics import Bools, Floats32, compiled, median, robust_sigma
 from scanner.decoding.codes import Interval
 from scanner.decoding.mask_reasons import PixelFlags, Reasons
 from scanner.decoding.sequence_plan import AxisPlan
@@ -101,13 +101,13 @@ def measured_tolerances(plan: AxisPlan, distances: Disagreements, variances: Flo
     outside = distances.outside_px[distances.outside_px > 0]
     if plan.codes and len(outside) >= FEWEST_PIXELS:
         floor = max(0.1, 0.005 * plan.cell)
-        interval = min(interval, max(floor, SIGMA_PER_MEDIAN * median(outside)))
+        interval = min(interval, max(floor, robust_sigma(outside)))
     between = []
     noises = [median(a + b) if len(a) else 0.0 for a, b in pairwise(variances)]
     for most, distance, noise in zip(widest.fringe_px, distances.between_px, noises, strict=True):
         sigma = most
         if len(distance) >= FEWEST_PIXELS:
-            total = SIGMA_PER_MEDIAN * median(distance)
+            total = robust_sigma(distance)
             sigma = min(most, sqrt(max(total**2 - float(noise), 0.1 * total**2)))
         between.append(max(sigma, 1e-3))
     return Tolerances(interval, tuple(between))

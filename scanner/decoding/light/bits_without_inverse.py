@@ -12,7 +12,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Bools, Floats32, Image, median
+from calib.numerics import Bools, Floats32, Image, median, robust_sigma
 from scanner.decoding.light.lit_pixels import lit_by
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HUBER_ROUNDS, MAJORITY, SIGNIFICANT_SIGMAS
 
@@ -62,7 +62,7 @@ def levels_of_bit(frame: Image, half_lit: Image, white: Image) -> BitLevels | No
         threshold = of_black * black + (dark + bright) / 2
         is_bright = relative > threshold
     off = relative - of_black * black - np.where(is_bright, bright, dark)
-    if bright - dark < SIGNIFICANT_SIGMAS * SIGMA_PER_MEDIAN * median(np.abs(off)):  # not two levels
+    if bright - dark < SIGNIFICANT_SIGMAS * robust_sigma(off):  # not two levels
         return None
     return BitLevels(of_black, dark, bright, median(np.abs(threshold - black - 0.5)))
 
@@ -77,7 +77,7 @@ def white_of(bits: Sequence[BitLevels]) -> float:
         return 1.0
     whites = np.array([bit.dark + bit.bright for bit in bits])
     white, dark, bright = (float(np.median(n)) for n in (whites, [b.dark for b in bits], [b.bright for b in bits]))
-    if SIGMA_PER_MEDIAN * float(np.median(np.abs(whites - white))) > _ALIKE or abs(white - 1) < FEW:
+    if robust_sigma(whites - white) > _ALIKE or abs(white - 1) < FEW:
         return 1.0
     # Ambient light raises both levels by as much, but does not separate them by more than white and black.
     is_white = dark * np.sign(white - 1) < FEW * abs(white - 1) or bright - dark > 1 + FEW / 2

@@ -14,7 +14,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Floats32, Image, Part, fit_reweighted, median
+from calib.numerics import Floats, Floats32, Image, Part, fit_reweighted, median, robust_sigma
 from scanner.decoding.light.lit_pixels import LIT
 from scanner.decoding.sequence_plan import Fringe
 from scanner.decoding.significance import AS_GOOD, FEWEST_PIXELS, NEGLIGIBLE, OUTLYING_SIGMAS, SIGNIFICANT_SIGMAS
@@ -239,7 +239,7 @@ def _weights(
             np.concatenate([target[kept], *nothing[:, kept]]),
         )
         away = np.abs(target - terms @ design)
-        kept &= away <= OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away[kept]) + 1e-6
+        kept &= away <= OUTLYING_SIGMAS * robust_sigma(away[kept]) + 1e-6
     if is_guess:  # without light there is nothing to divide by
         return (_weights_from(terms[:, None]), inf) if terms[0] else undetermined
     design, target, rows = design[:, kept], target[kept], places.rows[kept]

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.numerics import SIGMA_PER_MEDIAN, TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, median
+from calib.numerics import TRIAL_PIXELS, Floats, Floats32, Image, evenly_spread, robust_sigma
 from scanner.decoding.light.brightness import residual_of_gains
 from scanner.decoding.sequence_plan import SequencePlan
 from scanner.decoding.significance import FEW, FEWEST_PIXELS, HALF, HUBER_ROUNDS, MAJORITY, NEGLIGIBLE, OUTLYING_SIGMAS
@@ -245,7 +245,7 @@ def _levelling(off: Floats, swing: Floats, stiffness: float) -> Floats:
         normal = rows.T @ ((weights * relative**2)[:, None] * rows) / len(rows) + stiff
         light = _rising(np.linalg.solve(normal + _HELD * (given + offset), _HELD * as_it_is).astype(np.float64))
         away = relative * np.abs(rows @ light)
-        weights = 1 / (1 + (away / (OUTLYING_SIGMAS * SIGMA_PER_MEDIAN * median(away) + 1e-4)) ** 2)
+        weights = 1 / (1 + (away / (OUTLYING_SIGMAS * robust_sigma(away) + 1e-4)) ** 2)
     return light
 
 

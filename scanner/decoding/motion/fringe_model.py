@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.numerics import SIGMA_PER_MEDIAN, Floats, Ints, median
+from calib.numerics import Floats, Ints, median, robust_sigma
 from scanner.decoding.motion.pixels import MotionPixels
 from scanner.decoding.sequence_plan import Fringe, SequencePlan
 from scanner.decoding.significance import NEGLIGIBLE
@@ -158,7 +158,7 @@ class FringeModel:
         before += periods[0] * np.rint((coarse - before) / periods[0])
         apart = after - before + periods[1] * np.rint((before - after) / periods[1])
         within = apart - (np.bincount(pixels.tile, apart) / np.maximum(np.bincount(pixels.tile), 1))[pixels.tile]
-        spread = SIGMA_PER_MEDIAN * median(np.abs(within))
+        spread = robust_sigma(within)
         noise = np.sum(self._position_by_level[both] ** 2, axis=0) * pixels.noise
         return apart, noise + max(spread**2 - median(noise), 0.0)
 
