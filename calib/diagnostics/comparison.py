@@ -64,7 +64,8 @@ def compare(
 ) -> Difference | None:
     """Compare at camera pixels (N, 2), each at all depths (D,). None if the two see too little in common.
 
-    `metric`: both have the same unit of length. Otherwise the best scale is estimated.
+    `metric`: both have the same unit of length. Otherwise the best scale is estimated. Raises ValueError if an
+    uncertainty reaches devices that cannot see what both do.
     """
     pixels = np.tile(camera_px, (len(depths), 1))
     depth = np.repeat(depths, len(camera_px))
@@ -85,6 +86,8 @@ def compare(
         [first.of_function(triangulated), scale * np.einsum("ij,njs->nis", turn, second.of_function(triangulated))],
         axis=2,
     )
+    if not np.isfinite(effects).all():
+        raise ValueError("a covariance reaches lenses that have no ray for some pixels")
     weighted = weight[:, None, None] * effects
     motions = weight[:, None, None] * _motions(points, metric=metric)
     flat, basis = weighted.reshape(3 * len(points), -1), np.linalg.qr(motions.reshape(3 * len(points), -1))[0]

@@ -68,7 +68,12 @@ def compare_files(first: Path, second: Path, depths: Sequence[str] = ()) -> Comp
         other = _in_unit(other, metres_per(units[1]) / metres_per(units[0]), units[0])
     grid = _grid(one.calibration.camera.size)
     at = np.array([parse_length(text, units[0]) for text in depths]) if depths else _depths(first, one.calibration)
-    found = compare(one, other, grid.reshape(-1, 2), at, metric=metric)
+    try:
+        found = compare(one, other, grid.reshape(-1, 2), at, metric=metric)
+    except ValueError as error:
+        raise InputError(
+            f"{first} and {second} cannot be compared: {error}; expected standard deviations that a rig can have"
+        ) from error
     if found is None:
         raise InputError(
             f"{first} and {second} see next to nothing in common at depths of {', '.join(f'{d:.3g}' for d in at)} "

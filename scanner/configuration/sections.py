@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from calib.geometry import Size
 from calib.refinement import DECENTERING, SQUARENESS_DEG, THIRD_RADIAL
 from hw.settings import Settings
-from scanner.io import Flag, Number, Pair, Whole, refuse_more_pixels
+from scanner.io import Flag, Metres, Number, Pair, Whole, refuse_more_pixels
 from scanner.patterns import PRESETS, Code, Pattern, Preset, PresetName, ProjectorResponse
 
 _LARGEST_SIDE_PX = 32768
@@ -215,12 +215,12 @@ class CharucoSettings(Settings):
 class ScaleSettings(Settings):
     """One known length; without it, the baseline is the unit."""
 
-    baseline_m: Number | None = Field(default=None, gt=0, le=1e4, description="Distance from camera to projector.")
-    camera_to_corner_m: Number | None = Field(
-        default=None, gt=0, le=1e4, description="Distance from the camera to the corner's vertex."
+    baseline_m: Metres | None = Field(default=None, description="Distance from camera to projector.")
+    camera_to_corner_m: Metres | None = Field(
+        default=None, description="Distance from the camera to the corner's vertex."
     )
     sigma_m: Number | None = Field(
-        default=None, gt=0, le=1e4, description="Standard deviation of that length; default: exact."
+        default=None, ge=1e-9, le=1e4, description="Standard deviation of that length; default: exact."
     )
     charuco: CharucoSettings | None = Field(
         default=None, description="{square_mm: …, board: 6x9}: a printed sheet in the scene, in place of a length."

@@ -30,5 +30,17 @@ from scanner.io.ply import CloudPoints, read_cloud, write_merged_ply, write_ply,
 from scanner.io.png import PngFile, PngRows, png_of, write_png
 from scanner.io.room_file import StoredRoom, StoredStation, read_poses, read_room, write_poses, write_room
 from scanner.io.row_file import RowFile, by_rows, row_bands, scratch_rows, tiff_rows
-from scanner.io.validation import Entry, Flag, Number, Pair, Whole, known_keys, refuse_other_sizes, validate
+from scanner.io.validation import (
+    LONGEST_M,
+    SHORTEST_M,
+    Entry,
+    Flag,
+    Metres,
+    Number,
+    Pair,
+    Whole,
+    known_keys,
+    refuse_other_sizes,
+    validate,
+)
 from scanner.io.yaml_text import block_yaml, flow_yaml, parse_mapping, parse_yaml, read_text, read_yaml

@@ -19,6 +19,8 @@ Whole = Annotated[int, Field(strict=True)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Flag = Annotated[bool, Field(strict=True)]
 Pair = tuple[Number, Number]
+SHORTEST_M, LONGEST_M = 1e-6, 1e4
+Metres = Annotated[Number, Field(ge=SHORTEST_M, le=LONGEST_M)]  # a length of devices and what they see
 
 Model = TypeVar("Model", bound=BaseModel)
 _SIMILAR = 0.6

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import floor, log10
 
 from scanner.errors import InputError
+from scanner.io import LONGEST_M, SHORTEST_M
 from scanner.quantities.calibration_numbers import plain
 from scanner.shown_text import shown
 
@@ -44,12 +45,15 @@ def unit_name(unit: str) -> str:
 def parse_length(text: str, unit: str) -> float:
     """'50.8mm', or a number in `unit` → the length in `unit`.
 
-    Raises InputError for anything else, a length that is not positive, and a unit that cannot be converted.
+    Raises InputError for anything else, a length that nothing here has, and a unit that cannot be converted.
     """
     match = _LENGTH.fullmatch(text.strip())
     if match is None or not float(match[1]) > 0:
         raise InputError(f"expected a length like 50.8mm, or a number in the result's unit, found '{text}'")
     number, given = float(match[1]), match[2] or unit
+    if not SHORTEST_M <= number * METRES.get(given, 1.0) <= LONGEST_M:
+        limits = f"{SHORTEST_M:g} to {LONGEST_M:g} {'m' if given in METRES else unit_name(given)}"
+        raise InputError(f"expected a length of {limits}, found {shown(text)}")
     if given == unit:
         return number
     if given not in METRES:

@@ -82,6 +82,20 @@ def test_sources_that_cannot_be_joined_are_refused(
     assert not Path("out").exists()
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_covariance_beyond_any_lens_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], sign: int
+) -> None:
+    entry = yaml.safe_load((folder / "boards" / "calibration.yaml").read_text(encoding="utf-8"))
+    columns = entry["covariance"]["columns"]
+    step = [sign * 1000.0 if column == "camera_p1" else 0.0 for column in columns]
+    entry["covariance"]["along"] = {"probability": [1e-9], "steps": [step]}
+    other = tmp_path / "calibration.yaml"
+    other.write_text(yaml.safe_dump(entry), encoding="utf-8")
+    assert main(["compare", str(folder / "boards"), str(other)]) == 2
+    assert "a covariance reaches lenses that have no ray for some pixels" in " ".join(capsys.readouterr().err.split())
+
+
 def test_two_calibrations_are_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "compared"
     assert main(["compare", str(folder / "boards"), str(folder / "truth.yaml"), "--out", str(out)]) == 0

@@ -142,7 +142,7 @@ WRONG = [
     Wrong("corner: {squareness_deg: -1}", ("'corner.squareness_deg'", "-1")),
     Wrong("earlier: [3]", ("'earlier[0]'", "3")),
     Wrong("earlier: scans/one", ("'earlier' must be a list", "'scans/one'")),
-    Wrong("scale: {baseline_m: 0}", ("'scale.baseline_m'", "greater than 0")),
+    Wrong("scale: {baseline_m: 0}", ("'scale.baseline_m'", "greater than or equal to 0.000001")),
     Wrong("scale: {baseline_m: 1, camera_to_corner_m: 2}", ("'scale'", "not both")),
     Wrong("method: paper\nmethod: refined", ("line 2", "'method'", "twice")),
     Wrong("camera: {width: 640, width: 320, height: 480}", ("line 1", "'width'", "twice")),
