@@ -32,7 +32,7 @@ from scanner import load_config, replay
 from scanner.errors import InputError
 from scanner.patterns import PRESETS, PresetName
 from scanner.quantities import intrinsic_errors_percent
-from scanner.recordings import Programme, import_recording, programme_of, write_player_video
+from scanner.recordings import Programme, exposure_text, import_recording, programme_of, write_player_video
 from scanner.ui import Terminal
 
 FULL_PIXELS = 1920 * 1080
@@ -67,6 +67,8 @@ def films() -> dict[str, Filmed]:
         "24 fps, 1/24 s": of(rate=24.0, exposure_s=1 / 24),
         "24 fps, 1/24 s, 0.1 s": Filmed(replace(phone, rate=24.0, exposure_s=1 / 24), hold_s=0.1),
         "60 fps": of(rate=60.0, exposure_s=1 / 120),
+        "59.94 fps": of(rate=60_000 / 1001, exposure_s=0.01, readout_s=0.012, fast=9e-6),
+        "59.94 fps, upwards": of(rate=60_000 / 1001, exposure_s=0.01, readout_s=0.004, fast=9e-6),
         "240 fps": of(rate=240.0, exposure_s=1 / 480, readout_s=0.004),
         "10 Mbit/s": of(bit_rate=10e6),
         "100 Mbit/s": of(bit_rate=100e6),
@@ -175,7 +177,7 @@ def judged(stage: Stage, programme: Programme, recording: Path, folder: Path) ->
         return Outcome(None, None, None, "", str(error).removeprefix(f"{recording}: "), time.process_time() - begun)
     seconds = time.process_time() - begun
     clocks, height = imported.clocks, stage.room.renderer.shape[0]
-    found = f"{1e3 * clocks.exposure_s:.1f} ms, {1e3 * clocks.line_s * height:.1f} ms, "
+    found = f"{exposure_text(clocks)}, {1e3 * clocks.line_s * height:.1f} ms, "
     found += f"{imported.frames_per_picture:.1f} frames"
     told = " ".join(imported.notes)
     truth, calibration = stage.room.ground_truth(), stage.room.calibration

@@ -3,7 +3,7 @@
 from argparse import Namespace
 
 from scanner.errors import InputError
-from scanner.recordings import import_recording, read_programme
+from scanner.recordings import exposure_text, import_recording, read_programme
 from scanner.results import OutputFolder
 from scanner.ui import Terminal
 
@@ -26,7 +26,7 @@ def run(args: Namespace) -> None:
     clocks, loops = imported.clocks, len(imported.clocks.loops)
     terminal.show(
         f"{len(programme.patterns)} pictures of {imported.frames_per_picture:.1f} frames each, and capture.yaml, "
-        f"are in {args.out}; exposure {1e3 * clocks.exposure_s:.1f} ms, {loops} loop{'s' * (loops > 1)}",
+        f"are in {args.out}; exposure {exposure_text(clocks)}, {loops} loop{'s' * (loops > 1)}",
         *imported.notes,
         f"→ scan replay {args.out} reconstructs it.",
     )

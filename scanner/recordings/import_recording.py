@@ -10,7 +10,7 @@ from scanner.io import flow_yaml, write_png
 from scanner.patterns import FORMAT, frame_line, size_to_dict
 from scanner.recordings.averaging import average, image_of
 from scanner.recordings.clock_fit import fit_clocks
-from scanner.recordings.clocks import Clocks
+from scanner.recordings.clocks import Clocks, exposure_text
 from scanner.recordings.noise import noise_of
 from scanner.recordings.programme import Programme
 from scanner.recordings.samples import VideoSamples, take_samples
@@ -49,7 +49,13 @@ def import_recording(path: Path, programme: Programme, folder: Path, progress: P
     averaged = average(video, weights, clocks.tone, len(samples.times_s), whites, progress)
     smooth = smooth_px(programme, weights, averaged)
     exposure = exposure_range(samples, whites, clocks)
-    notes = (*found.notes, *_on_changes(clocks), *_on_rows(weights), *notes_on(path, moved_px(averaged.kept), exposure))
+    notes = (
+        *found.notes,
+        *_on_exposure(clocks),
+        *_on_changes(clocks),
+        *_on_rows(weights),
+        *notes_on(path, moved_px(averaged.kept), exposure),
+    )
     imported = Imported(clocks, float(np.mean([_frames(each) for each in weights])), smooth, notes)
     noise = noise_of(samples, weights, clocks)
     (folder / "frames").mkdir()
@@ -80,8 +86,7 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
         "file": samples.video.path.name,
         "frames": len(samples.times_s),
         "frames_per_second": round(1 / samples.frame_interval_s, 3),
-        "exposure_ms": round(1e3 * clocks.exposure_s, 2),
-        "readout_ms": round(1e3 * clocks.line_s * height, 2),
+        **_exposure(clocks, height),
         "projector_slower_ppm": round(_PPM * (slot_s / programme.hold_s - 1)),
         "scatter_of_changes_ms": round(1e3 * clocks.scatter_s, 2),
         "tone_exponent": round(clocks.tone.exponent, 3),
@@ -97,6 +102,22 @@ def _header(samples: VideoSamples, programme: Programme, imported: Imported) -> 
         "imported from": "a recording",
         "recording": found,
     }
+
+
+def _exposure(clocks: Clocks, height: int) -> dict[str, object]:
+    """Exposure and readout, or the range of exposures if the film does not determine them."""
+    if not clocks.has_exposure:
+        return {"exposure_range_ms": [round(1e3 * exposure_s, 2) for exposure_s in clocks.exposures_s]}
+    return {"exposure_ms": round(1e3 * clocks.exposure_s, 2), "readout_ms": round(1e3 * clocks.line_s * height, 2)}
+
+
+def _on_exposure(clocks: Clocks) -> tuple[str, ...]:
+    if clocks.has_exposure:
+        return ()
+    return (
+        f"Exposures {exposure_text(clocks)} explain the film alike, with a readout in proportion: pictures changed at "
+        "the same moments of the frames throughout. The capture is the same with any of them.",
+    )
 
 
 def _on_changes(clocks: Clocks) -> tuple[str, ...]:

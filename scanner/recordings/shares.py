@@ -1,6 +1,7 @@
 """The share of the later of two pictures in each row of the frames around a change."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,33 +14,44 @@ _AROUND = 0.6  # slots before and after a change
 _FRAMES_PER_CHANGE = 10  # more frames, of a fast camera, add no information
 _MIDDLE = 0.15  # slots; frames this close to a slot's middle show its picture
 ROBUST = 0.05  # limit of a share; larger deviations are no noise
+_CLUSTERS = 32  # of times after a change
 _LEAST_ENERGY = 1e-3  # relative to the usual; less gives no information
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Shares of M frames near changes: numbers (M,) of `frame` and `change` (through all loops).
+    """Shares of the M frames near changes, in R rows."""
 
-    `share` (M, R, 2), from pixels that brighten and from those that darken, with `weight` of the same shape; `seen`
-    (changes,): sum of the weights.
-    """
+    change: Ints  # (M,): number of the change, through all loops
+    time_s: Floats  # (M,) of the frame
+    row: Floats  # (R,), counted from the middle row
+    share: Floats  # (M, R, 2): of the later picture, from pixels that brighten and from those that darken
+    weight: Floats  # (M, R, 2)
+    changes: int  # number of changes, of all loops
 
-    frame: Ints
-    change: Ints
-    share: Floats
-    weight: Floats
-    seen: Floats
+    @cached_property
+    def weight_of_changes(self) -> Floats:
+        """(changes,): sum of the weights of each change."""
+        return self.summed(self.weight)
+
+    def summed(self, values: Floats) -> Floats:
+        """Sum of the `values` (M, R, 2) of each change, (changes,)."""
+        total = values.reshape(len(self.change), -1).sum(axis=1)
+        return np.bincount(self.change, total, minlength=self.changes).astype(np.float64)
+
+    def every(self, step: int) -> "Shares":
+        """Shares of every `step`-th row."""
+        return replace(self, row=self.row[::step], share=self.share[:, ::step], weight=self.weight[:, ::step])
 
 
-def predicted(times: Floats, changes: Floats, delays: Floats, exposure_s: float) -> Floats:
-    """Shares (M, R) of what follows the `changes` (M,) in frames of `times` (M,), in rows with `delays` (R,)."""
-    after = (times - changes)[:, None] + delays + exposure_s / 2
-    return np.clip(after / exposure_s, 0, 1)
+def predicted(after: Floats, exposure_s: float) -> Floats:
+    """Shares of what follows a change, in rows whose exposure has its middle so long `after` it; any shape."""
+    return np.clip(after / exposure_s + 0.5, 0, 1)
 
 
 def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shares:
     """Estimate the shares from the light in the samples, under the clocks' tone curve."""
-    frames, changes = list[Ints](), list[Ints]()
+    frames, of_changes = list[Ints](), list[Ints]()
     before, after, alone = list[Light](), list[Light](), list[Bools]()
     per_loop = len(programme.loop) + 1
     for number, loop in enumerate(clocks.loops):
@@ -51,33 +63,45 @@ def observe(samples: VideoSamples, programme: Programme, clocks: Clocks) -> Shar
             near = np.flatnonzero(np.abs(samples.times_s - times[change]) < _AROUND * loop.slot_s)
             near = near[:: max(1, len(near) // _FRAMES_PER_CHANGE)]
             frames.append(near)
-            changes.append(np.full(len(near), number * per_loop + change))
+            of_changes.append(np.full(len(near), number * per_loop + change))
             (earlier, earlier_alone), (later, later_alone) = pictures[change - 1], pictures[change]
             before.append(np.broadcast_to(earlier, (len(near), *earlier.shape)))
             after.append(np.broadcast_to(later, (len(near), *later.shape)))
             alone.append(np.broadcast_to(earlier_alone & later_alone, (len(near), len(earlier))))
-    frame, of_change = np.concatenate(frames), np.concatenate(changes)
+    frame, of_change = np.concatenate(frames), np.concatenate(of_changes)
     seen = samples.light(clocks.tone, frame)
     share, energy = _shares(seen, np.concatenate(before), np.concatenate(after), samples)
     weight = np.sqrt(np.minimum(energy / max(float(np.median(energy)), 1e-9), 1.0))
     weight[energy < _LEAST_ENERGY * np.median(energy)] = 0
     weight *= np.concatenate(alone)[..., None]
-    total_weight = summed(of_change, weight.sum(axis=(1, 2)), per_loop * len(clocks.loops))
-    return Shares(frame, of_change, share, weight, total_weight)
+    row, changes = samples.rows - samples.middle_row, per_loop * len(clocks.loops)
+    return Shares(of_change, samples.times_s[frame], row, share, weight, changes)
 
 
-def summed(group: Ints, values: Floats, groups: int) -> Floats:
-    """(groups,): the sum of the values (n,) of each group."""
-    return np.bincount(group, values, minlength=groups).astype(np.float64)
-
-
-def misfit(samples: VideoSamples, shares: Shares, clocks: Clocks) -> Floats:
-    """Weighted differences (M · R · 2,) of the shares from those that the clocks predict."""
-    changes = np.concatenate([clocks.changes(number) for number in range(len(clocks.loops))])[shares.change]
-    delays = clocks.row_delays(samples.rows, samples.middle_row)
-    share = predicted(samples.times_s[shares.frame], changes, delays, clocks.exposure_s)
+def misfit(shares: Shares, clocks: Clocks) -> Floats:
+    """Weighted differences (M, R, 2) of the shares from those that the clocks predict."""
+    share = predicted(after_changes(shares, clocks), clocks.exposure_s)
     off: Floats = shares.weight * (shares.share - share[..., None])
-    return off.ravel()
+    return off
+
+
+def after_changes(shares: Shares, clocks: Clocks) -> Floats:
+    """How long after the changes the exposures of rows have their middle, (M, R)."""
+    return (shares.time_s - clocks.every_change[shares.change])[:, None] + shares.row * clocks.line_s
+
+
+def independent_shares(shares: Shares, clocks: Clocks) -> float:
+    """Number of independent shares as uncertain as all of them, whose misfits are alike where rows were exposed at the
+    same time after a change: projectors respond, and cameras sharpen, as no clocks predict.
+
+    From the design effect of cluster samples (Kish, "Survey Sampling", 1965), without outliers.
+    """
+    off = np.clip(misfit(shares, clocks), -ROBUST, ROBUST)
+    after = after_changes(shares, clocks).ravel()
+    order = np.argsort(after)
+    together = [off.reshape(-1, 2)[part].sum(axis=0) for part in np.array_split(order, _CLUSTERS)]
+    effect = float(np.sum(np.square(together)) / max(np.sum(off**2), 1e-300))
+    return max(np.count_nonzero(shares.weight) / max(effect, 1.0), 2.0)
 
 
 def loss(off: Floats) -> Floats:

@@ -82,7 +82,7 @@ def test_weighted_frames_contain_their_picture_only(
     length_s = shown.slots_between_marks * shown.hold_s
     found = tuple(Loop(start_s + loop * (length_s + 0.011), shown.hold_s) for loop in range(loops))
     shifts = tuple(np.zeros(len(shown.loop) + 1) for _ in found)
-    clocks = Clocks(exposure_s, readout_s / HEIGHT, found, shifts, ToneCurve(), 0.0)
+    clocks = Clocks(exposure_s, readout_s / HEIGHT, found, shifts, ToneCurve(), 0.0, (exposure_s, exposure_s))
     times_s = np.arange(0, (loops + 1) * length_s + 1, 1 / 24)
     video = VideoFile(Path("film.mp4"), Size(32, HEIGHT), 0, LumaCodes(16, 235), len(times_s), shown.length_s)
     rows = np.arange(0.0, HEIGHT, 6)
