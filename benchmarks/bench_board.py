@@ -100,7 +100,7 @@ def stereo_rms(calibration: Calibration, boards: list[Corners]) -> float:
 
         def residuals(pose: Floats, flat: Floats = flat, board: Corners = board) -> Floats:
             seen = flat @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
-            there = seen @ calibration.rotation.T + calibration.translation
+            there = calibration.pose @ seen
             both = camera.project(seen) - board.camera_px, projector.project(there) - board.projector_px
             return np.concatenate(both).ravel()
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.refusal import RefusalError
 from calib.self_calibration import PrincipalPoint, self_calibrate_jointly
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, CaptureOptions, random_captures
@@ -82,7 +82,7 @@ def toed_in(rng: np.random.Generator, camera: Intrinsics, projector: Intrinsics)
     side = rng.choice([-1.0, 1.0])
     turn = [rng.normal(0, 0.02), side * np.radians(rng.uniform(*TOE_IN_DEG)), rng.normal(0, 0.02)]
     rotation = Rotation.from_rotvec(turn).as_matrix()
-    return Calibration(camera, projector, rotation, -rotation @ [side * BASELINE_M, 0.0, 0.0], unit="m")
+    return Calibration(camera, projector, Pose(rotation, -rotation @ [side * BASELINE_M, 0.0, 0.0]), unit="m")
 
 
 def outcome(row: Row, told: float | None, seed: int, number: int) -> Outcome:

@@ -86,7 +86,7 @@ def note_lengths(errors: Errors, how: str, found: FinishedScan, scene: Scene, tr
     middle, rig = scene.lengths.middle, found.calibration
     half = RULER * float(np.linalg.norm(middle))
     ends: Floats = np.concatenate([middle + half * np.eye(3), middle - half * np.eye(3)])
-    seen = Matches(rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation))
+    seen = Matches(rig.camera.project(ends), rig.projector.project(rig.pose @ ends))
     true = intersect(seen, truth).points
     strain = np.linalg.norm(true[:3] - true[3:], axis=1) / (2 * half) - 1
     note(errors, f"{how}: lengths in the middle", float(np.sqrt(np.mean(strain**2))), scene.lengths.budget)

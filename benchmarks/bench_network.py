@@ -17,7 +17,7 @@ import numpy as np
 from cramer_rao import bound_of_network
 
 from calib.networks import NetworkEstimate, estimate_network
-from calib.numerics import SIGMA_PER_MEDIAN, Floats
+from calib.numerics import SIGMA_PER_MEDIAN
 from calib.refusal import RefusalError
 from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
 
@@ -33,8 +33,7 @@ def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[list[f
         focals.append(100 * abs(focal))
         relative += [focal / sigma[0], *((device.lens[1:3] - true.principal_point_px) / sigma[1:3])]
         if name != estimate.names[0]:
-            there: Floats = first.rotation.T @ (network.poses[name].translation - first.translation)
-            off = device.pose.translation * unit - there
+            off = device.pose.translation * unit - first.inverse() @ network.poses[name].translation
             places.append(1000 * float(np.linalg.norm(off)))
             relative += list(off / unit / sigma[11:])
     return focals, places, [float(value) for value in relative]

@@ -22,20 +22,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion
+from calib.geometry import Pose, rotation_vector
 from calib.numerics import Floats
 from calib.open3d_module import open3d
 from calib.refusal import RefusalError
-from calib.rooms import composed, inverse
 from hw.simulated.things import Solid
 from scanner.objects import SolvedObject, cloud_of, solve_object, surface_of, verdict_on
 from scanner.rooms import CAMERA_FROM_ROOM, RigStart
 from scanner.ui import Terminal
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.support.things import config_for, decoded, in_baselines, thing_stations
+from tests.support.things import config_for, decoded, thing_stations
 
 _WRONG_DEG = 1.0
 
@@ -63,7 +61,7 @@ def main() -> None:
         order = np.random.default_rng(seed).permutation(args.steps).tolist()
         stations = thing_stations(order, camera, seed, args.noise, steps=args.steps, turntable=not args.free)
         rig, began = stations[0].calibration, time.process_time()
-        start = RigStart(in_baselines(rig), None, {}, rig)
+        start = RigStart(rig.in_baselines, None, {}, rig)
         try:
             found = solve_object(decoded(stations, camera, True), start, config_for(camera), Terminal(quiet=True))
         except RefusalError as refusal:
@@ -91,7 +89,7 @@ def main() -> None:
 def _ball(seed: int, steps: int, camera: tuple[int, int], noise: float) -> None:
     stations = thing_stations([*range(steps)], camera, seed, noise, turntable=False, kind="ball", background=False)
     rig = stations[0].calibration
-    start = RigStart(in_baselines(rig), None, {}, rig)
+    start = RigStart(rig.in_baselines, None, {}, rig)
     found = solve_object(decoded(stations, camera, True), start, config_for(camera), Terminal(quiet=True))
     places = [stations[each.number].place for each in found.stations]
     print(f"ball {seed}: {len(places)} stations, volume {_volume(_with_true(found, places), stations[0].solid)}")
@@ -112,17 +110,17 @@ def _over_sigma(relative: Floats) -> tuple[float, float]:
     return turns, shifts
 
 
-def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:
+def _errors(found: SolvedObject, places: list[Pose]) -> tuple[Floats, Floats]:
     """Rotation in degrees and shift of the middle (n, 2), and both over their sigmas (n, 6), of all stations but the
     first.
     """
     first = found.stations[0].place
     # In the frame of the truth, the first station has its estimated pose.
-    moved = composed(first, inverse(places[0]))
+    moved = first @ places[0].inverse()
     errors, relative = [], []
     for station, place in zip(found.stations[1:], places[1:], strict=True):
-        off = composed(station.place, inverse(composed(moved, place)))
-        turn = Rotation.from_matrix(off.rotation).as_rotvec()
+        off = station.place @ (moved @ place).inverse()
+        turn = rotation_vector(off.rotation)
         # The thing's middle is the origin, or beside it on the axis.
         errors.append([np.degrees(np.linalg.norm(turn)), np.linalg.norm(off.translation)])
         relative.append(np.concatenate([np.degrees(turn) / station.sigma_deg, off.translation / station.sigma]))
@@ -132,13 +130,13 @@ def _errors(found: SolvedObject, places: list[Motion]) -> tuple[Floats, Floats]:
     return np.array(errors), np.array(relative)
 
 
-def _with_true(found: SolvedObject, places: list[Motion]) -> SolvedObject:
-    moved = composed(found.stations[0].place, inverse(places[0]))
+def _with_true(found: SolvedObject, places: list[Pose]) -> SolvedObject:
+    moved = found.stations[0].place @ places[0].inverse()
     pairs = zip(found.stations, places, strict=True)
-    return replace(found, stations=tuple(replace(each, place=composed(moved, place)) for each, place in pairs))
+    return replace(found, stations=tuple(replace(each, place=moved @ place) for each, place in pairs))
 
 
-def _from_surface(found: SolvedObject, solid: Solid, first: Motion) -> float:
+def _from_surface(found: SolvedObject, solid: Solid, first: Pose) -> float:
     """Median distance of the mesh's vertices from the true surface; NaN without a mesh."""
     surface = surface_of(found, cloud_of(found), fill=False)
     if surface is None:
@@ -148,8 +146,8 @@ def _from_surface(found: SolvedObject, solid: Solid, first: Motion) -> float:
     scene.add_triangles(
         o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))
     )
-    into = composed(first, inverse(found.stations[0].place))
-    points = surface.mesh.points @ CAMERA_FROM_ROOM @ into.rotation.T + into.translation
+    into = first @ found.stations[0].place.inverse()
+    points = into @ (surface.mesh.points @ CAMERA_FROM_ROOM)
     return float(np.median(scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy()))
 
 

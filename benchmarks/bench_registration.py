@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.pointcloud import surface
-from calib.rooms import Registration, StationView, composed, inverse, marks_of, register, station_view
+from calib.rooms import Registration, StationView, marks_of, register, station_view
 from calib.synthetic import STATION_CAMERA, Paint, StationCloud, moved_rig, random_furnished_room, ring, seen_from
 
 KINDS = ("whole", "open", "stranger", "two", "moved", "bare")
@@ -72,15 +72,14 @@ def errors(found: Registration, of: list[Stop]) -> list[tuple[float, float]]:
             if of[k].room != first.room:
                 off.append((np.inf, np.inf))
                 continue
-            true = composed(inverse(first.station.place), of[k].station.place)
+            true = first.station.place.inverse() @ of[k].station.place
             off.append(apart(true, place))
     return off
 
 
-def apart(one: Motion, other: Motion) -> tuple[float, float]:
-    step = composed(inverse(one), other)
-    angle = np.degrees(np.arccos(np.clip((np.trace(step.rotation) - 1) / 2, -1, 1)))
-    return float(angle), float(np.linalg.norm(step.translation))
+def apart(true: Pose, pose: Pose) -> tuple[float, float]:
+    error = true.inverse() @ pose
+    return float(np.degrees(error.angle)), error.distance
 
 
 def run(kind: str, seed: int, painted: bool) -> dict[str, float]:

@@ -23,7 +23,7 @@ from room_balls import centres_apart
 from room_surfaces import from_surfaces
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics, Motion
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from calib.refusal import RefusalError
 from calib.rooms import angle_deg, centre_of, gap
@@ -45,7 +45,7 @@ class Truth:
     """`points` (S, H, W, 3): of the camera pixels, in each station's camera frame; lengths in metres."""
 
     rig: Calibration
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     points: Floats
     balls: Floats
     diagonal: float
@@ -54,14 +54,14 @@ class Truth:
     def read(cls, room: Path) -> "Truth":
         stored = np.load(room / "truth.npz")
         camera, projector = (_device(stored[name]) for name in ("camera", "projector"))
-        rig = Calibration(camera, projector, stored["rotation"], stored["translation"], "m")
-        places = tuple(Motion(r, t) for r, t in zip(stored["rotations"], stored["translations"], strict=True))
+        rig = Calibration(camera, projector, Pose(stored["rotation"], stored["translation"]), "m")
+        places = tuple(Pose(r, t) for r, t in zip(stored["rotations"], stored["translations"], strict=True))
         return cls(rig, places, stored["points"], stored["balls"], float(stored["diagonal"]))
 
     def in_world(self, station: int) -> Floats:
         """Points (H, W, 3) of a station in the world."""
         place = self.places[station]
-        world: Floats = self.points[station].astype(np.float64) @ place.rotation.T + place.translation
+        world: Floats = place @ self.points[station].astype(np.float64)
         return world
 
 
@@ -92,7 +92,7 @@ def light_errors(captures: Sequence[Decoded], order: Sequence[int], truth: Truth
     for capture, station in zip(captures, order, strict=True):
         pixels = np.rint(capture.matches.camera_px).astype(int)
         points = truth.points[station][pixels[:, 1], pixels[:, 0]].astype(np.float64)
-        expected = truth.rig.projector.project(points @ truth.rig.rotation.T + truth.rig.translation)
+        expected = truth.rig.projector.project(truth.rig.pose @ points)
         errors.append(np.linalg.norm(capture.matches.projector_px - expected, axis=1))
     return np.concatenate(errors)
 
@@ -112,7 +112,7 @@ def overlaps(captures: Sequence[Decoded], order: Sequence[int], truth: Truth) ->
             continue
         place = truth.places[other]
         world = truth.in_world(station)[lit[station]][::17]
-        there = (world - place.translation) @ place.rotation
+        there = place.undo(world)
         ahead = there[:, 2] > 0.1
         pixels = np.rint(truth.rig.camera.project(there[ahead]))
         size = truth.rig.camera.size
@@ -141,9 +141,7 @@ def report(room: SolvedRoom, order: Sequence[int], truth: Truth) -> None:
     found = np.array([station.place.translation for station in room.stations])
     off = turn.apply(found) + shift - [truth.places[k].translation for k in members]
     turned = [
-        np.degrees(
-            Rotation.from_matrix(turn.as_matrix() @ station.place.rotation @ truth.places[k].rotation.T).magnitude()
-        )
+        np.degrees((Pose(turn.as_matrix(), shift) @ station.place @ truth.places[k].inverse()).angle)
         for station, k in zip(room.stations, members, strict=True)
     ]
     far = np.linalg.norm(off, axis=1)
@@ -177,14 +175,12 @@ def balls_apart(room: SolvedRoom, members: Sequence[int], truth: Truth) -> float
 def in_sigmas(room: SolvedRoom, members: Sequence[int], truth: Truth) -> str:
     """Errors over sigmas of poses relative to the first station, rms."""
     first, true = room.stations[0].place, truth.places[members[0]]
-    turn = Rotation.from_matrix(true.rotation @ first.rotation.T)
+    to_room = first @ true.inverse()
     moved, turned = [], []
     for station, k in zip(room.stations[1:], members[1:], strict=True):
-        there = turn.inv().apply(truth.places[k].translation - true.translation) + first.translation
-        moved += ((station.place.translation - there) / station.sigma).tolist()
-        about = turn.inv().as_matrix() @ truth.places[k].rotation
-        off = Rotation.from_matrix(station.place.rotation @ about.T).as_rotvec(degrees=True)
-        turned += (off / station.sigma_deg).tolist()
+        step = (to_room @ truth.places[k]).local(station.place)
+        moved += (step[3:] / station.sigma).tolist()
+        turned += (np.degrees(step[:3]) / station.sigma_deg).tolist()
     return f"places {_rms(moved):.2f}, turns {_rms(turned):.2f}"
 
 
@@ -212,7 +208,7 @@ def true_planes(room: SolvedRoom, members: Sequence[int], truth: Truth) -> dict[
     first, on = truth.places[members[0]], dict[int, list[Floats]]()
     for station, k in zip(room.stations, members, strict=True):
         for plane in np.unique(station.plane[station.plane >= 0]):
-            points = (truth.in_world(k)[station.plane == plane] - first.translation) @ first.rotation
+            points = first.undo(truth.in_world(k)[station.plane == plane])
             on.setdefault(int(plane), []).append(points / truth.rig.baseline)
     found = {}
     for plane, parts in on.items():
@@ -267,7 +263,10 @@ def main() -> None:
 def _given(truth: Truth) -> RigStart:
     length = truth.rig.baseline
     rig = Calibration(
-        truth.rig.camera, truth.rig.projector, truth.rig.rotation, truth.rig.translation / length, "baseline"
+        truth.rig.camera,
+        truth.rig.projector,
+        Pose(truth.rig.pose.rotation, truth.rig.pose.translation / length),
+        "baseline",
     )
     return RigStart(rig, None, {}, truth.rig)
 

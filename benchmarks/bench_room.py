@@ -26,7 +26,7 @@ from room_balls import centres_apart
 from room_surfaces import from_surfaces
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Size
+from calib.geometry import Pose, Size
 from calib.numerics import Floats
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
@@ -105,7 +105,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
     # The gauge of the sigmas is the first station; errors are evaluated in the best overall frame.
     found = np.array([station.place.translation for station in room.stations])
     centres = np.array([each.place.translation for each in truth])
-    turn = Rotation.from_matrix(truth[0].place.rotation @ room.stations[0].place.rotation.T)
+    turn = Rotation.from_matrix((truth[0].place @ room.stations[0].place.inverse()).rotation)
     held = turn.apply(found - found[0]) + centres[0]
     in_sigmas, turns = [], []
     for station, each, at in zip(room.stations[1:], truth[1:], held[1:], strict=True):
@@ -116,14 +116,14 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
         own = station.cloud.points.reshape(-1, 3)[each.pixel].astype(np.float64)
         there = np.flatnonzero(np.isfinite(own[:, 2]))[::23]
         points.append(station.to_room(own[there]))
-        seen.append(each.points[there] @ each.place.rotation.T + each.place.translation)
+        seen.append(each.place @ each.points[there])
     every, surfaces = np.concatenate(points), np.concatenate(seen)
     best, _ = Rotation.align_vectors(surfaces - surfaces.mean(axis=0), every - every.mean(axis=0))
     shift = surfaces.mean(axis=0) - best.apply(every.mean(axis=0))
     places = best.apply(found) + shift - centres
-    for station, each in zip(room.stations, truth, strict=True):
-        turned = best.as_matrix() @ station.place.rotation @ each.place.rotation.T
-        turns.append(float(np.degrees(Rotation.from_matrix(turned).magnitude())))
+    to_truth = Pose(best.as_matrix(), shift)
+    for station, true_station in zip(room.stations, truth, strict=True):
+        turns.append(float(np.degrees((to_truth @ station.place @ true_station.place.inverse()).angle)))
     apart = np.linalg.norm(best.apply(every) + shift - surfaces, axis=1)
     cloud = best.apply(blended(room).points.astype(np.float64)) + shift
     of_cloud = from_surfaces(cloud, [seen_by(each, room.calibration.camera.size) for each in truth])
@@ -150,7 +150,7 @@ def judged(room: SolvedRoom, true: Sequence[TrueStation], start_s: float, solve_
 def seen_by(station: TrueStation, camera: Size) -> Floats:
     """True points (H, W, 3) of the camera's pixels in the simulation's frame; NaN where unlit."""
     world = np.full((camera.height * camera.width, 3), np.nan)
-    world[station.pixel] = station.points @ station.place.rotation.T + station.place.translation
+    world[station.pixel] = station.place @ station.points
     return world.reshape(camera.height, camera.width, 3)
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.geometry import Motion
 from calib.numerics import Floats, Ints
 from calib.refinement import Cells, Knowledge, Shifts, State, into_cells
 from calib.rooms import RigPrior, Room, RoomEstimate, RoomPlane, angle_deg, estimate_room
@@ -60,15 +59,9 @@ class Made:
             at = scene.points_on(k, np.zeros((2, 1)))[:, 0] - first.translation
             return RoomPlane(first.rotation.T @ normals[k], float(normals[k] @ at) / rig.baseline)
 
-        places = tuple(
-            Motion(
-                first.rotation.T @ each.place.rotation,
-                first.rotation.T @ (each.place.translation - first.translation) / rig.baseline,
-            )
-            for each in true
-        )
+        places = tuple((first.inverse() @ station.place).scaled(1 / rig.baseline) for station in true)
         devices = device_of(rig.camera), device_of(rig.projector)
-        state = State(*devices, rig.rotation, rig.translation / rig.baseline, np.zeros((0, 3)), ())
+        state = State(*devices, rig.pose.in_baselines)
         room = Room(state, places, tuple(plane(int(k)) for k in surface))
         return cls(true, room, surface, [number[each.surface] for each in true])
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics, Matches, intersect
+from calib.geometry import Calibration, Intrinsics, Matches, Pose, intersect
 
 HAS_COLMAP = importlib.util.find_spec("pycolmap") is not None
 # COLMAP's initial focal length of an unknown camera, relative to the longer side of its image.
@@ -53,7 +53,7 @@ class TwoViews:
         poses = [self.model.images[number].cam_from_world() for number in (1, 2)]
         motion = poses[1] * poses[0].inverse()
         translation = np.asarray(motion.translation)
-        return Calibration(first, second, motion.rotation.matrix(), translation / np.linalg.norm(translation))
+        return Calibration(first, second, Pose(motion.rotation.matrix(), translation / np.linalg.norm(translation)))
 
 
 def two_views(matches: Matches, first: Intrinsics, second: Intrinsics | None) -> TwoViews | None:
@@ -70,7 +70,7 @@ def two_views(matches: Matches, first: Intrinsics, second: Intrinsics | None) ->
     if not pycolmap.estimate_two_view_geometry_pose(cameras[0], pixels[0], cameras[1], pixels[1], geometry):
         return None
     motion = geometry.cam2_from_cam1
-    met = intersect(matches, Calibration(first, other, motion.rotation.matrix(), np.asarray(motion.translation)))
+    met = intersect(matches, Calibration(first, other, Pose(motion.rotation.matrix(), np.asarray(motion.translation))))
     model = pycolmap.Reconstruction()
     for camera in cameras[:1] if one_camera else cameras:
         model.add_camera_with_trivial_rig(camera)

@@ -9,8 +9,8 @@ from calib.boards import INTRINSIC_COLUMNS, View
 from calib.boards import State as BoardState
 from calib.boards.likelihood import Levels, device_prior
 from calib.boards.likelihood import evaluate as evaluate_boards
-from calib.boards.parameters import Placed, device_of
-from calib.geometry import Matches, Motion
+from calib.boards.parameters import PlacedBoard, device_of
+from calib.geometry import Matches
 from calib.networks import Device, Network, Sight
 from calib.networks.prior import NetworkKnowledge
 from calib.numerics import Floats
@@ -19,7 +19,7 @@ from calib.refinement import (
     PROJECTOR,
     Cells,
     Knowledge,
-    Pose,
+    PlacedCorner,
     State,
     covariance_of,
     evaluate,
@@ -50,11 +50,11 @@ def bound_covariance(captures: list[SyntheticCapture], knowledge: Knowledge, noi
     state = State(
         rig_device_of(truth.camera),
         rig_device_of(truth.projector),
-        truth.rotation,
-        truth.translation / truth.baseline,
+        truth.pose.in_baselines,
         np.zeros((len(captures), 3)),
         tuple(
-            Pose(capture.corner.legs, capture.corner.vertex / truth.baseline, i) for i, capture in enumerate(captures)
+            PlacedCorner(capture.corner.legs, capture.corner.vertex / truth.baseline, i)
+            for i, capture in enumerate(captures)
         ),
     )
     prior = knowledge.prior(state)
@@ -89,8 +89,8 @@ def bound_of_photos(
     """
     matches, truth = photos.pairs[0]
     camera = rig_device_of(truth.camera)
-    pose = Pose(photos.corner.legs, photos.corner.vertex)
-    state = State(camera, camera, truth.rotation, truth.translation, np.zeros((1, 3)), (pose,), one_camera=True)
+    corner = PlacedCorner(photos.corner.legs, photos.corner.vertex)
+    state = State(camera, camera, truth.pose, np.zeros((1, 3)), (corner,), one_camera=True)
     point = anywhere((truth.camera.width, truth.camera.height))
     size = truth.camera.width, truth.camera.height
     prior = Knowledge(size, size, point.px, point.sigma_px, squareness_deg, one_camera=True).prior(state)
@@ -116,9 +116,8 @@ def bound_of_boards(boards: SyntheticBoards, views: list[View]) -> np.ndarray:
     """
     rig, options = boards.calibration, boards.options
     bend = np.append(boards.bend, np.zeros(4))
-    placed = tuple(Placed(*pose) for pose in boards.poses)
-    motion = Motion(rig.rotation, rig.translation)
-    state = BoardState(device_of(rig.camera), device_of(rig.projector), motion, bend, boards.reach, placed)
+    placed = tuple(PlacedBoard(pose) for pose in boards.poses)
+    state = BoardState(device_of(rig.camera), device_of(rig.projector), rig.pose, bend, boards.reach, placed)
     prior = device_prior(rig.camera.size, rig.projector.size, 3 if bend.any() else 0)
     zero = np.flatnonzero(state.additive()[:18] == 0)
     prior = prior.knowing(np.concatenate([zero, [1, 10]]))
@@ -147,18 +146,12 @@ def bound_of_network(made: SyntheticNetwork, names: Sequence[str], noise_px: flo
     The frame is that of the first device; nothing is known of devices and walls but what an estimate assumes of any.
     """
     frame = made.poses[names[0]]
-    unit = float(np.linalg.norm(made.poses[names[1]].translation - frame.translation))
-    devices = []
-    for name in names:
-        pose = made.poses[name]
-        place = frame.rotation.T @ (pose.translation - frame.translation) / unit
-        devices.append(
-            Device(
-                rig_device_of(made.devices[name]),
-                Motion(frame.rotation.T @ pose.rotation, place),
-                made.devices[name].size,
-            )
-        )
+    unit = (frame.inverse() @ made.poses[names[1]]).distance
+    poses = [(frame.inverse() @ made.poses[name]).scaled(1 / unit) for name in names]
+    devices = [
+        Device(rig_device_of(made.devices[name]), pose, made.devices[name].size)
+        for name, pose in zip(names, poses, strict=True)
+    ]
     normals, offsets = made.planes
     planes = zip(normals @ frame.rotation, (offsets - normals @ frame.translation) / unit, strict=True)
     truth = Network(tuple(devices), tuple(RoomPlane(normal, float(offset)) for normal, offset in planes))

@@ -16,14 +16,7 @@ _FOUR = [CAMERA.start, PROJECTOR.start, PROJECTOR.start + 1, PROJECTOR.start + 2
 def deviations(found: SelfCalibration, truth: Calibration) -> Floats:
     """(21,): errors in sigmas along each of the `COLUMNS`, NaN for known parameters."""
     assert found.uncertainty is not None
-    true = State(
-        device_of(truth.camera),
-        device_of(truth.projector),
-        truth.rotation,
-        truth.translation / truth.baseline,
-        np.zeros((0, 3)),
-        (),
-    )
+    true = State(device_of(truth.camera), device_of(truth.projector), truth.pose.in_baselines)
     variance = np.diag(found.uncertainty.covariance)
     distance: Floats = found.uncertainty.rig.step_to(true) / np.sqrt(np.where(variance > 0, variance, np.nan))
     return distance

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from calib.geometry import Intersections as Intersections
     from calib.geometry import Intrinsics as Intrinsics
     from calib.geometry import Matches as Matches
+    from calib.geometry import Pose as Pose
     from calib.geometry import Sigmas as Sigmas
     from calib.geometry import intersect as intersect
     from calib.plane_segmentation import Faces as Faces
@@ -33,7 +34,7 @@ __all__, __getattr__, __dir__ = defer_imports(
     __name__,
     {
         "diagnostics": "Uncertainty",
-        "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Sigmas intersect",
+        "geometry": "Calibration Corner DeviceSigmas Intersections Intrinsics Matches Pose Sigmas intersect",
         "plane_segmentation": "Faces find_faces",
         "pointcloud": "Cloud build_cloud point_covariances",
         "refusal": "RefusalError",

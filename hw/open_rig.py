@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from hw.backends import RigSettings
 from hw.errors import DeviceError
 from hw.real_devices import Pair, PairSettings, RealDevices
@@ -26,7 +26,7 @@ class OpenedRig:
 
     rig: Rig
     truth: Calibration | None
-    place: Motion | None = None
+    place: Pose | None = None
     thing: Solid | None = None
     others: tuple["OpenedRig", ...] = ()
 

@@ -174,7 +174,7 @@ def _cut(capture: SyntheticCapture, area: float) -> SyntheticCapture:
     if area == 1.0:
         return capture
     rig, matches = capture.calibration, capture.matches
-    vertex = rig.projector.project(capture.corner.vertex @ rig.rotation.T + rig.translation)
+    vertex = rig.projector.project(rig.pose @ capture.corner.vertex)
     half = np.sqrt(area) * np.array(rig.projector.size) / 2
     # As close to the vertex as the window stays in the picture.
     middle = np.clip(vertex, half, np.array(rig.projector.size) - half)

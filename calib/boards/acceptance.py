@@ -73,7 +73,7 @@ def coverage_of(views: Sequence[View], state: State, camera_size: Size, projecto
     """Of views and where their boards are."""
     normals = [state.normal(i) for i in range(len(views))]
     angles = [np.degrees(np.arccos(min(abs(float(a @ b)), 1.0))) for a, b in combinations(normals, 2)]
-    distances = [float(np.linalg.norm(board.middle)) for board in state.boards]
+    distances = [board.pose.distance for board in state.boards]
     return Coverage(
         float(max(angles, default=0.0)),
         max(distances) / min(distances),
@@ -152,11 +152,10 @@ def rays_seen(state: State, sizes: tuple[Size, Size]) -> tuple[Floats, Floats]:
 
 def _seen_by_both(state: State, pixels: tuple[Floats, Floats], sizes: tuple[Size, Size]) -> tuple[Bools, Bools]:
     """Mask of the pixels of either device that see, at the boards' distance, what the other one sees as well."""
-    rotation, translation = state.motion.rotation, state.motion.translation
-    depth = float(np.median([board.middle[2] for board in state.boards]))
-    ahead = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))
-    there = points_along(state.camera, pixels[0], depth) @ rotation.T + translation
-    back = (points_along(state.projector, pixels[1], ahead) - translation) @ rotation
+    depth = float(np.median([board.pose.translation[2] for board in state.boards]))
+    ahead = float(np.median([(state.pose @ board.pose).translation[2] for board in state.boards]))
+    there = state.pose @ points_along(state.camera, pixels[0], depth)
+    back = state.pose.undo(points_along(state.projector, pixels[1], ahead))
     return is_seen(state.projector, there, sizes[1]), is_seen(state.camera, back, sizes[0])
 
 

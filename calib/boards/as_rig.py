@@ -40,14 +40,7 @@ _OWN = [FOCAL, *range(CENTRE.start, LENS.stop)]
 def rig_uncertainty(found: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
     """Of an estimate from boards, for devices of these sizes."""
     state, to_columns = found.state, _to_columns(found, sizes)
-    rig = State(
-        state.camera[_OWN],
-        state.projector[_OWN],
-        state.motion.rotation,
-        state.motion.translation / state.motion.length,
-        np.zeros((0, 3)),
-        (),
-    )
+    rig = State(state.camera[_OWN], state.projector[_OWN], state.pose.in_baselines)
     return Uncertainty(
         rig,
         to_columns @ found.covariance @ to_columns.T,
@@ -59,8 +52,8 @@ def rig_uncertainty(found: Estimate, sizes: tuple[Size, Size]) -> Uncertainty:
 
 def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
     """What a step of what boards share is in the rig's columns, (21, 31)."""
-    motion = found.state.motion
-    ahead = motion.translation / motion.length
+    pose = found.state.pose
+    ahead = pose.translation / pose.distance
     to_columns = np.zeros((COLUMNS, SHARED))
     to_columns[ROTATION_COLUMNS, ROTATION] = np.eye(3)
     to_columns[TRANSLATION_COLUMNS, DIRECTION] = np.eye(2)
@@ -70,7 +63,7 @@ def _to_columns(found: Estimate, sizes: tuple[Size, Size]) -> Floats:
         to_columns[columns, block] = own
         # In the rotated device's own frame, X_projector = R X_camera + t is unchanged.
         if block == CAMERA:
-            to_columns[ROTATION_COLUMNS, block] -= motion.rotation @ turn
+            to_columns[ROTATION_COLUMNS, block] -= pose.rotation @ turn
         else:
             to_columns[ROTATION_COLUMNS, block] += turn
             to_columns[TRANSLATION_COLUMNS, block] += tangent_basis(ahead).T @ cross(turn.T, ahead).T

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.boards.likelihood import Levels, Prior, View, minimise
-from calib.boards.parameters import Placed, State
+from calib.boards.parameters import PlacedBoard, State
+from calib.geometry import Pose
 from calib.numerics import Floats
 
 _CLEARLY = 2.0  # in cost
@@ -44,7 +45,7 @@ def _turned(views: list[View], state: State, which: int, turn: float) -> tuple[l
     about = np.round(np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]))
     board = state.boards[which]
     boards = [*state.boards]
-    boards[which] = Placed(board.rotation @ about.T, board.middle, board.flex)
+    boards[which] = PlacedBoard(Pose(board.pose.rotation @ about.T, board.pose.translation), board.flex)
     turned = [*views]
     turned[which] = replace(views[which], points=views[which].points @ about[:2, :2].T)
     return turned, replace(state, boards=tuple(boards))

@@ -27,7 +27,7 @@ from calib.boards.parameters import (
     LENS,
     PROJECTOR,
     ROTATION,
-    Placed,
+    PlacedBoard,
     State,
     intrinsics_of,
 )
@@ -101,7 +101,7 @@ def calibrate_boards(
         raise no_rig(None)
     found = estimated(views, begun[0].state, prior, board)
     names = [view.name for view in found.views]
-    rigid = replace(found.state, boards=tuple(Placed(each.rotation, each.middle) for each in found.state.boards))
+    rigid = replace(found.state, boards=tuple(PlacedBoard(board.pose) for board in found.state.boards))
     minima = rigid, *(fit.state for fit in begun[1:])
 
     def anew(some: Sequence[View]) -> Estimate:
@@ -192,13 +192,12 @@ def calibration_from(found: Estimate, camera_size: Size, projector_size: Size, u
         _device_sigmas(found, PROJECTOR),
         (float(turn[0]), float(turn[1]), float(turn[2])),
         float(np.degrees(np.hypot(*sigma[DIRECTION]))),
-        known_baseline=float(sigma[LENGTH]) * state.motion.length,
+        known_baseline=float(sigma[LENGTH]) * state.pose.distance,
     )
     return Calibration(
         intrinsics_of(state.camera, camera_size),
         intrinsics_of(state.projector, projector_size),
-        state.motion.rotation,
-        state.motion.translation,
+        state.pose,
         unit,
         sigmas,
     )

@@ -18,7 +18,7 @@ from calib.boards.parameters import (
     PER_POSE,
     PROJECTOR,
     SHARED,
-    Placed,
+    PlacedBoard,
     predict_matches,
 )
 from calib.numerics import Floats
@@ -80,7 +80,7 @@ def _predicted(found: Estimate, left_out: int, rest: Estimate) -> Prediction:
     view = found.views[left_out]
     moved = rest.state.additive() - found.state.additive()
     board = found.state.boards[left_out]
-    alone = replace(rest.state, boards=(Placed(board.rotation, board.middle),))
+    alone = replace(rest.state, boards=(PlacedBoard(board.pose),))
     levels = _usual_levels(found, left_out)
     free = np.zeros(alone.size, np.bool_)
     free[SHARED : SHARED + PER_POSE] = True

@@ -11,14 +11,14 @@ from calib.boards.parameters import (
     INTRINSIC_COLUMNS,
     PER_POSE,
     SHARED,
-    Placed,
+    PlacedBoard,
     State,
     is_seen,
     points_along,
     predict_corners,
     predict_matches,
 )
-from calib.geometry import Size, rotation_about
+from calib.geometry import Pose, Size, rotation_about
 from calib.numerics import Floats
 from calib.refinement import inverse_of
 
@@ -73,15 +73,14 @@ def _size(covariance: Floats, scale: Floats) -> float:
 
 
 def _candidates(state: State, sizes: tuple[Size, Size]) -> Iterator[tuple[str, State]]:
-    rotation, translation = state.motion.rotation, state.motion.translation
-    usual = float(np.median([(rotation @ board.middle + translation)[2] for board in state.boards]))
+    usual = float(np.median([(state.pose @ board.pose).translation[2] for board in state.boards]))
     for (i, x), (j, y), (words, factor) in product(enumerate(_PLACES), enumerate(_PLACES), _DISTANCES.items()):
         pixel = np.array([[x * sizes[1].width, y * sizes[1].height]])
         there = points_along(state.projector, pixel, factor * usual)[0]
-        middle = rotation.T @ (there - translation)
+        middle = state.pose.undo(there)
         place = "middle" if i == j == 1 else f"{_DOWN[j]} {_ACROSS[i]}"
         for tilted, turn in _turns():
-            board = Placed(turn, middle)
+            board = PlacedBoard(Pose(turn, middle))
             yield f"{tilted}, in the {place} of the projected picture, {words}", replace(state, boards=(board,))
 
 
@@ -107,10 +106,9 @@ def _points(found: Estimate) -> tuple[Floats, Floats]:
 def _is_whole(found: Estimate, state: State, sizes: tuple[Size, Size]) -> bool:
     corners, _ = _points(found)
     board = state.boards[0]
-    points = corners @ board.rotation[:, :2].T + board.middle
-    there = points @ state.motion.rotation.T + state.motion.translation
+    points = board.pose @ np.column_stack([corners, np.zeros(len(corners))])
     in_camera = is_seen(state.camera, points, sizes[0]).all()
-    return bool(in_camera and is_seen(state.projector, there, sizes[1]).all())
+    return bool(in_camera and is_seen(state.projector, state.pose @ points, sizes[1]).all())
 
 
 def _information(found: Estimate, state: State) -> Floats:

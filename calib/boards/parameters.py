@@ -5,7 +5,7 @@ The ray of a camera pixel intersects the board, and the intersection is projecte
 the board is predicted, with or without a corner.
 
 Columns of every step, gradient and Hessian: of the camera log f_x, log (f_y / f_x), x_0, y_0, k1, k2, p1, p2, k3; the
-same of the projector; rotation (3), direction (2) and logarithm of the length of the motion between them; the bend (7);
+same of the projector; rotation (3), direction (2) and logarithm of the length of their relative pose; the bend (7);
 then for each view the board's rotation (3), its position (3, relative to its distance), and the deviation of its bend
 (3), because a board that is held or leans is not quite rigid.
 """
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.geometry import Intrinsics, Motion, cross, rotation_about, tangent_basis
+from calib.geometry import Intrinsics, Pose, cross, cross_matrix
 from calib.geometry import radial_distortion as lens
 from calib.numerics import Bools, Floats, Ints
 
@@ -24,7 +24,7 @@ PER_POSE, PER_FLEX = 6, 3
 PER_VIEW = PER_POSE + PER_FLEX
 CAMERA, PROJECTOR = slice(0, 9), slice(9, 18)
 ROTATION, DIRECTION, LENGTH = slice(18, 21), slice(21, 23), 23
-MOTION, BEND = slice(18, 24), slice(24, 31)
+POSE, BEND = slice(18, 24), slice(24, 31)
 SHARED = 31
 FOCAL, ASPECT, CENTRE, LENS = 0, 1, slice(2, 4), slice(4, 9)  # columns of a device
 _ROW = 2  # y_0's column of one with square pixels
@@ -36,43 +36,43 @@ _SPARE = 3.0  # in units of the board's reach: farther out, a bend has no meanin
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A board in the camera's frame: `rotation` (3, 3) from its axes, `middle` (3,).
+class PlacedBoard:
+    """A board in front of the camera."""
 
-    `flex` (3,): deviation of the first terms of its bend.
-    """
-
-    rotation: Floats
-    middle: Floats
+    pose: Pose
+    """From the board's axes, whose origin is its middle, to the camera's frame."""
     flex: Floats = field(default_factory=lambda: np.zeros(PER_FLEX))
+    """(3,): deviation of the first terms of its bend."""
 
-    def moved(self, step: Floats) -> "Placed":
+    def moved(self, step: Floats) -> "PlacedBoard":
         """After a step (9,)."""
-        place = self.middle + step[3:PER_POSE] * float(np.linalg.norm(self.middle))
-        return Placed(rotation_about(step[:3]) @ self.rotation, place, self.flex + step[PER_POSE:])
+        return PlacedBoard(self.pose.retract(step[:PER_POSE], self.pose.distance), self.flex + step[PER_POSE:])
 
 
 @dataclass(frozen=True)
 class State:
-    """`camera`, `projector`: (9,) f_x, f_y / f_x, x_0, y_0, k1, k2, p1, p2, k3. `motion`: camera to projector.
-
-    `bend` (7,): coefficients of a², ab, b², a³, a²b, ab², b³, with a, b and the height in units of the board's `reach`.
-    """
+    """Both devices, their relative pose, and the board in every view."""
 
     camera: Floats
+    """(9,): f_x, f_y / f_x, x_0, y_0, k1, k2, p1, p2, k3."""
     projector: Floats
-    motion: Motion
+    """(9,): the same."""
+    pose: Pose
+    """X_projector = R X_camera + t."""
     bend: Floats
+    """(7,): coefficients of a², ab, b², a³, a²b, ab², b³, with a, b and the height in units of `reach`."""
     reach: float
-    boards: tuple[Placed, ...]
+    """Half the board's longer side."""
+    boards: tuple[PlacedBoard, ...]
+    """In each view."""
 
     @property
     def size(self) -> int:
         """Number of columns."""
         return SHARED + PER_VIEW * len(self.boards)
 
-    def pose_columns(self, view: int) -> slice:
-        """Columns of a view's pose and flex."""
+    def board_columns(self, view: int) -> slice:
+        """Columns of a view's board: its pose and flex."""
         return slice(SHARED + PER_VIEW * view, SHARED + PER_VIEW * (view + 1))
 
     def flex_columns(self) -> Ints:
@@ -88,8 +88,8 @@ class State:
 
     def columns(self, view: int) -> Ints:
         """The columns that a view depends on, in the order of its Jacobians: what is shared, and its pose."""
-        pose = self.pose_columns(view)
-        return np.concatenate([np.arange(SHARED, dtype=np.int32), np.arange(pose.start, pose.stop, dtype=np.int32)])
+        own = self.board_columns(view)
+        return np.concatenate([np.arange(SHARED, dtype=np.int32), np.arange(own.start, own.stop, dtype=np.int32)])
 
     def moved(self, step: Floats) -> "State":
         """The state after a step (size,)."""
@@ -97,13 +97,13 @@ class State:
             self,
             camera=_moved_device(self.camera, step[CAMERA]),
             projector=_moved_device(self.projector, step[PROJECTOR]),
-            motion=self.motion.moved(step[MOTION]),
+            pose=self.pose.retract_baseline(step[POSE]),
             bend=self.bend + step[BEND],
-            boards=tuple(board.moved(step[self.pose_columns(i)]) for i, board in enumerate(self.boards)),
+            boards=tuple(board.moved(step[self.board_columns(i)]) for i, board in enumerate(self.boards)),
         )
 
     def additive(self) -> Floats:
-        """The columns that may have a prior, as numbers that a step adds to, (SHARED,); zero for the motion."""
+        """The columns that may have a prior, as numbers that a step adds to, (SHARED,); zero for the pose."""
         values = np.zeros(SHARED)
         for columns, device in ((CAMERA, self.camera), (PROJECTOR, self.projector)):
             values[columns] = device
@@ -117,7 +117,7 @@ class State:
 
     def normal(self, view: int) -> Floats:
         """The board's unit normal in the camera's frame, (3,)."""
-        return self.boards[view].rotation[:, 2]
+        return self.boards[view].pose.rotation[:, 2]
 
 
 def device_of(intrinsics: Intrinsics) -> Floats:
@@ -148,9 +148,9 @@ def surface(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Fl
 def predict_corners(state: State, points: Floats, view: int) -> tuple[Floats, Floats, Floats]:
     """Where a board's points (N, 2) are in the camera: pixels (N, 2), Jacobian (N, 2, 40), depths (N,)."""
     heights, _, by_bend = surface(state, points, view)
-    board = state.boards[view]
+    board = state.boards[view].pose
     turned = _turned(board, points, heights)
-    seen = turned + board.middle
+    seen = turned + board.translation
     pixels, by_point, by_device = _project(state.camera, seen)
     jacobian = _by_board(board, by_point, turned, by_bend)
     jacobian[:, :, CAMERA] = by_device
@@ -162,30 +162,30 @@ def predict_matches(state: State, camera_px: Floats, view: int) -> tuple[Floats,
     rays, rays_by_camera = _unproject(state.camera, camera_px)
     met = meet(state, rays, view)
     heights, slopes, by_bend = surface(state, met, view)
-    board, motion = state.boards[view], state.motion
+    board, pose = state.boards[view].pose, state.pose
     on_board = _turned(board, met, heights)
-    seen = on_board + board.middle
-    turned = seen @ motion.rotation.T
-    moved = turned + motion.translation
+    seen = on_board + board.translation
+    turned = pose.rotate(seen)
+    moved = turned + pose.translation
     pixels, by_moved, by_device = _project(state.projector, moved)
     # The point stays on its ray while the rest moves, d(X/Z) = dr, because it also moves along the board.
     along = board.rotation[:, :2] + slopes[:, None, :] * board.rotation[:, 2:]  # (N, 3, 2)
-    by_seen, off_ray = by_moved @ motion.rotation, _by_point(seen)
+    by_seen, off_ray = by_moved @ pose.rotation, _by_point(seen)
     by_ray = _solved((off_ray @ along).transpose(0, 2, 1), (by_seen @ along).transpose(0, 2, 1)).transpose(0, 2, 1)
     jacobian = _by_board(board, by_seen - by_ray @ off_ray, on_board, by_bend)
     jacobian[:, :, CAMERA] = by_ray @ rays_by_camera
     jacobian[:, :, ROTATION] = cross(turned[:, None], by_moved)
-    jacobian[:, :, DIRECTION] = by_moved @ (motion.length * tangent_basis(motion.translation / motion.length))
-    jacobian[:, :, LENGTH] = by_moved @ motion.translation
+    jacobian[:, :, DIRECTION] = by_moved @ pose.by_direction
+    jacobian[:, :, LENGTH] = by_moved @ pose.translation
     jacobian[:, :, PROJECTOR] = by_device
     return pixels, jacobian, np.stack([seen[:, 2], moved[:, 2]], axis=1)
 
 
 def meet(state: State, rays: Floats, view: int) -> Floats:
     """Where rays (N, 2), at z = 1 in the camera's frame, meet a board: its points (N, 2), by Newton's method."""
-    board = state.boards[view]
-    directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ board.rotation
-    start = -board.middle @ board.rotation  # the camera's centre in the board's axes
+    board = state.boards[view].pose
+    directions = board.inverse().rotate(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
+    start = board.undo(np.zeros(3))  # the camera's centre in the board's axes
     points: Floats = start[:2] - directions[:, :2] * (start[2] / directions[:, 2])[:, None]
     if not state.bend_of(view).any():
         return points
@@ -229,7 +229,7 @@ def project_rays(device: Floats, rays: Floats) -> tuple[Floats, Floats]:
     """Derivatives of the pixels of rays (N, 2) by a rotation of the device (N, 2, 3) and by its columns (N, 2, 9)."""
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     _, by_point, by_device = _project(device, points)
-    return -by_point @ _cross_matrices(points), by_device
+    return -by_point @ cross_matrix(points), by_device
 
 
 def _unproject(device: Floats, pixels: Floats) -> tuple[Floats, Floats]:
@@ -275,28 +275,21 @@ def _by_point(points: Floats) -> Floats:
     return by_point
 
 
-def _turned(board: Placed, points: Floats, heights: Floats) -> Floats:
+def _turned(board: Pose, points: Floats, heights: Floats) -> Floats:
     """A board's points (N, 2) in the camera's axes, from its middle, (N, 3)."""
-    return np.concatenate([points, heights[:, None]], axis=1) @ board.rotation.T
+    return board.rotate(np.concatenate([points, heights[:, None]], axis=1))
 
 
-def _by_board(board: Placed, by_point: Floats, turned: Floats, by_bend: Floats) -> Floats:
+def _by_board(board: Pose, by_point: Floats, turned: Floats, by_bend: Floats) -> Floats:
     """Derivatives (N, 2, 40) by a board's columns, of pixels whose derivatives by its points are `by_point` (N, 2, 3);
     zero for the devices' columns.
     """
     by_columns = np.zeros((len(by_point), 2, SHARED + PER_VIEW))
     by_columns[:, :, BEND] = (by_point @ board.rotation[:, 2:]) * by_bend[:, None, :]
     by_columns[:, :, SHARED : SHARED + 3] = cross(turned[:, None], by_point)
-    by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = np.linalg.norm(board.middle) * by_point
+    by_columns[:, :, SHARED + 3 : SHARED + PER_POSE] = board.distance * by_point
     by_columns[:, :, SHARED + PER_POSE :] = by_columns[:, :, BEND.start : BEND.start + PER_FLEX]
     return by_columns
-
-
-def _cross_matrices(vectors: Floats) -> Floats:
-    """[v]× of vectors (N, 3), (N, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _moved_device(device: Floats, step: Floats) -> Floats:

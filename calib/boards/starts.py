@@ -17,16 +17,16 @@ from calib.boards.parameters import (
     CAMERA,
     FOCAL,
     LENS,
-    MOTION,
     PER_BEND,
+    POSE,
     PROJECTOR,
-    Placed,
+    PlacedBoard,
     State,
     meet,
     rays_of,
 )
 from calib.closed_form import resected
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Bools, Floats, distinct, evenly
 
 _SHORTEST, _LONGEST, _TRIALS = 0.35, 8.0, 14  # focals in units of the image's longer side
@@ -84,14 +84,14 @@ def _cameras(
         camera = np.array([focal, 1.0, (size[0] - 1) / 2, (size[1] - 1) / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
         posed = [pose_of(view.points, view.corners_px, camera) for view in views]
         cost = sum(np.minimum(error**2, 100.0 * _ROUGH_PX**2) for _, error in posed)
-        motion = Motion(np.eye(3), np.array([1.0, 0.0, 0.0]))
+        beside = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))
         boards = tuple(board for board, _ in posed)
-        trials.append((cost, State(camera, camera, motion, np.zeros(PER_BEND), reach, boards)))
+        trials.append((cost, State(camera, camera, beside, np.zeros(PER_BEND), reach, boards)))
     trials.sort(key=lambda trial: trial[0])
     found: list[Fit] = []
     for _, state in trials[:_FINALISTS]:
         free = prior.free(state)
-        free[PROJECTOR] = free[MOTION] = False
+        free[PROJECTOR] = free[POSE] = False
         fit = minimise(views, state, prior, levels, free=free, matches=False, tolerance=_ROUGH, steps=_STEPS)
         fit = _turned_over(views, fit, prior, levels, free)
         if all(abs(np.log(fit.state.camera[0] / other.state.camera[0])) > _DIFFERENT for other in found):
@@ -107,16 +107,21 @@ def _turned_over(views: Sequence[View], fit: Fit, prior: Prior, levels: Levels, 
     return min(fit, other, key=lambda each: each.cost)
 
 
-def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[Placed, float]:
+def pose_of(points: Floats, pixels: Floats, camera: Floats) -> tuple[PlacedBoard, float]:
     """A flat board's pose from its corners (N, 2) and their pixels (N, 2), and the root mean square error in px."""
     rays = np.ascontiguousarray(rays_of(camera, pixels))
     usable = np.isfinite(rays).all(axis=1)
     flat = np.concatenate([points, np.zeros((len(points), 1))], axis=1)[usable]
     _, turns, places, errors = cv2.solvePnPGeneric(flat, rays[usable], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     best = int(np.argmin(np.asarray(errors).ravel()))
-    rotation = np.asarray(cv2.Rodrigues(turns[best])[0], np.float64)
-    place = np.asarray(places[best], np.float64).ravel()
-    return Placed(rotation, place), float(np.asarray(errors).ravel()[best]) * float(camera[FOCAL])
+    return PlacedBoard(_posed(turns[best], places[best])), float(np.asarray(errors).ravel()[best]) * float(
+        camera[FOCAL]
+    )
+
+
+def _posed(turn: cv2.typing.MatLike, place: cv2.typing.MatLike) -> Pose:
+    """A rotation vector and a translation of OpenCV's solvers, (3, 1) each."""
+    return Pose(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel())
 
 
 def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> Iterator[State]:
@@ -124,9 +129,9 @@ def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> I
     points, pixels = _lit(views, state)
     solved = resected(points, pixels)
     if solved is not None:
-        matrix, motion = solved
+        matrix, pose = solved
         if 0.1 < matrix[0, 0] / size[0] < 20 and 0.5 < matrix[1, 1] / matrix[0, 0] < 2:
-            yield _with_projector(state, matrix[0, 0], matrix[:2, 2], motion)
+            yield _with_projector(state, matrix[0, 0], matrix[:2, 2], pose)
     trials = []
     for focal in np.geomspace(0.5, 5.0, 6) * size[0]:
         for centre in (
@@ -137,14 +142,13 @@ def _projectors(views: Sequence[View], state: State, size: tuple[int, int]) -> I
             if found:
                 image, _ = cv2.projectPoints(points, turn, place, matrix, None)
                 error = float(np.median(np.linalg.norm(image.reshape(-1, 2) - pixels, axis=1)))
-                motion = Motion(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel())
-                trials.append((error, _with_projector(state, float(focal), centre, motion)))
+                trials.append((error, _with_projector(state, float(focal), centre, _posed(turn, place))))
     if trials:
         yield min(trials, key=lambda trial: trial[0])[1]
 
 
-def _with_projector(state: State, focal: float, centre: Floats, motion: Motion) -> State:
-    return replace(state, projector=np.array([focal, 1.0, *centre, 0, 0, 0, 0, 0], np.float64), motion=motion)
+def _with_projector(state: State, focal: float, centre: Floats, pose: Pose) -> State:
+    return replace(state, projector=np.array([focal, 1.0, *centre, 0, 0, 0, 0, 0], np.float64), pose=pose)
 
 
 def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
@@ -152,8 +156,8 @@ def _lit(views: Sequence[View], state: State) -> tuple[Floats, Floats]:
     points, pixels = [], []
     for i, view in enumerate(views):
         few = evenly(np.ones(len(view.cells), np.bool_), _SAMPLE)
-        board = state.boards[i]
         met = meet(state, rays_of(state.camera, view.cells.camera_px[few]), i)
-        points.append(met @ board.rotation[:, :2].T + board.middle)
+        board = state.boards[i].pose
+        points.append(met @ board.rotation[:, :2].T + board.translation)
         pixels.append(view.cells.projector_px[few])
     return np.concatenate(points), np.concatenate(pixels)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from calib.geometry import CornerImage, FaceGrams, Motion, corner_image, corner_planes, homogeneous, inverse_depths
+from calib.geometry import CornerImage, FaceGrams, Pose, corner_image, corner_planes, homogeneous, inverse_depths
 from calib.numerics import Floats, compiled, normalisation
 
 # Of the largest eigenvalue, and over the smallest one: less, and points on one plane leave the device open.
@@ -144,9 +144,9 @@ def intrinsic_matrices(focal_px: Floats, principal_point_px: tuple[float, float]
     return matrices
 
 
-def resected(points: Floats, pixels: Floats) -> tuple[Floats, Motion] | None:
-    """The matrix (3, 3) of a device without lens that sees points (N, 3) at pixels (N, 2), and the motion to it; None
-    of points on one plane, or behind it.
+def resected(points: Floats, pixels: Floats) -> tuple[Floats, Pose] | None:
+    """The matrix (3, 3) of a device without lens that sees points (N, 3) at pixels (N, 2), and the pose from their
+    frame into its own; None of points on one plane, or behind it.
     """
     scale, centre = normalisation(pixels), points.mean(axis=0)
     spread = float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1))))
@@ -160,6 +160,6 @@ def resected(points: Floats, pixels: Floats) -> tuple[Floats, Motion] | None:
         return None
     before = np.linalg.inv(scale) @ vectors[:, 0].reshape(3, 4)
     matrix, rotation, translation = (part[0] for part in decompose(before[None]))
-    motion = Motion(rotation, spread * translation - rotation @ centre)
-    depths = points @ rotation[2] + motion.translation[2]
-    return (matrix, motion) if np.isfinite(rotation).all() and np.median(depths) > 0 else None
+    pose = Pose(rotation, spread * translation - rotation @ centre)
+    depths = points @ rotation[2] + pose.translation[2]
+    return (matrix, pose) if np.isfinite(rotation).all() and np.median(depths) > 0 else None

@@ -4,7 +4,7 @@ Points along the rays of the first are projected to matches, which the second tr
 removed from differences and sigmas, and the best scale if a length is not known.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
@@ -96,7 +96,7 @@ def compare(
     off = off - basis @ (basis.T @ off)
     squared, freedom, rest = _in_sigmas(off, flat)
     per_point = flat.reshape(len(points), 3, -1) / weight[:, None, None]
-    scaled = replace(second.calibration, translation=scale * second.calibration.translation)
+    scaled = second.calibration.scaled(scale)
     grown = SystematicErrors(scaled, second.uncertainty, second.log_scale)
     expected = _transfer(first.calibration, pixels, depth)
     shifts = np.concatenate(
@@ -119,13 +119,13 @@ def compare(
 def _transfer(rig: Calibration, pixels: Floats, depth: Floats) -> Floats:
     """Projector pixels (N, 2) of points at given depths along camera pixels."""
     points = depth[:, None] * rig.camera.unproject(pixels)
-    return rig.projector.project(points @ rig.rotation.T + rig.translation)
+    return rig.projector.project(rig.pose @ points)
 
 
 def _seen(rig: Calibration, pixels: Floats, depth: Floats) -> tuple[Floats, Matches, Bools]:
     """Points (N, 3), their matches, and which of them the projector sees as well, (N,)."""
     points = depth[:, None] * rig.camera.unproject(pixels)
-    there = points @ rig.rotation.T + rig.translation
+    there = rig.pose @ points
     projected = rig.projector.project(there)
     with np.errstate(invalid="ignore", divide="ignore"):
         # A distortion model that folds back maps far points into the picture again; these are not valid.

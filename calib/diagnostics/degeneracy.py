@@ -49,9 +49,9 @@ def reasons_in_images(cells: Cells) -> list[str]:
 def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
     """Reasons in the geometry of corner, camera and projector, according to the present solution."""
     reasons = []
-    vertex, motion = state.pose(capture).vertex, state.motion(capture)
+    vertex, pose = state.corner(capture).vertex, state.pose_of(capture)
     normals = state.normals(capture)
-    second = -motion.rotation.T @ motion.translation
+    second = pose.inverse().translation
     for device, centre in ((words.first, np.zeros(3)), (words.second, second)):
         slant = np.degrees(
             np.arcsin(np.clip(np.abs(normals @ (vertex - centre)) / np.linalg.norm(vertex - centre), 0, 1))
@@ -63,12 +63,12 @@ def reasons_in_space(state: State, capture: int, words: Wording) -> list[str]:
             if slant[face] < _GRAZING_DEG
         ]
     distance = float(np.linalg.norm(vertex))
-    ahead = np.degrees(np.arccos(np.clip(abs(second @ vertex) / (motion.length * distance), 0, 1)))
+    ahead = np.degrees(np.arccos(np.clip(abs(second @ vertex) / (pose.distance * distance), 0, 1)))
     if ahead < _FORWARD_DEG:
         reasons.append(f"{words.both} are behind one another ({ahead:.0f}° from the line to the corner)")
-    if motion.length / distance < _SHORT_BASELINE:
+    if pose.distance / distance < _SHORT_BASELINE:
         reasons.append(
-            f"{words.both} are only {100 * motion.length / distance:.1f} % of the distance to the corner apart"
+            f"{words.both} are only {100 * pose.distance / distance:.1f} % of the distance to the corner apart"
         )
     return reasons
 

@@ -5,7 +5,7 @@ signed amounts, which keeps their correlation between two faces, or between both
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -199,7 +199,7 @@ class SystematicErrors:
 
 
 def _grown(calibration: Calibration, log_scale: float) -> Calibration:
-    return replace(calibration, translation=calibration.translation * np.exp(log_scale))
+    return calibration.scaled(np.exp(log_scale))
 
 
 def _directions(uncertainty: Uncertainty) -> Floats:
@@ -283,7 +283,7 @@ def length_in_the_middle(points: Floats, errors: SystematicErrors) -> Budget:
     half = _RULER * float(np.linalg.norm(middle))
     ends = np.concatenate([middle + half * np.eye(3), middle - half * np.eye(3)])
     rig = errors.calibration
-    pixels = rig.camera.project(ends), rig.projector.project(ends @ rig.rotation.T + rig.translation)
+    pixels = rig.camera.project(ends), rig.projector.project(rig.pose @ ends)
     if not np.isfinite(pixels).all():
         raise NoMeasurementError(
             "With these lens terms the middle of the scene has no pixel.", "Calibrate the rig again."

@@ -17,7 +17,7 @@ from calib.refinement import (
     PER_POSE,
     Cells,
     Knowledge,
-    Pose,
+    PlacedCorner,
     Refinement,
     State,
     covariance_of,
@@ -76,20 +76,20 @@ def best_next_view(refinement: Refinement, knowledge: Knowledge) -> NextView | N
     for right, up, distance in product(_TURNS_DEG, _TURNS_DEG, _DISTANCES):
         if right == up == 0:
             continue
-        pose = moved_pose(state.poses[-1], right, up, distance)
-        seen = _seen(replace(state, poses=(*state.poses, pose)), knowledge)
+        corner = moved_corner(state.corners[-1], right, up, distance)
+        seen = _seen(replace(state, corners=(*state.corners, corner)), knowledge)
         if seen is None:
             continue
-        sigma = beyond * _sigma_with(refinement, present, pose, seen, variance / len(seen), knowledge)
+        sigma = beyond * _sigma_with(refinement, present, corner, seen, variance / len(seen), knowledge)
         if best is None or sigma < best.sigma:
-            best = NextView(right, up, distance, sigma, step_taken(state.poses[-1], right, up, distance))
+            best = NextView(right, up, distance, sigma, step_taken(state.corners[-1], right, up, distance))
     return best
 
 
-def moved_pose(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Pose:
+def moved_corner(corner: PlacedCorner, right_deg: float, up_deg: float, distance: float) -> PlacedCorner:
     """The corner's pose after the rig moved around it: relative to the rig, the corner turns the other way."""
     turn = _turn(right_deg, up_deg)
-    return replace(pose, frame=pose.frame @ turn.T, vertex=distance * pose.vertex, planes=())
+    return replace(corner, frame=corner.frame @ turn.T, vertex=distance * corner.vertex, planes=())
 
 
 def _turn(right_deg: float, up_deg: float) -> Floats:
@@ -97,14 +97,14 @@ def _turn(right_deg: float, up_deg: float) -> Floats:
     return Rotation.from_euler("yx", [right_deg, up_deg], degrees=True).as_matrix()
 
 
-def step_taken(pose: Pose, right_deg: float, up_deg: float, distance: float) -> Floats:
+def step_taken(corner: PlacedCorner, right_deg: float, up_deg: float, distance: float) -> Floats:
     """The new camera centre in the present frame, the zero of X = vertex + turn (X_now − vertex_now)."""
-    return pose.vertex - distance * _turn(right_deg, up_deg).T @ pose.vertex
+    return corner.vertex - distance * _turn(right_deg, up_deg).T @ corner.vertex
 
 
 def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     """Predicted cells of the last capture's faces that both devices see; None if a face is hardly visible."""
-    capture = len(state.poses) - 1
+    capture = len(state.corners) - 1
     width, height = knowledge.camera_size
     rows = max(2, round(_COLUMNS * height / width))
     x, y = np.meshgrid(np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, rows))
@@ -112,7 +112,7 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
     rays, _ = unproject(state.camera, pixels)
     normals = state.normals(capture)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths = depths_on_planes(rays[:, None], normals, state.poses[capture].vertex)
+        depths = depths_on_planes(rays[:, None], normals, state.corners[capture].vertex)
     slants = _slants(state, capture)
     if np.any(slants * np.sign(_slants(state, capture - 1)) < _LEAST_SLANT):
         return None  # the rig would stand in a wall, or see a face of the box from within
@@ -133,22 +133,22 @@ def _seen(state: State, knowledge: Knowledge) -> Cells | None:
 
 def _slants(state: State, capture: int) -> Floats:
     """Sines of the angles at which camera and projector see each face, (2, 3); negative from the side without legs."""
-    vertex = state.poses[capture].vertex
-    centres = np.stack([np.zeros(3), -state.rotation.T @ state.translation])
+    vertex = state.corners[capture].vertex
+    centres = np.stack([np.zeros(3), state.pose.inverse().translation])
     directions = centres - vertex
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return directions @ state.normals(capture).T
 
 
 def _sigma_with(
-    refinement: Refinement, present: Floats, pose: Pose, cells: Cells, variance: float, knowledge: Knowledge
+    refinement: Refinement, present: Floats, corner: PlacedCorner, cells: Cells, variance: float, knowledge: Knowledge
 ) -> float:
     """Relative sigma of the camera's focal length with a further capture of `cells`; `present`: the covariance by
     curvature, without smooth errors and the curved valley.
     """
     state = refinement.fit.state
-    alone = replace(state, poses=(pose,), off_square=state.off_square[pose.corner][None])
-    alone = replace(alone, poses=(replace(pose, corner=0),))
+    alone = replace(state, corners=(corner,), off_square=state.off_square[corner.shape][None])
+    alone = replace(alone, corners=(replace(corner, shape=0),))
     prior = knowledge.prior(alone)
     flat = replace(prior, sigma=np.where(prior.free, np.inf, 0.0), rig=None)
     new = evaluate([cells], alone, flat, [np.full(len(cells), variance)]).information

@@ -12,7 +12,6 @@ from calib.geometry import (
     Sigmas,
     cross,
     nearest_depths,
-    tangent_basis,
     unproject,
 )
 from calib.numerics import Floats
@@ -71,8 +70,7 @@ class Uncertainty:
     @property
     def rig(self) -> State:
         """The state without corners."""
-        state = self.state
-        return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
+        return self.state.rig
 
     def of_points(self, matches: Matches) -> Floats:
         """Standard deviations (N, 3) of triangulated points in the camera's frame, in baselines: along x, y, z."""
@@ -90,13 +88,14 @@ class Uncertainty:
         """
         rays, rays_by_camera = unproject(self.state.camera, matches.camera_px)
         directions, directions_by_projector = unproject(self.state.projector, matches.projector_px)
-        turned = rays @ self.state.rotation.T
-        depth, by_turned, by_direction, by_translation = nearest_depths(turned, directions, self.state.translation)
+        pose = self.state.pose
+        turned = pose.rotate(rays)
+        depth, by_turned, by_direction, by_translation = nearest_depths(turned, directions, pose.translation)
         by_shared = np.zeros((len(rays), SHARED))
-        by_shared[:, CAMERA] = np.einsum("ni,nij->nj", by_turned @ self.state.rotation, rays_by_camera)
+        by_shared[:, CAMERA] = np.einsum("ni,nij->nj", by_turned @ pose.rotation, rays_by_camera)
         by_shared[:, PROJECTOR] = np.einsum("ni,nij->nj", by_direction, directions_by_projector)
         by_shared[:, ROTATION] = cross(turned, by_turned)
-        by_shared[:, TRANSLATION] = by_translation @ tangent_basis(self.state.translation)
+        by_shared[:, TRANSLATION] = by_translation @ pose.by_direction
         # Moving a pixel to the right is equivalent to moving the principal point to the left.
         by_match = -by_shared[:, PROJECTOR.start + 1 : PROJECTOR.start + 3]
 
@@ -133,11 +132,7 @@ def calibration_of(
 ) -> Calibration:
     """A state's devices and motion as a calibration in baselines."""
     return Calibration(
-        _intrinsics(camera_size, state.camera),
-        _intrinsics(projector_size, state.projector),
-        state.rotation,
-        state.translation,
-        sigma=sigma,
+        _intrinsics(camera_size, state.camera), _intrinsics(projector_size, state.projector), state.pose, sigma=sigma
     )
 
 
@@ -156,7 +151,7 @@ def moved_calibration(calibration: Calibration, uncertainty: Uncertainty, step: 
         there,
         camera=with_pixels_of(there.camera, calibration.camera),
         projector=with_pixels_of(there.projector, calibration.projector),
-        translation=calibration.baseline * there.translation,
+        pose=there.pose.scaled(calibration.baseline),
         unit=calibration.unit,
     )
 

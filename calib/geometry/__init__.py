@@ -23,6 +23,16 @@ from calib.geometry.homography import (
     mapped,
 )
 from calib.geometry.matches import FACES, NO_FACE, Matches
+from calib.geometry.pose import (
+    IDENTITY,
+    Pose,
+    cross,
+    cross_matrix,
+    nearest_rotation,
+    rotation_about,
+    rotation_vector,
+    tangent_basis,
+)
 from calib.geometry.radial_distortion import (
     Distortion,
     Pinhole,
@@ -34,15 +44,6 @@ from calib.geometry.radial_distortion import (
     rescaled_point,
     unproject,
     unproject_into,
-)
-from calib.geometry.relative_pose import (
-    STILL,
-    Motion,
-    angle_between,
-    cross,
-    nearest_rotation,
-    rotation_about,
-    tangent_basis,
 )
 from calib.geometry.reprojection_error import before_the_matches
 from calib.geometry.triangulation import (

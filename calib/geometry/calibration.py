@@ -1,10 +1,11 @@
-"""A calibration: two devices, the motion between them, and their uncertainties."""
+"""A calibration: two devices, their relative pose, and their uncertainties."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.geometry.camera import Intrinsics, Size
+from calib.geometry.pose import Pose
 from calib.numerics import Floats
 
 
@@ -37,27 +38,29 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Intrinsics of both devices and X_projector = R X_camera + t.
+    """Intrinsics of both devices, their relative pose, and how well these numbers are known.
 
-    `rotation` (3, 3), `translation` (3,) in `unit` ('baseline' if no length is known: |t| = 1). `sigma`: standard
-    deviations of these numbers.
+    Raises ValueError if the pose is not finite, is no rotation, or puts both devices in one place.
     """
 
     camera: Intrinsics
     projector: Intrinsics
-    rotation: Floats
-    translation: Floats
+    pose: Pose
+    """X_projector = R X_camera + t, with t in `unit`."""
     unit: str = "baseline"
+    """Of lengths; 'baseline' if none is known: |t| = 1."""
     sigma: Sigmas = Sigmas()
+    """Standard deviations of these numbers."""
 
     def __post_init__(self) -> None:
-        if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
+        rotation, translation = self.pose.rotation, self.pose.translation
+        if rotation.shape != (3, 3) or translation.shape != (3,):
             raise ValueError("rotation must be 3 × 3 and translation have 3 numbers")
-        if not (np.all(np.isfinite(self.rotation)) and np.all(np.isfinite(self.translation))):
+        if not (np.all(np.isfinite(rotation)) and np.all(np.isfinite(translation))):
             raise ValueError("rotation and translation must be finite numbers")
-        if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(self.rotation) < 0:
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
             raise ValueError("rotation must be orthonormal with determinant +1")
-        if not np.linalg.norm(self.translation) > 0:
+        if not np.linalg.norm(translation) > 0:
             raise ValueError("translation must not be zero: camera and projector would be in one place")
 
     @property
@@ -73,9 +76,18 @@ class Calibration:
     @property
     def baseline(self) -> float:
         """Distance between the devices' centres, in `unit`."""
-        return float(np.linalg.norm(self.translation))
+        return self.pose.distance
 
     @property
     def projector_centre(self) -> Floats:
         """Centre of the projector in the camera's frame, (3,)."""
-        return -self.rotation.T @ self.translation
+        return self.pose.inverse().translation
+
+    @property
+    def in_baselines(self) -> "Calibration":
+        """The same with the baseline as the unit of length; sigmas are kept."""
+        return replace(self, pose=self.pose.in_baselines, unit="baseline")
+
+    def scaled(self, factor: float, unit: str | None = None) -> "Calibration":
+        """The same with lengths multiplied by a factor, in another `unit` if one is given; sigmas are kept."""
+        return replace(self, pose=self.pose.scaled(factor), unit=unit or self.unit)

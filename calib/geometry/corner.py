@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry.relative_pose import cross, nearest_rotation
+from calib.geometry.pose import cross, nearest_rotation
 from calib.numerics import Floats
 
 

@@ -37,8 +37,8 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
 
     The line of a ray u is t × u (Hartley & Zisserman, 2nd ed., section 9.2), u in the projector's frame.
     """
-    projector, rays = calibration.projector, (calibration.camera.unproject(camera_px) @ calibration.rotation.T).T
-    x, y, w = np.cross(calibration.translation, rays, axisb=0).T
+    projector, rays = calibration.projector, calibration.pose.rotate(calibration.camera.unproject(camera_px)).T
+    x, y, w = np.cross(calibration.pose.translation, rays, axisb=0).T
     other = 1 - axis
     focal, centre = np.array([projector.focal_px]).T, np.array([projector.principal_point_px]).T
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -58,7 +58,7 @@ def cross_epipolar_lines(camera_px: Floats, known_px: Floats, axis: int, calibra
         sine = np.abs(tangent[axis]) / np.hypot(*tangent)
         # Beyond the lens's monotonic range another point projects to the same pixel.
         same = np.abs(projector.undistort(distorted.T).T - ideal).max(axis=0) < _SAME_POINT
-        there = (step_px <= _CONVERGED_PX) & same & _in_front(ideal, rays, along, calibration.translation)
+        there = (step_px <= _CONVERGED_PX) & same & _in_front(ideal, rays, along, calibration.pose.translation)
     projector_px = pixel.T.copy()
     projector_px[:, axis] = known_px
     return Crossings(projector_px, np.where(there, sine, straight), there)

@@ -27,6 +27,6 @@ def _reprojection_error(calibration: Calibration, points: Floats, labelled: Matc
 
     The median length is scaled to the root mean square of a 2-D normal deviate, so that outliers do not count.
     """
-    predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
+    predicted = calibration.projector.project(calibration.pose @ points)
     error = np.linalg.norm(predicted - labelled.projector_px, axis=1)
     return float(np.nanmedian(error) * np.sqrt(2) / MEDIAN_LENGTH)

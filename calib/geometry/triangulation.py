@@ -84,11 +84,11 @@ def depths_on_stripes(
     focal, centre = projector.focal_px[axis], projector.principal_point_px[axis]
     depth, ideal, step = np.empty(count), np.empty((2, count)), np.empty((2, count))
     _meet_planes(camera_ideal, (known_px - centre) / focal, pose, axis, depth)
-    ahead = calibration.rotation[2, :2] @ camera_ideal + calibration.rotation[2, 2]
+    ahead = calibration.pose.rotation[2, :2] @ camera_ideal + calibration.pose.rotation[2, 2]
     for remaining in range(_LENS_STEPS if any(projector.distortion) else 0, -1, -1):
         _seen(camera_ideal, depth, pose, ideal, step)
         seen, moved = distort_steps(ideal, step, projector.distortion)
-        per_depth = focal * moved[axis] / (depth * ahead + calibration.translation[2])
+        per_depth = focal * moved[axis] / (depth * ahead + calibration.pose.translation[2])
         if remaining:
             depth += (known_px - focal * seen[axis] - centre) / per_depth
     per_px: Floats = 1 / per_depth
@@ -102,7 +102,7 @@ def _ideal(device: Intrinsics, pixels: Floats) -> Floats:
 
 def _pose(calibration: Calibration) -> tuple[float, ...]:
     """Rows of the rotation, and the translation."""
-    return (*calibration.rotation.ravel().tolist(), *calibration.translation.tolist())
+    return (*calibration.pose.rotation.ravel().tolist(), *calibration.pose.translation.tolist())
 
 
 @inlined

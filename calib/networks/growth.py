@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import NO_FACE, STILL, Matches, Motion
+from calib.geometry import IDENTITY, NO_FACE, Matches
 from calib.networks.network import Device, Network
 from calib.networks.overlaps import Overlaps, PairName, pixels_of
 from calib.networks.placement import placed, placed_before_wall, sees, triangulated
@@ -57,10 +57,10 @@ class Grown:
     ) -> "Grown":
         """One pair as calibrated, and the planes through its matches."""
         rig = start.calibration
-        back = rig.rotation.T
+
         devices = (
-            Device(device_of(rig.camera), STILL, rig.camera.size),
-            Device(device_of(rig.projector), Motion(back, -back @ rig.translation), rig.projector.size),
+            Device(device_of(rig.camera), IDENTITY, rig.camera.size),
+            Device(device_of(rig.projector), rig.pose.inverse(), rig.projector.size),
         )
         overlaps = Overlaps.of(captures, knowledge.sizes)
         return cls(seed, Network(devices, ()), {}, (), captures, overlaps, knowledge)._with_pair(seed)
@@ -213,7 +213,7 @@ class Grown:
 def _in_front(plane: RoomPlane, camera: Device, projector: Device, camera_px: Floats) -> bool:
     """Whether nearly all of what a camera sees of a plane is before it and before a projector."""
     points = points_on(camera_px, camera, plane)
-    ahead = [(points - device.pose.translation) @ device.pose.rotation[:, 2] > 0 for device in (camera, projector)]
+    ahead = [device.pose.undo(points)[:, 2] > 0 for device in (camera, projector)]
     return bool(np.mean(np.logical_and(*ahead)) > _NEARLY_ALL)
 
 

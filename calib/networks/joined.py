@@ -62,7 +62,7 @@ def joined(estimate: NetworkEstimate, projector: str, by_camera: Mapping[str, Ma
     raster = Raster.fine(estimate.sizes[projector], [matches.projector_px for matches in by_camera.values()])
     height, width = raster.height, raster.width
     rays, _ = unproject(device.lens, raster.centres.reshape(-1, 2))
-    rays = rays @ device.pose.rotation.T
+    rays = device.pose.rotate(rays)
     seen: dict[str, Floats] = {}
     found: list[Floats] = []
     variances: list[Floats] = []

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.geometry import Motion, Size, cross, project, unproject
+from calib.geometry import Pose, Size, project, unproject
 from calib.numerics import Floats
 from calib.refinement import PER_DEVICE, moved_device
 from calib.rooms import PER_PLANE, RoomPlane
-from calib.rooms.room import PER_PLACE, moved_place, moved_plane
+from calib.rooms.room import PER_PLACE, moved_plane
 
 PER_WARP = 4
 PER_NODE = PER_DEVICE + PER_PLACE + PER_WARP
@@ -37,14 +37,14 @@ class Device:
     """
 
     lens: Floats
-    pose: Motion
+    pose: Pose
     size: Size
     warp: Floats = field(default_factory=lambda: np.zeros(PER_WARP))
 
     def moved(self, step: Floats) -> "Device":
         """After a step (18,)."""
         lens = moved_device(self.lens, step[:PER_DEVICE])
-        return Device(lens, moved_place(self.pose, step[POSE]), self.size, self.warp + step[WARP])
+        return Device(lens, self.pose.retract(step[POSE]), self.size, self.warp + step[WARP])
 
     def rays(self, pixels: Floats) -> tuple[Floats, Floats, Floats]:
         """Through pixels (N, 2), (N, 3) at z = 1; derivatives by the lens (N, 3, 8) and by the warp (N, 3, 4)."""
@@ -112,8 +112,3 @@ class Network:
             tuple(device.moved(step[self.device_columns(i)]) for i, device in enumerate(self.devices)),
             tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
-
-
-def turned_by(points: Floats) -> Floats:
-    """How points (N, 3) follow a turn about the axes: ω × X for each axis ω, (N, 3, 3), components by rows."""
-    return np.swapaxes(cross(np.eye(3)[None], points[:, None]), 1, 2)

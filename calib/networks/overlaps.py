@@ -66,8 +66,8 @@ class Overlaps:
             depth = np.where(np.isfinite(depth), depth, told)
         there = np.isfinite(depth) & np.isfinite(seen.pixels).all(axis=-1)
         pose = devices[hub].pose
-        rays = unproject(devices[hub].lens, raster.centres[there])[0] @ pose.rotation.T
-        return pose.translation + depth[there][:, None] * rays, seen.pixels[there]
+        rays, _ = unproject(devices[hub].lens, raster.centres[there])
+        return pose @ (depth[there][:, None] * rays), seen.pixels[there]
 
     def joints(
         self, network: Network, names: tuple[str, ...], labelled: Mapping[PairName, Matches]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.closed_form import resected
-from calib.geometry import Motion, Size, homography_between, nearest_depths, project, unproject
+from calib.geometry import Pose, Size, homography_between, nearest_depths, project, unproject
 from calib.networks.network import Device
 from calib.numerics import Floats
 
@@ -15,7 +15,7 @@ _OFF = 0.05  # of the image's width: a device that sees known points further off
 def triangulated(camera: Device, projector: Device, camera_px: Floats, projector_px: Floats) -> Floats:
     """Points (N, 3) of a network on the camera's rays, where these are nearest to the projector's."""
     rays, back = (
-        unproject(device.lens, pixels)[0] @ device.pose.rotation.T
+        device.pose.rotate(unproject(device.lens, pixels)[0])
         for device, pixels in ((camera, camera_px), (projector, projector_px))
     )
     depth = nearest_depths(rays, back, camera.pose.translation - projector.pose.translation)[0]
@@ -24,13 +24,12 @@ def triangulated(camera: Device, projector: Device, camera_px: Floats, projector
 
 def placed(points: Floats, pixels: Floats, size: Size) -> Device | None:
     """A device, without lens terms, that sees points (N, 3) at pixels (N, 2); None of points on one plane."""
-    found = resected(points, pixels)
-    if found is None:
+    solution = resected(points, pixels)
+    if solution is None:
         return None
-    matrix, motion = found
+    matrix, into_device = solution
     lens = np.array([np.sqrt(matrix[0, 0] * matrix[1, 1]), *matrix[:2, 2], 0.0, 0.0, 0.0, 0.0, 0.0])
-    back = motion.rotation.T
-    return Device(lens, Motion(back, -back @ motion.translation), size)
+    return Device(lens, into_device.inverse(), size)
 
 
 def placed_before_wall(points: Floats, pixels: Floats, size: Size, point_px: tuple[float, float]) -> Device | None:
@@ -59,10 +58,10 @@ def placed_before_wall(points: Floats, pixels: Floats, size: Size, point_px: tup
     left, _, right = np.linalg.svd(np.column_stack([before[:, 0], before[:, 1], np.cross(before[:, 0], before[:, 1])]))
     back = frame @ (left @ right).T
     lens = np.array([focal * size.width, *point_px, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return Device(lens, Motion(back, centre - spread * (back @ before[:, 2])), size)
+    return Device(lens, Pose(back, centre - spread * (back @ before[:, 2])), size)
 
 
 def sees(device: Device, points: Floats, pixels: Floats) -> bool:
     """Whether a device has known points (N, 3) about where they are seen, (N, 2)."""
-    predicted, _, _ = project(device.lens, (points - device.pose.translation) @ device.pose.rotation)
+    predicted, _, _ = project(device.lens, device.pose.undo(points))
     return bool(np.median(np.linalg.norm(predicted - pixels, axis=1)) < _OFF * device.size.width)

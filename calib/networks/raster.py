@@ -123,18 +123,18 @@ def depths(own: Device, other: Device, centres: Floats, seen: SeenAt) -> tuple[F
     if not at.any():
         return depth, by_px
     pixels = seen.pixels[at]
-    rays = unproject(own.lens, centres[at])[0] @ own.pose.rotation.T
+    rays, to_other = own.pose.rotate(unproject(own.lens, centres[at])[0]), other.pose.inverse()
     back, _ = unproject(other.lens, pixels)
     apart = own.pose.translation - other.pose.translation
-    found = nearest_depths(rays, back @ other.pose.rotation.T, apart)[0]
-    turned = rays @ other.pose.rotation
+    nearest = nearest_depths(rays, other.pose.rotate(back), apart)[0]
+    turned, beside = to_other.rotate(rays), to_other.rotate(apart)
     for _ in range(_STEPS):
-        predicted, by_point, _ = project(other.lens, found[:, None] * turned + apart @ other.pose.rotation)
+        predicted, by_point, _ = project(other.lens, nearest[:, None] * turned + beside)
         along = np.einsum("nij,nj->ni", by_point, turned)
         square = np.sum(along**2, axis=1)
-        found = found + np.sum(along * (pixels - predicted), axis=1) / square
-    good = found > 0
-    depth[at] = np.where(good, found, np.nan)
+        nearest = nearest + np.sum(along * (pixels - predicted), axis=1) / square
+    good = nearest > 0
+    depth[at] = np.where(good, nearest, np.nan)
     by_px[at] = np.where(good[:, None], along / square[:, None], np.nan)
     return depth, by_px
 

@@ -12,7 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri
 
-from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network, turned_by
+from calib.geometry import cross_matrix
+from calib.networks.network import PER_NODE, PLACE, WARP, Device, Network
 from calib.networks.raster import Raster, SeenAt, depths
 from calib.numerics import Bools, Floats, Ints, evenly, huber_loss, huber_weights
 from calib.refinement import PER_DEVICE, ROBUST_SIGMAS
@@ -82,7 +83,7 @@ class SharedPoints:
         hub = network.devices[self.hub]
         others = [network.devices[number] for number in self.others]
         rays, by_lens, by_warp = hub.rays(self.pixels)
-        turned, depth = rays @ hub.pose.rotation.T, self.depths
+        turned, depth = hub.pose.rotate(rays), self.depths
         known = np.isfinite(self.variance)
         for _ in range(_STEPS):
             off, by_depth, _ = self._predicted(others, hub, turned, depth)
@@ -95,7 +96,7 @@ class SharedPoints:
         by_hub = np.concatenate(
             [
                 depth[:, None, None] * (hub.pose.rotation @ by_lens),
-                turned_by(depth[:, None] * turned),
+                -cross_matrix(depth[:, None] * turned),
                 np.broadcast_to(np.eye(3), (len(depth), 3, 3)),
                 depth[:, None, None] * (hub.pose.rotation @ by_warp),
             ],
@@ -105,11 +106,11 @@ class SharedPoints:
         for k, other in enumerate(others):
             _, by_point, by_lens, by_warp = other.pixels(before[:, k])
             to_pixels = by_point @ other.pose.rotation.T
-            points = before[:, k] @ other.pose.rotation.T
+            points = other.pose.rotate(before[:, k])
             jacobian[:, k, :, :PER_NODE] = to_pixels @ by_hub
             own = jacobian[:, k, :, PER_NODE * (k + 1) : PER_NODE * (k + 2)]
             own[..., :PER_DEVICE], own[..., WARP] = by_lens, by_warp
-            own[..., PER_DEVICE : PLACE.start], own[..., PLACE] = -to_pixels @ turned_by(points), -to_pixels
+            own[..., PER_DEVICE : PLACE.start], own[..., PLACE] = to_pixels @ cross_matrix(points), -to_pixels
         jacobian[~known | ~ahead[:, None]] = 0.0
         return off, by_depth, jacobian, ahead
 
@@ -118,13 +119,13 @@ class SharedPoints:
     ) -> tuple[Floats, Floats, Floats]:
         """Off (M, K, 2) at some depths, the derivatives by these, and the points (M, K, 3) in the others' frames."""
         points = hub.pose.translation + depth[:, None] * turned
-        before = np.stack([(points - other.pose.translation) @ other.pose.rotation for other in others], axis=1)
+        before = np.stack([device.pose.undo(points) for device in others], axis=1)
         off, by_depth = np.zeros_like(self.seen), np.zeros_like(self.seen)
         known = np.isfinite(self.variance)
-        for k, other in enumerate(others):
-            predicted, by_point, _, _ = other.pixels(before[:, k])
+        for k, device in enumerate(others):
+            predicted, by_point, _, _ = device.pixels(before[:, k])
             off[:, k] = np.where(known[:, k, None], predicted - self.seen[:, k], 0.0)
-            by_depth[:, k] = np.einsum("mij,mj->mi", by_point, turned @ other.pose.rotation)
+            by_depth[:, k] = np.einsum("mij,mj->mi", by_point, device.pose.inverse().rotate(turned))
         by_depth[~known] = 0.0
         return np.nan_to_num(off), np.nan_to_num(by_depth), before
 

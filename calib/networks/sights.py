@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion, tangent_basis
-from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network, turned_by
+from calib.geometry import Pose, cross_matrix, tangent_basis
+from calib.networks.network import PER_NODE, PER_WARP, WARP, Device, Network
 from calib.numerics import Floats, Ints
 from calib.refinement import PER_DEVICE, Cells
 from calib.rooms import PER_PLANE, RoomPlane
@@ -64,11 +64,11 @@ class Sight:
         moved = np.concatenate(
             [
                 onto_plane @ by_lens,
-                onto @ turned_by(off),
+                -onto @ cross_matrix(off),
                 onto,
                 onto_plane @ by_warp,
                 np.zeros((len(rays), 3, PER_DEVICE)),
-                -turned_by(points - projector.pose.translation),
+                cross_matrix(points - projector.pose.translation),
                 np.broadcast_to(-_AXES, onto.shape),
                 np.zeros((len(rays), 3, PER_WARP)),
                 tilts,
@@ -76,7 +76,7 @@ class Sight:
             ],
             axis=2,
         )
-        before = (points - projector.pose.translation) @ projector.pose.rotation
+        before = projector.pose.undo(points)
         pixels, by_point, by_lens, by_warp = projector.pixels(before)
         jacobian = by_point @ (projector.pose.rotation.T @ moved)
         of_projector = jacobian[:, :, PER_NODE:]
@@ -89,11 +89,11 @@ def points_on(pixels: Floats, device: Device, plane: RoomPlane) -> Floats:
     """Where the rays of a device's pixels (N, 2) meet a plane, (N, 3) in the room's frame."""
     rays, _, _ = device.rays(pixels)
     _, depth = _meet(rays, device.pose, plane)
-    return (rays * depth[:, None]) @ device.pose.rotation.T + device.pose.translation
+    return device.pose @ (rays * depth[:, None])
 
 
-def _meet(rays: Floats, pose: Motion, plane: RoomPlane) -> tuple[Floats, Floats]:
+def _meet(rays: Floats, pose: Pose, plane: RoomPlane) -> tuple[Floats, Floats]:
     """Rays in the room's frame scaled to n · u = 1, (N, 3), and the depths at which they meet the plane, (N,)."""
-    turned = rays @ pose.rotation.T
+    turned = pose.rotate(rays)
     facing = turned @ plane.normal
     return turned / facing[:, None], (plane.offset - float(plane.normal @ pose.translation)) / facing

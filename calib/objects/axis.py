@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from calib.geometry import Motion, rotation_about, tangent_basis
+from calib.geometry import Pose, rotation_about, rotation_vector, tangent_basis
 from calib.numerics import Floats
-from calib.rooms import composed, inverse
 
 _FEWEST = 4  # poses; fewer nearly always share an axis
 _ROUNDS = 6
@@ -29,21 +27,19 @@ class Turntable:
     direction: Floats
     point: Floats
     angles_deg: Floats
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     covariance: Floats
     deviation: float
 
 
-def find_turntable(
-    places: Sequence[Motion], covariance: Floats, information: Floats, middle: Floats
-) -> Turntable | None:
+def find_turntable(places: Sequence[Pose], covariance: Floats, information: Floats, middle: Floats) -> Turntable | None:
     """The turntable of poses, the first of which is the common frame's; None if their covariance excludes a single
     axis.
 
     `information` weights them; the covariance, which is estimated from few parts of pictures, is not inverted.
     """
     count = len(places)
-    vectors = np.array([Rotation.from_matrix(place.rotation).as_rotvec() for place in places])
+    vectors = rotation_vector(Pose.stack(places).rotation)
     turning = np.linalg.norm(vectors, axis=1)
     if count < _FEWEST or np.count_nonzero(turning > _LEAST_TURN) < _FEWEST - 1:
         return None
@@ -99,19 +95,18 @@ def _axis(state: Floats, direction: Floats, point: Floats, basis: Floats) -> tup
     return turned / np.linalg.norm(turned), point + basis @ state[2:4]
 
 
-def _places(state: Floats, direction: Floats, point: Floats, basis: Floats) -> tuple[Motion, ...]:
+def _places(state: Floats, direction: Floats, point: Floats, basis: Floats) -> tuple[Pose, ...]:
     axis, at = _axis(state, direction, point, basis)
     turns = [np.asarray(rotation_about(angle * axis), np.float64) for angle in (0.0, *state[4:].tolist())]
-    return tuple(Motion(turn, at - turn @ at) for turn in turns)
+    return tuple(Pose(turn, at - turn @ at) for turn in turns)
 
 
 def _deviations(
-    state: Floats, direction: Floats, point: Floats, basis: Floats, places: Sequence[Motion], middle: Floats
+    state: Floats, direction: Floats, point: Floats, basis: Floats, places: Sequence[Pose], middle: Floats
 ) -> Floats:
     """Turn, and shift of the middle, from the places but the first to those of the state, (6 (n − 1),)."""
-    found = []
+    deviations = []
     for place, wanted in zip(places[1:], _places(state, direction, point, basis)[1:], strict=True):
-        step = composed(wanted, inverse(place))
-        turn = Rotation.from_matrix(step.rotation).as_rotvec()
-        found.append(np.concatenate([turn, step.rotation @ middle + step.translation - middle]))
-    return np.concatenate(found)
+        step = wanted @ place.inverse()
+        deviations.append(np.concatenate([rotation_vector(step.rotation), step @ middle - middle]))
+    return np.concatenate(deviations)

@@ -8,11 +8,11 @@ spatial compatibility for efficient and robust point cloud registration", 2022).
 
 import numpy as np
 
-from calib.geometry import STILL, Motion
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats
 from calib.objects.joint import WIDE, settled
 from calib.objects.patch_overlap import mark_pairs
-from calib.objects.pose_search import THOROUGHLY, near_each_other, searched_poses
+from calib.objects.pose_search import THOROUGHLY, are_about_the_same, searched_poses
 from calib.objects.view import View
 from calib.rooms.marked_poses import rigid
 
@@ -23,7 +23,7 @@ _SEEDS, _VOTERS, _KEPT = 30, 12, 6
 _FEWEST = 3
 
 
-def suggested_poses(first: View, second: View, *, thorough: bool = False) -> list[Motion]:
+def suggested_poses(first: View, second: View, *, thorough: bool = False) -> list[Pose]:
     """X_first = R X_second + t, within a grain or so; and that hardly anything moved.
 
     `thorough`: all that a longer search finds, some hundreds, instead of those that meet most.
@@ -32,11 +32,11 @@ def suggested_poses(first: View, second: View, *, thorough: bool = False) -> lis
         return searched_poses(first, second, THOROUGHLY, THOROUGHLY)
     own, other = mark_pairs(first, second)
     by_marks = _voted(first.marks.points[own], second.marks.points[other], first.grain)
-    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (STILL, *by_marks)]
+    rough = [settled(first, second, pose, (WIDE, 1.0), _SOME) for pose in (IDENTITY, *by_marks)]
     return [*rough, *searched_poses(first, second, _SEARCHED)]
 
 
-def _voted(here: Floats, there: Floats, grain: float) -> list[Motion]:
+def _voted(here: Floats, there: Floats, grain: float) -> list[Pose]:
     """Of pairs of points (N, 3)."""
     if len(here) < _FEWEST:
         return []
@@ -44,23 +44,17 @@ def _voted(here: Floats, there: Floats, grain: float) -> list[Motion]:
     compatible = (np.abs(apart - beyond) < _COMPATIBLE * grain) & (np.minimum(apart, beyond) > _FAR * grain)
     first = compatible.astype(np.float32)
     second = first * (first @ first)
-    found: list[tuple[int, Motion]] = []
+    found: list[tuple[int, Pose]] = []
     for seed in np.argsort(-second.sum(axis=1))[:_SEEDS]:
         voters = np.argsort(-second[seed])[:_VOTERS]
         voters = np.append(voters[second[seed][voters] > 0], seed)
         if len(voters) < _FEWEST:
             continue
-        pose = _moved(here[voters], there[voters])
+        pose = rigid(here[voters][None], there[voters][None])[0]
         for _ in range(2):
-            near = np.linalg.norm(there @ pose.rotation.T + pose.translation - here, axis=1) < _COMPATIBLE * grain
+            near = np.linalg.norm(pose @ there - here, axis=1) < _COMPATIBLE * grain
             if np.count_nonzero(near) >= _FEWEST:
-                pose = _moved(here[near], there[near])
-        if not any(near_each_other(pose, other, grain) for _, other in found):
+                pose = rigid(here[near][None], there[near][None])[0]
+        if not any(are_about_the_same(pose, better, grain) for _, better in found):
             found.append((int(np.count_nonzero(near)), pose))
     return [pose for _, pose in sorted(found, key=lambda each: -each[0])[:_KEPT]]
-
-
-def _moved(here: Floats, there: Floats) -> Motion:
-    """The motion of `there` (N, 3) onto `here`."""
-    (rotation,), (translation,) = rigid(here[None], there[None])
-    return Motion(rotation, translation)

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Bools
 from calib.objects.joint import NARROW
 from calib.objects.patch_overlap import THROUGH_FREE_SPACE, overlapping_pixels_of_points
 from calib.objects.view import View, without_small_pieces
-from calib.rooms import composed, inverse
 
 _FEWEST = 4  # number of views from which a point must be seen by another view as well
 
@@ -26,7 +25,7 @@ class Confirmation:
     apart: NDArray[np.float32]
 
 
-def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Confirmation]:
+def confirmed(views: Sequence[View], places: Sequence[Pose]) -> list[Confirmation]:
     """For each view; `places`: X_common = R X_view + t."""
     found = []
     for k, (view, place) in enumerate(zip(views, places, strict=True)):
@@ -36,10 +35,10 @@ def confirmed(views: Sequence[View], places: Sequence[Motion]) -> list[Confirmat
         total = np.zeros(len(points))
         for other, (seen_by, at) in enumerate(zip(views, places, strict=True)):
             if other != k:
-                to_other = composed(inverse(at), place)
+                to_other = at.inverse() @ place
                 overlap = overlapping_pixels_of_points(points, normals, seen_by, to_other, NARROW * view.grain)
                 met = np.flatnonzero(overlap >= 0)
-                moved = points[met] @ to_other.rotation.T + to_other.translation
+                moved = to_other @ points[met]
                 theirs, towards = (each.reshape(-1, 3)[overlap[met]] for each in (seen_by.points, seen_by.normals))
                 total[met] += np.sum(towards * (moved - theirs), axis=1)
                 seen[met] += 1

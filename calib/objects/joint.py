@@ -13,13 +13,12 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import STILL, Motion
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Floats, Ints, huber_weights, robust_sigma
 from calib.objects.patch_overlap import mark_pairs, overlapping_pixels
 from calib.objects.view import PARTS, STEEPEST, View
 from calib.refinement import ROBUST_SIGMAS
-from calib.rooms import composed, inverse
-from calib.rooms.alignment import coupled, twisted
+from calib.rooms.alignment import coupled
 
 WIDE, NARROW = 3.0, 0.6  # grains
 _ROUNDS = (WIDE, 1.5, NARROW, NARROW, NARROW, NARROW)
@@ -62,7 +61,7 @@ class JointEstimate:
     share of matching patches; `residual`: by pair, robust root mean square along the normals, in the points' unit.
     """
 
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     covariance: Floats
     information: Floats
     middle: Floats
@@ -70,17 +69,17 @@ class JointEstimate:
     residual: Mapping[tuple[int, int], float]
 
 
-def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEstimate:
+def estimate_jointly(views: Sequence[View], places: Sequence[Pose]) -> JointEstimate:
     """From a start that is off by some grains at most."""
-    first = inverse(places[0])
-    now = [composed(first, place) for place in places]
+    first = places[0].inverse()
+    now = [first @ place for place in places]
     pairs = list(combinations(range(len(views)), 2))
     found: list[Residuals] = []
     for grains in _ROUNDS:
         for _ in range(_STEPS):
             found = _together(views, now, pairs, grains)
             step = _step(found, len(views))
-            now = [twisted(place, twist) for place, twist in zip(now, step, strict=True)]
+            now = [Pose.from_vector(twist) @ place for place, twist in zip(now, step, strict=True)]
             if np.abs(step).max(initial=0.0) < _CONVERGED * views[0].middle[2]:
                 break
         pairs = [(each.first, each.second) for each in found] if grains == NARROW else pairs
@@ -97,26 +96,26 @@ def estimate_jointly(views: Sequence[View], places: Sequence[Motion]) -> JointEs
     )
 
 
-def settled(first: View, second: View, pose: Motion, grains: Sequence[float], count: int) -> Motion:
+def settled(first: View, second: View, pose: Pose, grains: Sequence[float], count: int) -> Pose:
     """One pair alone, by some of the patches."""
-    places = [STILL, pose]
+    places = [IDENTITY, pose]
     for each in grains:
         for _ in range(_STEPS):
             found = residuals_of(first, second, (0, 1), places, each * first.grain, count)
             if found is None:
                 return places[1]
-            places[1] = twisted(places[1], _step([found], 2)[1])
+            places[1] = Pose.from_vector(_step([found], 2)[1]) @ places[1]
     return places[1]
 
 
 def residuals_of(
-    first: View, second: View, names: tuple[int, int], places: Sequence[Motion], within: float, count: int | None = None
+    first: View, second: View, names: tuple[int, int], places: Sequence[Pose], within: float, count: int | None = None
 ) -> Residuals | None:
     """Of one pair of views, `names` in `places`; None where too little meets."""
     here, there = places[names[0]], places[names[1]]
-    pose = composed(inverse(here), there)
+    pose = here.inverse() @ there
     parts = []
-    for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, inverse(pose), -1.0)):
+    for patches_of, seen_by, to_seen, back in ((second, first, pose, 1.0), (first, second, pose.inverse(), -1.0)):
         pixel = overlapping_pixels(patches_of, seen_by, to_seen, within, count)
         met = np.flatnonzero(pixel >= 0)
         # Half a pixel is a long way along an oblique surface; normals at the rim have a common bias.
@@ -139,16 +138,16 @@ def residuals_of(
     return _with_marks(surface, first, second, here, there)
 
 
-def _carried(view: View, place: Motion, flat: Ints) -> tuple[Floats, Floats]:
-    points = view.points.reshape(-1, 3)[flat].astype(np.float64) @ place.rotation.T + place.translation
-    return points, view.normals.reshape(-1, 3)[flat].astype(np.float64) @ place.rotation.T
+def _carried(view: View, place: Pose, flat: Ints) -> tuple[Floats, Floats]:
+    points, normals = (values.reshape(-1, 3)[flat].astype(np.float64) for values in (view.points, view.normals))
+    return place @ points, place.rotate(normals)
 
 
-def _with_marks(surface: Residuals, first: View, second: View, here: Motion, there: Motion) -> Residuals:
+def _with_marks(surface: Residuals, first: View, second: View, here: Pose, there: Pose) -> Residuals:
     """The residuals with those of the marks, which also act along the surface."""
     own, other = mark_pairs(first, second)
-    points = first.marks.points[own] @ here.rotation.T + here.translation
-    others = second.marks.points[other] @ there.rotation.T + there.translation
+    points = here @ first.marks.points[own]
+    others = there @ second.marks.points[other]
     near = np.linalg.norm(points - others, axis=1) < 2 * _MARK_GRAINS * first.grain
     if np.count_nonzero(near) < _FEWEST_MARKS:
         return surface
@@ -172,7 +171,7 @@ def _with_marks(surface: Residuals, first: View, second: View, here: Motion, the
 
 
 def _together(
-    views: Sequence[View], places: Sequence[Motion], pairs: Sequence[tuple[int, int]], grains: float
+    views: Sequence[View], places: Sequence[Pose], pairs: Sequence[tuple[int, int]], grains: float
 ) -> list[Residuals]:
     found = (residuals_of(views[i], views[j], (i, j), places, grains * views[0].grain) for i, j in pairs)
     return [each for each in found if each is not None]
@@ -196,9 +195,7 @@ def _step(found: Sequence[Residuals], count: int) -> Floats:
 
 def _covariance(found: Sequence[Residuals], count: int, middle: Floats) -> tuple[Floats, Floats]:
     """And the information, about the middle: its shifts are known far better than those of the camera's centre."""
-    about = np.eye(6)
-    about[3:, :3] = -np.cross(np.eye(3), middle)
-    turned = np.kron(np.eye(count), about)
+    turned = np.kron(np.eye(count), Pose(np.eye(3), -middle).adjoint)
     matrix, _ = _normal(found, count)
     bread = np.zeros_like(matrix)
     free = matrix[6:, 6:]

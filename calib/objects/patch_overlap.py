@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
 from calib.objects.view import View
-from calib.rooms import inverse
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
 
@@ -18,7 +17,7 @@ _SIGMAS, _BENT = 4.0, 0.12  # the second in grains
 _FREE = 1.5  # grains: closer than this in front of a surface, the other camera would have seen it
 
 
-def overlapping_pixels(patches_of: View, seen_by: View, pose: Motion, within: float, count: int | None = None) -> Ints:
+def overlapping_pixels(patches_of: View, seen_by: View, pose: Pose, within: float, count: int | None = None) -> Ints:
     """For each patch (M,) the flat index of the pixel of `seen_by` whose surface it lies on, or the reason why there is
     none.
 
@@ -29,7 +28,7 @@ def overlapping_pixels(patches_of: View, seen_by: View, pose: Motion, within: fl
     )
 
 
-def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: View, pose: Motion, within: float) -> Ints:
+def overlapping_pixels_of_points(points: Floats, normals: Floats, seen_by: View, pose: Pose, within: float) -> Ints:
     """The same for any points with normals, (N, 3) each."""
     found = np.empty(len(points), np.int64)
     _overlap(
@@ -123,15 +122,13 @@ def tolerance(first: View, second: View) -> float:
     return _SIGMAS * float(np.hypot(one, other)) + _BENT * first.grain
 
 
-def evidence(first: View, second: View, pose: Motion, within: float, count: int | None = None) -> Evidence:
+def evidence(first: View, second: View, pose: Pose, within: float, count: int | None = None) -> Evidence:
     """For X_first = R X_second + t."""
     there = overlapping_pixels(second, first, pose, within, count)
-    here = overlapping_pixels(first, second, inverse(pose), within, count)
+    here = overlapping_pixels(first, second, pose.inverse(), within, count)
     both = np.concatenate([there, here])
     own, other = mark_pairs(first, second)
-    apart = np.linalg.norm(
-        second.marks.points[other] @ pose.rotation.T + pose.translation - first.marks.points[own], axis=1
-    )
+    apart = np.linalg.norm(pose @ second.marks.points[other] - first.marks.points[own], axis=1)
     return Evidence(
         int(np.count_nonzero(both >= 0)),
         int(np.count_nonzero((both == THROUGH_FREE_SPACE) | (both == OFF_SURFACE))),

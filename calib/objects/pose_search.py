@@ -7,16 +7,13 @@ low-discrepancy sampling of SO(3)", 2022. The initial translation aligns the poi
 converge.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion, rotation_about
-from calib.numerics import Floats, compiled, distinct
+from calib.geometry import Pose, rotation_about
+from calib.numerics import Bools, Floats, compiled, distinct
 from calib.objects.view import View
-from calib.rooms.alignment import are_near, is_near
 from calib.rooms.projection import pixel_under, rotated
 
 _TURNS = 1200  # rotations; any rotation is about 17° from the nearest one
@@ -34,25 +31,24 @@ _BEHIND = 20.0  # grains
 _PHI, _PSI = 2**0.5, 1.533751168755204288118041
 
 
-def searched_poses(first: View, second: View, most: int, followed: int = _DISTINCT) -> list[Motion]:
+def searched_poses(first: View, second: View, most: int, followed: int = _DISTINCT) -> list[Pose]:
     """X_first = R X_second + t, no two about the same; the `most` that meet most, the best first.
 
     `followed`: how many distinct poses of the wide descents descend closely. Where views share little, wrong poses meet
     more of the surface than the right one does, though not as closely: it is then among the first few hundred.
     """
     turns = even_turns(_TURNS)
-    shifts = normal_centre(first) - turns @ normal_centre(second)
-    wide = _distinct(_descended(first, second, turns, shifts, _WIDELY, _WIDE), first.grain, followed)
-    turns, shifts = np.stack([each.rotation for each in wide]), np.stack([each.translation for each in wide])
-    return _distinct(_descended(first, second, turns, shifts, _CLOSELY, _CLOSE), first.grain, most)
+    starts = Pose(turns, normal_centre(first) - turns @ normal_centre(second))
+    wide = _distinct(_descended(first, second, starts, _WIDELY, _WIDE), first.grain, followed)
+    return _distinct(_descended(first, second, Pose.stack(wide), _CLOSELY, _CLOSE), first.grain, most)
 
 
-def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches: int, rounds: Floats) -> list[Motion]:
-    """The poses after the descents, best first."""
-    worth = np.zeros(len(turns))
+def _descended(first: View, second: View, starts: Pose, patches: int, rounds: Floats) -> Pose:
+    """The poses (K,) after the descents, best first."""
+    poses, worth = Pose(starts.rotation.copy(), starts.translation.copy()), np.zeros(len(starts.translation))
     _descend(
-        turns,
-        shifts,
+        poses.rotation,
+        poses.translation,
         second.patch_points[:patches],
         second.patch_normals[:patches],
         first.lens,
@@ -63,18 +59,17 @@ def _descended(first: View, second: View, turns: Floats, shifts: Floats, patches
         first.grain * rounds,
         worth,
     )
-    return [Motion(turns[k], shifts[k]) for k in np.argsort(-worth)]
+    return poses[np.argsort(-worth)]
 
 
-def _distinct(poses: Sequence[Motion], grain: float, most: int) -> list[Motion]:
-    turns, shifts = np.stack([pose.rotation for pose in poses]), np.stack([pose.translation for pose in poses])
-    size = _SAME_GRAINS * grain
-    return [poses[k] for k in distinct(len(poses), lambda k: are_near(turns, shifts, poses[k], _SAME_TURN, size), most)]
+def _distinct(poses: Pose, grain: float, most: int) -> list[Pose]:
+    chosen = distinct(len(poses.translation), lambda k: are_about_the_same(poses, poses[k], grain), most)
+    return [poses[k] for k in chosen]
 
 
-def near_each_other(one: Motion, other: Motion, grain: float) -> bool:
-    """Whether two poses are about the same."""
-    return is_near(one, other, _SAME_TURN, _SAME_GRAINS * grain)
+def are_about_the_same(poses: Pose, reference: Pose, grain: float) -> Bools:
+    """Which poses a descent would not tell from a reference, (...,)."""
+    return poses.is_near(reference, _SAME_TURN, _SAME_GRAINS * grain)
 
 
 def even_turns(count: int) -> Floats:

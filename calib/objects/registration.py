@@ -13,13 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from calib.geometry import STILL, Motion, angle_between
+from calib.geometry import IDENTITY, Pose
 from calib.objects.candidates import suggested_poses
 from calib.objects.joint import NARROW, settled
 from calib.objects.patch_overlap import Evidence, evidence, tolerance
-from calib.objects.pose_search import near_each_other
+from calib.objects.pose_search import are_about_the_same
 from calib.objects.view import PATCHES, View
-from calib.rooms import composed, inverse
 
 _SOME, _MORE = 250, 800  # patches to evaluate many poses, and the few best
 _SETTLED, _LOOKED_AT, _KEPT = 16, 4, 3
@@ -33,7 +32,7 @@ _AS_GOOD = 0.93  # relative to the best pose
 class Suggestion:
     """X_first = R X_second + t of a pair, and its evidence."""
 
-    pose: Motion
+    pose: Pose
     worth: float
 
 
@@ -80,7 +79,7 @@ class LeftOut:
 class Registered:
     """`places` by view, X_common = R X_view + t, of the largest group; `alternatives` make it ambiguous."""
 
-    places: Mapping[int, Motion]
+    places: Mapping[int, Pose]
     alternatives: tuple[Alternative, ...]
     left_out: tuple[LeftOut, ...]
 
@@ -117,9 +116,9 @@ def _unplaced(k: int, views: Mapping[int, View], edges: Mapping[tuple[int, int],
 
 def _largest_group(
     views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
-) -> tuple[dict[int, Motion], list[Alternative]]:
+) -> tuple[dict[int, Pose], list[Alternative]]:
     """Places of the largest group of views that judge each other, and what makes them ambiguous."""
-    largest: tuple[dict[int, Motion], list[Alternative]] = {}, []
+    largest: tuple[dict[int, Pose], list[Alternative]] = {}, []
     left = dict(views)
     while between := {pair: found for pair, found in edges.items() if left.keys() >= {*pair}}:
         found = _grown(left, between)
@@ -132,10 +131,10 @@ def _largest_group(
 
 def _grown(
     views: Mapping[int, View], edges: Mapping[tuple[int, int], Sequence[Suggestion]]
-) -> tuple[dict[int, Motion], list[Alternative]]:
+) -> tuple[dict[int, Pose], list[Alternative]]:
     """Grow a group from the most certain pair, by all views that its members can judge."""
     first, _ = max(edges, key=lambda pair: edges[pair][0].worth)
-    places = {first: STILL}
+    places = {first: IDENTITY}
     missing = [k for k in views if k != first]
     while missing:
         tried = {k: _tried(views, edges, places, k) for k in missing}
@@ -150,7 +149,7 @@ def _grown(
 def _alternatives(
     views: Mapping[int, View],
     edges: Mapping[tuple[int, int], Sequence[Suggestion]],
-    places: Mapping[int, Motion],
+    places: Mapping[int, Pose],
     k: int,
 ) -> Iterator[Alternative]:
     """Other poses of a placed view, alone or with all that were placed after it, that little more speaks against."""
@@ -159,12 +158,12 @@ def _alternatives(
         rest = {member: place for member, place in places.items() if member not in part}
         own = _judged(views, rest, {member: places[member] for member in part})
         for each in _tried(views, edges, rest, k):
-            if near_each_other(each.pose, places[k], views[k].grain):
+            if are_about_the_same(each.pose, places[k], views[k].grain):
                 continue
-            step = composed(each.pose, inverse(places[k]))
-            moved = _judged(views, rest, {member: composed(step, places[member]) for member in part})
+            step = each.pose @ places[k].inverse()
+            moved = _judged(views, rest, {member: step @ places[member] for member in part})
             if moved.holds and moved.rate > _AS_GOOD * own.rate:
-                turn_deg = float(np.degrees(angle_between(places[k].rotation, each.pose.rotation)))
+                turn_deg = float(np.degrees(places[k].angle_from(each.pose)))
                 yield Alternative(k, turn_deg, moved.rate)
 
 
@@ -180,7 +179,7 @@ def _suggested(first: View, second: View, *, thorough: bool = False) -> list[Sug
     rated = sorted(zip(value, range(len(poses)), strict=True), reverse=True)
     found: list[Suggestion] = []
     for _, k in rated[:_SETTLED]:
-        if len(found) == _LOOKED_AT or any(near_each_other(poses[k], each.pose, first.grain) for each in found):
+        if len(found) == _LOOKED_AT or any(are_about_the_same(poses[k], each.pose, first.grain) for each in found):
             continue
         pose = settled(first, second, poses[k], (1.0, NARROW, NARROW), _MORE)
         closely = evidence(first, second, pose, tolerance(first, second), _MORE)
@@ -198,15 +197,15 @@ def _agreeing_share(found: Evidence) -> float:
 def _tried(
     views: Mapping[int, View],
     edges: Mapping[tuple[int, int], Sequence[Suggestion]],
-    places: Mapping[int, Motion],
+    places: Mapping[int, Pose],
     k: int,
 ) -> list[Suggestion]:
     """Possible poses of a view relative to the members, best first. Empty if there are none."""
     found: list[Suggestion] = []
     for member, place in places.items():
         for each in edges.get((min(member, k), max(member, k)), ()):
-            pose = composed(place, each.pose if member < k else inverse(each.pose))
-            if any(near_each_other(pose, other.pose, views[k].grain) for other in found):
+            pose = place @ (each.pose if member < k else each.pose.inverse())
+            if any(are_about_the_same(pose, other.pose, views[k].grain) for other in found):
                 continue
             judged = _judged(views, places, {k: pose})
             if judged.holds:
@@ -214,10 +213,10 @@ def _tried(
     return sorted(found, key=lambda each: -each.worth)
 
 
-def _judged(views: Mapping[int, View], places: Mapping[int, Motion], part: Mapping[int, Motion]) -> _Judgement:
+def _judged(views: Mapping[int, View], places: Mapping[int, Pose], part: Mapping[int, Pose]) -> _Judgement:
     """Evidence of all members for the poses of others."""
     evidences = [
-        evidence(views[member], views[k], composed(inverse(place), pose), NARROW * views[k].grain, _SOME)
+        evidence(views[member], views[k], place.inverse() @ pose, NARROW * views[k].grain, _SOME)
         for member, place in places.items()
         for k, pose in part.items()
     ]

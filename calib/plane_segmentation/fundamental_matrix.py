@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from calib.geometry import homogeneous
+from calib.geometry import cross_matrix, homogeneous
 from calib.numerics import Floats, Ints, Minimum, compiled, fit_reweighted, in_parallel, minimise
 from calib.plane_segmentation.plane_parallax import CAMERA_SIGMA, LENS_TERMS, PROJECTOR_SIGMA, Lens, TwoView
 from calib.plane_segmentation.surfels import Surfels
@@ -106,7 +106,7 @@ def first_geometry(surfels: Surfels, plane: LargestPlane, rng: np.random.Generat
     parameters = minimise(partial(_epipolar_residuals, plain, _TOLERANCES_PX[1]), nearest, _PRIOR_SIGMA).parameters
     left_vectors, values, right = np.linalg.svd(parameters[8:].reshape(3, 3))
     epipole = left_vectors[:, 2]
-    base = np.cross(np.eye(3), epipole) @ (left_vectors * [values[0], values[1], 0.0]) @ right
+    base = cross_matrix(epipole) @ (left_vectors * [values[0], values[1], 0.0]) @ right
     fitted = plain.with_lenses(parameters[:8])
     return _balanced(TwoView(fitted.camera, fitted.projector, base, epipole), camera_px, projector_px)
 
@@ -168,7 +168,7 @@ def _parallax_candidates(pairs: _Pairs, homography: Floats, off_plane: Ints, rng
     picks = rng.integers(0, len(lines), (_SAMPLES, 2))
     epipoles = np.cross(lines[picks[:, 0]], lines[picks[:, 1]])
     epipoles = epipoles[np.linalg.norm(epipoles, axis=1) > 0]
-    return np.cross(np.eye(3)[None], epipoles[:, None, :]).transpose(0, 2, 1) @ homography
+    return -cross_matrix(epipoles) @ homography
 
 
 def _balanced(view: TwoView, camera_px: Floats, projector_px: Floats) -> TwoView:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints, compiled, in_pieces
 from calib.pointcloud.corner_view import View
 from calib.pointcloud.organised_cloud import Cloud
@@ -23,7 +24,7 @@ class MergedCloud:
 
     `points` (N, 3) in `unit`, `colours` (N, 3) RGB, `normals` (N, 3) facing the camera that saw the point. `grid`: edge
     of the voxels, which hold at most one point each. `turns`: for each capture, as in `View.in_corner`; `from_cameras`:
-    for each the pose (3, 4) from its camera's frame.
+    for each the pose of its camera.
     """
 
     points: NDArray[np.float32]
@@ -32,7 +33,7 @@ class MergedCloud:
     unit: str
     grid: float
     turns: tuple[int, ...]
-    from_cameras: tuple[Floats, ...]
+    from_cameras: tuple[Pose, ...]
 
 
 def merged(clouds: Sequence[Cloud], views: Sequence[View], turns: tuple[int, ...]) -> MergedCloud:
@@ -89,10 +90,10 @@ def _fill_attributes(
     in_pieces(len(pixel), fill)
 
 
-def _pose(view: View, turn: int) -> Floats:
-    """The pose (3, 4) of a view's camera in the corner's frame."""
+def _pose(view: View, turn: int) -> Pose:
+    """Of a view's camera in the corner's frame."""
     moved = view.in_corner(np.vstack([np.zeros(3), np.eye(3)]), turn)
-    return np.column_stack([(moved[1:] - moved[0]).T, moved[0]])
+    return Pose((moved[1:] - moved[0]).T, moved[0])
 
 
 def nearest_in_voxels(points: Floats, distance: Floats, size: float) -> Ints:

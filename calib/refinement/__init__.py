@@ -29,7 +29,7 @@ from calib.refinement.parameters import (
     TRANSLATION,
     WEAK_TERMS,
     FurtherPlane,
-    Pose,
+    PlacedCorner,
     State,
     device_of,
     intrinsic_distance,

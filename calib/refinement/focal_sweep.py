@@ -12,11 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from calib.closed_form import Objective, Transfer, objective_for
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement.distortion_from_planes import Straightened, straighten
 from calib.refinement.likelihood import Fit, Knowledge, evaluate
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import CAMERA, PROJECTOR, Pose, State, without_lens
+from calib.refinement.parameters import CAMERA, PROJECTOR, PlacedCorner, State, without_lens
 from calib.refinement.profile_minimiser import relax
 
 SWEEP_CELLS = 200
@@ -58,10 +59,9 @@ class Family:
         return State(
             without_lens(focal, np.array(self.objective.principal_point_px), bends[0]),
             without_lens(projector_focal, matrix[:2, 2], bends[1]),
-            transfers.rotation[i],
-            transfers.translation[i] / baseline,
+            Pose(transfers.rotation[i], transfers.translation[i] / baseline),
             np.zeros((1, 3)),
-            (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
+            (PlacedCorner(transfers.normals[i], transfers.vertex[i] / baseline),),
         )
 
 
@@ -172,5 +172,5 @@ def _most_promising(captures: Sequence[Cells], starts: list[State], knowledge: K
 
 def _combined(shared: State, alone: Sequence[State]) -> State:
     """Combine all captures, each with its own corner, under the rig of one of them."""
-    poses = tuple(replace(state.poses[0], corner=i) for i, state in enumerate(alone))
-    return replace(shared, off_square=np.concatenate([state.off_square for state in alone]), poses=poses)
+    corners = tuple(replace(state.corners[0], shape=i) for i, state in enumerate(alone))
+    return replace(shared, off_square=np.concatenate([state.off_square for state in alone]), corners=corners)

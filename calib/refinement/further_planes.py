@@ -34,28 +34,28 @@ def with_further_planes(
     `planes`: for each capture, the plane of each match (N,), −1 for none. Planes that contain faces are skipped, and so
     are those of a capture taken from the place of an earlier one, which sees the same planes again.
     """
-    extended, poses = [], []
+    extended, corners = [], []
     for i, (cells, points, label) in enumerate(zip(captures, matches, planes, strict=True)):
-        pose = state.poses[i]
+        corner = state.corners[i]
         seen_before = any(state.same_place(i, j) for j in range(i))
         for candidate in () if seen_before else _candidates(points, label):
             part = into_cells(points, (candidate,), label)
             plane = _square_plane(part, state, i)
             if plane is not None:
-                number = len(FACES) + len(pose.planes)
-                pose = replace(pose, planes=(*pose.planes, plane))
+                number = len(FACES) + len(corner.planes)
+                corner = replace(corner, planes=(*corner.planes, plane))
                 cells = joined(cells, replace(part, plane=np.full(len(part), number, np.int32)))
         extended.append(cells)
-        poses.append(pose)
-    return extended, replace(state, poses=tuple(poses))
+        corners.append(corner)
+    return extended, replace(state, corners=tuple(corners))
 
 
 def oblique_planes(state: State) -> list[tuple[int, int]]:
     """Return (capture, index among its further planes) of planes that are not parallel or perpendicular to a face."""
     return [
         (i, j)
-        for i, pose in enumerate(state.poses)
-        for j, plane in enumerate(pose.planes)
+        for i, corner in enumerate(state.corners)
+        for j, plane in enumerate(corner.planes)
         if np.any(np.abs(plane.tilt) > _TENSION * np.array(plane.tilt_sigma))
     ]
 
@@ -70,7 +70,7 @@ def unexplained(
     """
     worst, planes = _MOST_OFF * of_faces, []
     for i, (cells, residual, variance) in enumerate(zip(captures, fit.residuals, variances, strict=True)):
-        for plane in range(len(FACES), len(FACES) + len(fit.state.poses[i].planes)):
+        for plane in range(len(FACES), len(FACES) + len(fit.state.corners[i].planes)):
             off = mean_square(residual[cells.plane == plane], variance[cells.plane == plane])
             if off > worst:
                 worst, planes = off, [(i, plane - len(FACES))]
@@ -84,15 +84,15 @@ def mean_square(residual: Floats, variance: Floats) -> float:
 
 def without(captures: Sequence[Cells], state: State, planes: list[tuple[int, int]]) -> tuple[list[Cells], State]:
     """Remove some of the further planes from captures and state."""
-    reduced, poses = [], []
-    for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
-        kept = [j for j in range(len(pose.planes)) if (i, j) not in planes]
-        number = np.full(len(FACES) + len(pose.planes), -1, np.int32)
-        number[[*FACES, *(len(FACES) + j for j in kept)]] = np.arange(len(FACES) + len(kept))
+    reduced, corners = [], []
+    for i, (cells, corner) in enumerate(zip(captures, state.corners, strict=True)):
+        left = [j for j in range(len(corner.planes)) if (i, j) not in planes]
+        number = np.full(len(FACES) + len(corner.planes), -1, np.int32)
+        number[[*FACES, *(len(FACES) + j for j in left)]] = np.arange(len(FACES) + len(left))
         renumbered = replace(cells, plane=number[cells.plane])
         reduced.append(renumbered[renumbered.plane >= 0])
-        poses.append(replace(pose, planes=tuple(pose.planes[j] for j in kept)))
-    return reduced, replace(state, poses=tuple(poses))
+        corners.append(replace(corner, planes=tuple(corner.planes[j] for j in left)))
+    return reduced, replace(state, corners=tuple(corners))
 
 
 def _candidates(matches: Matches, plane: Ints) -> list[int]:
@@ -106,14 +106,14 @@ def _candidates(matches: Matches, plane: Ints) -> list[int]:
 
 def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | None:
     """Fit a plane to the cells' points; None unless it is parallel or perpendicular to a face."""
-    pose = state.poses[capture]
+    corner = state.corners[capture]
     rays, _ = unproject(state.camera, cells.camera_px)
     depth = depths(state, rays, cells.projector_px)
     if not np.all(depth > 0):
         return None
     points = rays * depth[:, None]
     centre = points.mean(axis=0)
-    normal: Floats = pose.frame @ np.linalg.svd(points - centre)[2][2]
+    normal: Floats = corner.frame @ np.linalg.svd(points - centre)[2][2]
     angles = np.degrees(np.arcsin(np.minimum(np.abs(normal), 1.0)))  # from each face: 90 parallel, 0 perpendicular
     parallel, across = int(np.argmax(angles)), int(np.argmin(angles))
     sigma = float(np.radians(SIGMA_DEG))
@@ -130,11 +130,11 @@ def _square_plane(cells: Cells, state: State, capture: int) -> FurtherPlane | No
     if normal @ axes[0] < 0:
         normal = -normal
     tilt = axes[1:] @ normal / (axes[0] @ normal)
-    height = float((normal @ pose.frame) @ (centre - pose.vertex))
+    height = float((normal @ corner.frame) @ (centre - corner.vertex))
     return FurtherPlane(axes, tilt, height, sigmas)
 
 
 def depths(state: State, rays: Floats, projector_px: Floats) -> Floats:
     """Return depths (N,) along the camera's rays (N, 3) at which they come nearest to the projector's rays."""
     directions, _ = unproject(state.projector, projector_px)
-    return nearest_depths(rays @ state.rotation.T, directions, state.translation)[0]
+    return nearest_depths(state.pose.rotate(rays), directions, state.pose.translation)[0]

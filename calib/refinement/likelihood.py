@@ -116,7 +116,7 @@ class Knowledge:
             mean[CAMERA.start], sigma[CAMERA.start] = np.log(focal), spread / focal
         if self.one_camera:
             sigma[PROJECTOR] = 0.0  # those columns move with the camera's
-        angles = slice(SHARED, layout.pose_columns(0).start)
+        angles = slice(SHARED, layout.corner_columns(0).start)
         sigma[angles] = np.radians(self.squareness_deg)
         powers = np.zeros(layout.size, np.int32)
         if self.rig is None:
@@ -124,9 +124,9 @@ class Knowledge:
                 powers[device.start + 3 : device.stop] = lens.powers
         terms = np.concatenate([np.arange(device.start + 3, device.stop) for device in (CAMERA, PROJECTOR)])
         tailed = terms[:, None], np.arange(angles.start, angles.stop).reshape(-1, PER_CORNER)
-        for i, pose in enumerate(layout.poses):
-            tilts = sigma[layout.pose_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
-            for row, plane in zip(tilts, pose.planes, strict=True):
+        for i, corner in enumerate(layout.corners):
+            tilts = sigma[layout.corner_columns(i)][PER_POSE:].reshape(-1, PER_PLANE)
+            for row, plane in zip(tilts, corner.planes, strict=True):
                 row[:2] = plane.tilt_sigma
         return Prior(mean, sigma, tailed, powers, rig=self.rig)
 

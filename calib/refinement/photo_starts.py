@@ -12,11 +12,12 @@ from itertools import product
 import numpy as np
 
 from calib.closed_form import Objective, objective_for
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement.distortion_from_planes import Straightened, straighten
 from calib.refinement.likelihood import Knowledge
 from calib.refinement.match_cells import Cells
-from calib.refinement.parameters import Pose, State, without_lens
+from calib.refinement.parameters import PlacedCorner, State, without_lens
 
 _GRID = (-0.2, -0.1, 0.0, 0.1, 0.2)  # principal points to try, in image widths off the expected one
 _STARTS = 1  # principal points to start from, for each focal and each of the two corners
@@ -47,10 +48,9 @@ class PhotoFamily:
                 states[p, int(i)] = State(
                     camera,
                     camera,
-                    transfers.rotation[i],
-                    transfers.translation[i] / baseline,
+                    Pose(transfers.rotation[i], transfers.translation[i] / baseline),
                     np.zeros((1, 3)),
-                    (Pose(transfers.normals[i], transfers.vertex[i] / baseline),),
+                    (PlacedCorner(transfers.normals[i], transfers.vertex[i] / baseline),),
                     one_camera=True,
                 )
         nearest = np.argsort(costs, axis=0)[:_STARTS]

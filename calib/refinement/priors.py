@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from calib.geometry import tangent_basis
+from calib.geometry import cross_matrix, tangent_basis
 from calib.numerics import Floats, Ints, compiled
 from calib.refinement.parameters import ROTATION, SHARED, TRANSLATION, State
 
@@ -138,26 +138,16 @@ class KnownRig:
 
     def step_to(self, state: State) -> Floats:
         """Return the step (21,) from the known state to `state`."""
-        layout = State(
-            self.state.camera,
-            self.state.projector,
-            self.state.rotation,
-            self.state.translation,
-            state.off_square,
-            state.poses,
-        )
-        return layout.step_to(state)[:SHARED]
+        return replace(self.state.rig, off_square=state.off_square, corners=state.corners).step_to(state)[:SHARED]
 
     def misfit(self, state: State) -> tuple[float, Floats, Floats]:
         """Return the cost of a state, half its gradient (21,) and half its Hessian (21, 21) in the state's columns."""
         step = self.step_to(state)
         by_columns = np.eye(SHARED)
         # Derivative of log(exp[δ] R) by δ: the inverse of the left Jacobian of SO(3), to second order.
-        x, y, z = step[ROTATION]
-        turn = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn = cross_matrix(step[ROTATION])
         by_columns[ROTATION, ROTATION] -= turn / 2 - turn @ turn / 12
-        by_columns[TRANSLATION, TRANSLATION] = tangent_basis(self.state.translation).T @ tangent_basis(
-            state.translation
-        )
+        known, own = (tangent_basis(pose.translation) for pose in (self.state.pose, state.pose))
+        by_columns[TRANSLATION, TRANSLATION] = known.T @ own
         pull = self.precision @ step
         return float(step @ pull), by_columns.T @ pull, by_columns.T @ self.precision @ by_columns

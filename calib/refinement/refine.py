@@ -60,7 +60,7 @@ class Refinement:
 
     def corner(self, capture: int) -> Corner:
         """The corner in the camera's frame of a capture, in baselines."""
-        return Corner(self.fit.state.pose(capture).vertex, self.fit.state.legs(capture))
+        return Corner(self.fit.state.corner(capture).vertex, self.fit.state.legs(capture))
 
 
 def refine(

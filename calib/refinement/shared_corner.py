@@ -143,17 +143,17 @@ def oriented(captures: Sequence[Cells], fit: Fit) -> Fit:
     """Orient every leg along its faces: only then are angles comparable between captures."""
     state = fit.state
     flips = np.ones(state.size)
-    off_square, poses = state.off_square.copy(), []
-    for i, (cells, pose) in enumerate(zip(captures, state.poses, strict=True)):
+    off_square, corners = state.off_square.copy(), []
+    for i, (cells, corner) in enumerate(zip(captures, state.corners, strict=True)):
         on_faces = cells.plane < len(FACES)
         points = state.points(cells.camera_px[on_faces], cells.plane[on_faces], i)
-        signs = leg_signs(state.legs(i), pose.vertex, points)
+        signs = leg_signs(state.legs(i), corner.vertex, points)
         # Reversing a leg changes the sign of both angles between its face and the others.
         turned = np.prod(signs) * signs
-        off_square[pose.corner] *= turned
-        flips[state.angle_columns(pose.corner)] = turned
-        poses.append(replace(pose, frame=pose.frame * signs[:, None]))
-    state = replace(state, off_square=off_square, poses=tuple(poses))
+        off_square[corner.shape] *= turned
+        flips[state.angle_columns(corner.shape)] = turned
+        corners.append(replace(corner, frame=corner.frame * signs[:, None]))
+    state = replace(state, off_square=off_square, corners=tuple(corners))
     return replace(
         fit, state=state, gradient=fit.gradient * flips, information=fit.information * np.outer(flips, flips)
     )
@@ -165,7 +165,7 @@ def _promising(fit: Fit, knowledge: Knowledge) -> list[tuple[int, ...]]:
     Tying the angles a costs dᵀ (D Σ Dᵀ)⁻¹ d, where d = D a are their differences and Σ is their covariance without the
     prior.
     """
-    count = len(fit.state.poses)
+    count = len(fit.state.corners)
     free = knowledge.prior(fit.state).free
     covariance = covariance_of(fit.information, free)
     angles = slice(fit.state.angle_columns(0).start, fit.state.angle_columns(count - 1).stop)
@@ -193,8 +193,8 @@ def _differences(shifts: tuple[int, ...]) -> Floats:
 def _shared(state: State, shifts: tuple[int, ...]) -> State:
     """Return the state with one corner for all captures, with the mean of their angles."""
     angles = [np.roll(off, shift) for off, shift in zip(state.off_square, shifts, strict=True)]
-    poses = tuple(
-        replace(pose, frame=np.roll(pose.frame, shift, axis=0), corner=0)
-        for pose, shift in zip(state.poses, shifts, strict=True)
+    corners = tuple(
+        replace(corner, frame=np.roll(corner.frame, shift, axis=0), shape=0)
+        for corner, shift in zip(state.corners, shifts, strict=True)
     )
-    return replace(state, off_square=np.mean(angles, axis=0)[None], poses=poses)
+    return replace(state, off_square=np.mean(angles, axis=0)[None], corners=corners)

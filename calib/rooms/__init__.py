@@ -1,6 +1,5 @@
 """Whole rooms: the poses of several stations of one rig, their common planes, and one joint estimate."""
 
-from calib.rooms.alignment import composed, inverse
 from calib.rooms.changed_extrinsics import TurnedRig, changed_extrinsics
 from calib.rooms.dense_check import Disagreement, disagreements
 from calib.rooms.estimate import RoomEstimate, Undetermined, estimate_room

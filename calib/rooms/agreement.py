@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats, Ints, compiled
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
@@ -83,9 +83,9 @@ def _nats_of_marks(count: Ints) -> Floats:
     return np.clip(_NATS_PER_MARK * (count - _MARKS_BY_CHANCE), 0.0, _MOST_NATS_OF_MARKS)
 
 
-def nats_of_tilt(rotations: Floats) -> Floats:
-    """What it costs that cameras are tilted against each other, (K,); `rotations` (K, 3, 3) between them."""
-    angle = np.arccos(np.clip(rotations[:, 1, 1], -1, 1))
+def nats_of_tilt(poses: Pose) -> Floats:
+    """What it costs that cameras are tilted against each other, for each of the poses between them, (...,)."""
+    angle = np.arccos(np.clip(poses.rotation[..., 1, 1], -1, 1))
     cost: Floats = 0.5 * (angle / _UPRIGHT_SIGMA) ** 2
     return cost
 
@@ -93,42 +93,40 @@ def nats_of_tilt(rotations: Floats) -> Floats:
 def compare(
     first: Surfaces,
     second: Surfaces,
-    rotations: Floats,
-    translations: Floats,
+    poses: Pose,
     tolerance: float,
     patches: int | None = None,
 ) -> Agreement:
     """At K poses X_first = R X_second + t; `patches`: how many of each station are compared, None for all."""
-    matched = np.zeros((len(rotations), len(first.planes) + 1, len(second.planes) + 1), np.int64)
-    fates = np.zeros((len(rotations), _FATES), np.int64)
-    _look(second, first, rotations, translations, tolerance, patches, matched.transpose(0, 2, 1), fates)
-    back = np.ascontiguousarray(rotations.transpose(0, 2, 1))
-    _look(first, second, back, -np.einsum("kij,kj->ki", back, translations), tolerance, patches, matched, fates)
-    marks = _marks(first, second, rotations, translations, tolerance)
+    count = len(poses.translation)
+    matched = np.zeros((count, len(first.planes) + 1, len(second.planes) + 1), np.int64)
+    fates = np.zeros((count, _FATES), np.int64)
+    _look(second, first, poses, tolerance, patches, matched.transpose(0, 2, 1), fates)
+    _look(first, second, poses.inverse(), tolerance, patches, matched, fates)
+    marks = _marks(first, second, poses, tolerance)
     return Agreement(matched, fates[:, _CONTRADICTS], fates[:, _HIDDEN], marks)
 
 
-def _marks(first: Surfaces, second: Surfaces, rotations: Floats, translations: Floats, tolerance: float) -> Ints:
+def _marks(first: Surfaces, second: Surfaces, poses: Pose, tolerance: float) -> Ints:
     """Number of matching marks that coincide, (K,)."""
-    own, other = alike(first.marks, second.marks)
+    own, matching = alike(first.marks, second.marks)
     if len(own) <= _MARKS_BY_CHANCE:
-        return np.zeros(len(rotations), np.int64)
-    here, there = first.marks.points[own], second.marks.points[other]
-    off = np.einsum("kij,nj->kni", rotations, there) + translations[:, None] - here
+        return np.zeros(len(poses.translation), np.int64)
+    here, there = first.marks.points[own], second.marks.points[matching]
+    off = poses @ there - here
     count: Ints = np.count_nonzero(np.linalg.norm(off, axis=2) < tolerance * here[:, 2], axis=1)
     return count
 
 
-def compare_one(first: Surfaces, second: Surfaces, pose: Motion) -> Agreement:
+def compare_one(first: Surfaces, second: Surfaces, pose: Pose) -> Agreement:
     """At one pose, all patches at the fine tolerance."""
-    return compare(first, second, pose.rotation[None], pose.translation[None], FINE)
+    return compare(first, second, pose[None], FINE)
 
 
 def _look(
     patches_of: Surfaces,
     seen_by: Surfaces,
-    rotations: Floats,
-    translations: Floats,
+    poses: Pose,
     tolerance: float,
     count: int | None,
     matched: Ints,
@@ -140,8 +138,8 @@ def _look(
         patches_of.patches[:count],
         patches_of.patch_normals[:count],
         patches_of.patch_labels[:count],
-        np.ascontiguousarray(rotations),
-        translations,
+        np.ascontiguousarray(poses.rotation),
+        poses.translation,
         seen_by.points,
         seen_by.normals,
         seen_by.labels,

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion, angle_between, rotation_about
-from calib.numerics import Bools, Floats, compiled, tukey_weights
+from calib.geometry import Pose, cross_matrix
+from calib.numerics import Floats, compiled, tukey_weights
 from calib.rooms.agreement import FINE
 from calib.rooms.marks import alike
 from calib.rooms.projection import pixel_under, rotated
@@ -40,38 +40,11 @@ class NormalEquations:
     count: int
 
 
-def composed(second: Motion, first: Motion) -> Motion:
-    """First one motion, then the other."""
-    return Motion(second.rotation @ first.rotation, second.rotation @ first.translation + second.translation)
-
-
-def inverse(motion: Motion) -> Motion:
-    """The way back."""
-    return Motion(motion.rotation.T, -motion.rotation.T @ motion.translation)
-
-
-def are_near(rotations: Floats, translations: Floats, pose: Motion, turn: float, apart: float) -> Bools:
-    """Which of K poses (K, 3, 3), (K, 3) are within a `turn` in radians of another and less than `apart` from it."""
-    close: Bools = np.linalg.norm(translations - pose.translation, axis=-1) < apart
-    return close & (angle_between(rotations, pose.rotation) < turn)
-
-
-def is_near(one: Motion, other: Motion, turn: float, apart: float) -> bool:
-    """Whether one pose is."""
-    return bool(are_near(one.rotation, one.translation, other, turn, apart))
-
-
-def twisted(motion: Motion, twist: Floats) -> Motion:
-    """After a twist (6,) of the frame that it leads to."""
-    turn = rotation_about(twist[:3])
-    return Motion(turn @ motion.rotation, turn @ motion.translation + twist[3:])
-
-
 def normal_equations(
     moving: Surfaces,
-    place: Motion,
+    place: Pose,
     still: Surfaces,
-    still_place: Motion,
+    still_place: Pose,
     tolerance: float,
     patches: int | None = None,
 ) -> NormalEquations:
@@ -106,11 +79,11 @@ def normal_equations(
     return NormalEquations(sums[:, :6], sums[:, 6], float(scalars[0]), float(scalars[1]), int(scalars[2]))
 
 
-def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Motion, tolerance: float) -> Floats:
+def _of_marks(moving: Surfaces, place: Pose, still: Surfaces, still_place: Pose, tolerance: float) -> Floats:
     """Normal matrix and gradient (6, 7) of matching marks that should coincide, with Tukey's weights."""
     own, other = alike(moving.marks, still.marks)
-    points = moving.marks.points[own] @ place.rotation.T + place.translation
-    off = points - still.marks.points[other] @ still_place.rotation.T - still_place.translation
+    points = place @ moving.marks.points[own]
+    off = points - still_place @ still.marks.points[other]
     depth = moving.marks.points[own, 2]
     relative = np.linalg.norm(off, axis=1) / (tolerance * depth)
     near = relative < 1
@@ -118,7 +91,7 @@ def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Mot
         return np.zeros((6, 7))
     points, off = points[near], off[near]
     weight = tukey_weights(relative[near]) / depth[near] ** 2
-    by_twist = np.concatenate([-np.cross(points[:, None], np.eye(3)), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
+    by_twist = np.concatenate([cross_matrix(points), np.broadcast_to(np.eye(3), (len(off), 3, 3))], 1)
     sums = np.empty((6, 7))
     sums[:, :6] = np.einsum("n,nia,nja->ij", weight, by_twist, by_twist)
     sums[:, 6] = np.einsum("n,nia,na->i", weight, by_twist, off)
@@ -127,11 +100,11 @@ def _of_marks(moving: Surfaces, place: Motion, still: Surfaces, still_place: Mot
 
 def settled(
     moving: Surfaces,
-    place: Motion,
-    others: Sequence[tuple[Surfaces, Motion]],
+    place: Pose,
+    others: Sequence[tuple[Surfaces, Pose]],
     tolerances: Sequence[float],
     patches: int | None = None,
-) -> Motion:
+) -> Pose:
     """The pose of one station that best fits the others, which are fixed, with one tolerance after the other."""
     for tolerance in tolerances:
         for _ in range(_STEPS):
@@ -141,13 +114,13 @@ def settled(
                 matrix += each.matrix
                 gradient += each.gradient
             twist = _step(matrix, gradient, place.translation)
-            place = twisted(place, twist)
+            place = Pose.from_vector(twist) @ place
             if np.abs(twist).max() < _CONVERGED * max(1.0, moving.distance):
                 break
     return place
 
 
-def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
     """All places at once; the first station's stays."""
     now = dict(places)
     names = list(now)
@@ -160,7 +133,7 @@ def settled_together(stations: Mapping[int, Surfaces], places: Mapping[int, Moti
         damping = _DAMPING * np.diag(matrix)[6:] + 1e-12
         twists = -np.linalg.solve(matrix[6:, 6:] + np.diag(damping), gradient[6:]).reshape(-1, 6).astype(np.float64)
         for name, twist in zip(names[1:], twists, strict=True):
-            now[name] = twisted(now[name], twist)
+            now[name] = Pose.from_vector(twist) @ now[name]
         if np.abs(twists).max(initial=0.0) < _CONVERGED * stations[names[0]].distance:
             break
     return now

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import STILL, Motion
+from calib.geometry import IDENTITY, Pose
 from calib.numerics import Bools, distinct
 from calib.rooms.agreement import COARSE, DECIDED_NATS, FINE, NATS_OF_POSE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import composed, inverse, is_near, settled, settled_together
+from calib.rooms.alignment import settled, settled_together
 from calib.rooms.cuts import firmly_connected
 from calib.rooms.hypotheses import Hypothesis
 from calib.rooms.surfaces import Surfaces
@@ -33,7 +33,7 @@ class Assembly:
     `whole`: with further stations that fit, but with weak evidence.
     """
 
-    places: dict[int, Motion]
+    places: dict[int, Pose]
     nats: float
     whole: "Assembly | None" = None
 
@@ -47,10 +47,10 @@ class Assembly:
         if self.places.keys() != other.places.keys():
             return False
         first = min(self.places)
-        here, there = (inverse(each.places[first]) for each in (self, other))
+        here, there = (each.places[first].inverse() for each in (self, other))
         for k in self.places:
-            off = composed(inverse(composed(here, self.places[k])), composed(there, other.places[k]))
-            if not is_near(off, STILL, _SAME_TURN, size):
+            off = (here @ self.places[k]).inverse() @ there @ other.places[k]
+            if not off.is_near(IDENTITY, _SAME_TURN, size):
                 return False
         return True
 
@@ -77,7 +77,7 @@ def _groups(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[i
         return []
     size = _SAME_PLACE * float(np.median([surfaces[k].distance for k in stations]))
     begun = [
-        Assembly({i: STILL, j: each.pose}, each.nats - NATS_OF_POSE)
+        Assembly({i: IDENTITY, j: each.pose}, each.nats - NATS_OF_POSE)
         for (i, j), some in edges.items()
         if i in stations and j in stations
         for each in some
@@ -108,15 +108,15 @@ def _distinct(assemblies: Sequence[Assembly], size: float) -> list[Assembly]:
 
 def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[int], group: Assembly) -> list[Assembly]:
     """The group with one station more, at its likeliest places."""
-    tried: list[tuple[float, int, Motion]] = []
+    tried: list[tuple[float, int, Pose]] = []
     for k in stations:
         if k in group.places:
             continue
         for member, place in group.places.items():
             pair = (min(member, k), max(member, k))
             for each in edges.get(pair, ()):
-                relative = each.pose if member < k else inverse(each.pose)
-                tried.append((each.nats, k, composed(place, relative)))
+                relative = each.pose if member < k else each.pose.inverse()
+                tried.append((each.nats, k, place @ relative))
     tried.sort(key=lambda each: -each[0])
     worth = [(_coarsely(surfaces, group, k, place), k, place) for _, k, place in tried[:_TRIED]]
     worth.sort(key=lambda each: -each[0])
@@ -124,7 +124,7 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
     count: dict[int, int] = {}
     for _, k, place in worth:
         if count.get(k, 0) == _SETTLED or any(
-            k in more.places and is_near(more.places[k], place, _SAME_TURN, _SAME_PLACE * surfaces[k].distance)
+            k in more.places and more.places[k].is_near(place, _SAME_TURN, _SAME_PLACE * surfaces[k].distance)
             for more in grown
         ):
             continue
@@ -137,32 +137,28 @@ def _grown(surfaces: Mapping[int, Surfaces], edges: Edges, stations: Sequence[in
     return grown
 
 
-def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], k: int, place: Motion) -> float:
+def gain_of(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], k: int, place: Pose) -> float:
     """Evidence in nats for a station at a pose relative to others."""
-    poses = [composed(inverse(at), place) for at in places.values()]
+    poses = [at.inverse() @ place for at in places.values()]
     seen = [compare_one(surfaces[member], surfaces[k], pose) for member, pose in zip(places, poses, strict=True)]
-    tilt = min(float(nats_of_tilt(pose.rotation[None])[0]) for pose in poses)
+    tilt = min(float(nats_of_tilt(pose)) for pose in poses)
     return float(gain(seen)[0]) - tilt - NATS_OF_POSE
 
 
-def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Motion) -> float:
+def _coarsely(surfaces: Mapping[int, Surfaces], group: Assembly, k: int, place: Pose) -> float:
     """Evidence for a station at a pose relative to a group, from some of the patches, before refinement."""
     seen = []
     for member, at in group.places.items():
-        pose = composed(inverse(at), place)
-        seen.append(
-            compare(surfaces[member], surfaces[k], pose.rotation[None], pose.translation[None], COARSE, _PATCHES)
-        )
+        pose = at.inverse() @ place
+        seen.append(compare(surfaces[member], surfaces[k], pose[None], COARSE, _PATCHES))
     return float(gain(seen, len(surfaces[k].patches) / _PATCHES)[0])
 
 
 def _together(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembly:
     """All stations moved until they fit best together, and judged again."""
     members = dict(sorted(group.places.items()))
-    first = inverse(next(iter(members.values())))
-    places = settled_together(
-        {k: surfaces[k] for k in members}, {k: composed(first, place) for k, place in members.items()}
-    )
+    first = next(iter(members.values())).inverse()
+    places = settled_together({k: surfaces[k] for k in members}, {k: first @ place for k, place in members.items()})
     places = {k: places[k] for k in group.places}
     return Assembly(places, _nats(surfaces, places))
 
@@ -172,12 +168,12 @@ def _without_loose(surfaces: Mapping[int, Surfaces], group: Assembly) -> Assembl
     held = firmly_connected(surfaces, group.places)
     if len(held) == len(group.places):
         return group
-    first = inverse(held[min(held)])
-    places = {k: composed(first, place) for k, place in held.items()}
+    first = held[min(held)].inverse()
+    places = {k: first @ place for k, place in held.items()}
     return Assembly(places, _nats(surfaces, places), group)
 
 
-def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> float:
+def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> float:
     """What a group is worth, station after station in the order of `places`."""
     names = list(places)
     return sum(gain_of(surfaces, {m: places[m] for m in names[:n]}, k, places[k]) for n, k in enumerate(names[1:], 1))

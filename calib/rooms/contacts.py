@@ -58,7 +58,7 @@ class Contact:
         ):
             place = room.places[station]
             by_rig, by_match = Uncertainty(room.rig, np.zeros((0, 0)), None, 0.0).point_jacobians(matches)
-            turned = _seen(room, matches) @ place.rotation.T
+            turned = place.rotate(_seen(room, matches))
             normals = sign * self.normals
             back = normals @ place.rotation
             own = slice(SHARED + PER_PLACE * i, SHARED + PER_PLACE * (i + 1))
@@ -94,10 +94,7 @@ def find_contacts(
     `match_px`: each station's noise, if its matches state none. `neighbours`: number of neighbours for a normal.
     """
     matches = [each[evenly(np.ones(len(each), np.bool_), _DENSE)] for each in loose]
-    points = [
-        _seen(room, each) @ place.rotation.T + place.translation
-        for each, place in zip(matches, room.places, strict=True)
-    ]
+    points = [place @ _seen(room, each) for each, place in zip(matches, room.places, strict=True)]
     trees = [cKDTree(each) for each in points]
     normals = [_normals(each, tree, neighbours) for each, tree in zip(points, trees, strict=True)]
     found = []

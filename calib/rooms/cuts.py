@@ -12,10 +12,9 @@ from itertools import combinations
 import numpy as np
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats, Ints
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, Agreement, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import composed, inverse
 from calib.rooms.shared_planes import shared_planes
 from calib.rooms.surfaces import Surfaces
 
@@ -28,7 +27,7 @@ class Cut:
     nats: float
 
 
-def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> dict[int, Motion]:
+def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> dict[int, Pose]:
     """What is left of a group, at `places` in the room, when all parts that little holds are cut off."""
     left = dict(places)
     while len(left) > 1:
@@ -39,13 +38,13 @@ def firmly_connected(surfaces: Mapping[int, Surfaces], places: Mapping[int, Moti
     return left
 
 
-def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Cut:
+def weakest_cut(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Cut:
     """Of a group of two stations or more, at `places` in the room."""
     found = [Cut(part, _nats(surfaces, places, part)) for part in _parts(surfaces, places)]
     return min(found, key=lambda cut: cut.nats)
 
 
-def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], part: Collection[int]) -> float:
+def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], part: Collection[int]) -> float:
     plane_of = shared_planes(surfaces, {k: places[k] for k in part}).plane_of
     planes = 1 + max((plane for own in plane_of.values() for plane in own), default=-1)
     seen, tilts = [], []
@@ -53,9 +52,9 @@ def _nats(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], part: 
         if member in part:
             continue
         for k in part:
-            pose = composed(inverse(places[member]), places[k])
+            pose = places[member].inverse() @ places[k]
             seen.append(_of_planes(compare_one(surfaces[member], surfaces[k], pose), plane_of[k], planes))
-            tilts.append(float(nats_of_tilt(pose.rotation[None])[0]))
+            tilts.append(float(nats_of_tilt(pose)))
     return float(gain(seen)[0]) - min(tilts) - NATS_OF_POSE
 
 
@@ -66,14 +65,14 @@ def _of_planes(seen: Agreement, plane_of: Sequence[int], planes: int) -> Agreeme
     return replace(seen, matched=matched)
 
 
-def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Iterator[tuple[int, ...]]:
+def _parts(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Iterator[tuple[int, ...]]:
     """Each single station, and the part on one side of each edge of the spanning tree."""
     names = np.array(list(places))
     yield from ((int(k),) for k in names)
     worth: Floats = np.zeros((len(names), len(names)))
     for i, j in combinations(range(len(names)), 2):
         a, b = int(names[i]), int(names[j])
-        worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], composed(inverse(places[a]), places[b]))])[0]
+        worth[i, j] = gain([compare_one(surfaces[a], surfaces[b], places[a].inverse() @ places[b])])[0]
     cost = np.triu(1 + worth.max() - worth, 1)  # zero would mean no edge
     tree = minimum_spanning_tree(cost).toarray()
     for edge in np.argwhere(tree):

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.geometry import Matches, Motion
+from calib.geometry import Matches, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, SQUARENESS_DEG, WEAK_TERMS, Cells, Shifts, State, covariance_of
 from calib.rooms.contacts import Contact, find_contacts
@@ -20,7 +20,7 @@ from calib.rooms.noise import Levels, measured, rough_levels
 from calib.rooms.patches import Patch, patches_of
 from calib.rooms.planes import RoomPlane
 from calib.rooms.point_tracking import Sight, find_tracks
-from calib.rooms.priors import RigPrior, RoomPrior, rig_of
+from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 from calib.rooms.rough_fit import fit_roughly, in_front, seen, without_wrong_ties
 from calib.rooms.smooth_errors import covariance_of_shifts
@@ -98,7 +98,7 @@ class RoomEstimate:
 def estimate_room(
     stations: Sequence[Cells],
     plane_of: Sequence[Sequence[int]],
-    places: Sequence[Motion],
+    places: Sequence[Pose],
     planes: Sequence[RoomPlane],
     start: State,
     prior: RigPrior,
@@ -124,7 +124,7 @@ def estimate_room(
     """
     if not len(stations) == len(plane_of) == len(places):
         raise ValueError(f"{len(stations)} stations, {len(plane_of)} lists of planes, {len(places)} places")
-    room = Room(rig_of(start), tuple(places), tuple(planes))
+    room = Room(start.rig, tuple(places), tuple(planes))
     patches = patches_of(stations, plane_of)
     reach = _reach(room, in_front(room, patches))
     # Weakly determined lens terms would compensate for wrong ties.
@@ -178,7 +178,7 @@ def _reach(room: Room, patches: Sequence[Patch]) -> float:
 def _repeats(room: Room, reach: float) -> list[int]:
     """How many stations stand where each does: smooth errors are the same in all of them."""
 
-    def same(a: Motion, b: Motion) -> bool:
+    def same(a: Pose, b: Pose) -> bool:
         apart = float(np.linalg.norm(a.translation - b.translation))
         turned = float(np.linalg.norm(a.rotation - b.rotation)) / np.sqrt(2)
         return apart < _SAME_PLACE * reach and turned < _SAME_PLACE

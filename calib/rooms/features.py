@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.open3d_module import open3d
 from calib.rooms.surfaces import Surfaces
@@ -19,7 +19,7 @@ _ITERATIONS, _CONFIDENCE = 50_000, 0.999
 _SEEDS = (0, 1, 2)
 
 
-def feature_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
+def feature_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
     """X_first = R X_second + t, as several runs suppose it. Raises ImportError where Open3D cannot be loaded."""
     o3d = open3d()
     voxel = max(_extent(first), _extent(second)) / _VOXELS_ACROSS
@@ -39,7 +39,7 @@ def feature_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
     return [_ransac(clouds, features, voxel, seed) for seed in _SEEDS]
 
 
-def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> Motion:
+def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> Pose:
     o3d = open3d()
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
@@ -59,7 +59,7 @@ def _ransac(clouds: list[Any], features: list[Any], voxel: float, seed: int) -> 
         registration.RANSACConvergenceCriteria(_ITERATIONS, _CONFIDENCE),
     )
     pose: Floats = np.asarray(found.transformation, np.float64)
-    return Motion(pose[:3, :3].copy(), pose[:3, 3].copy())
+    return Pose(pose[:3, :3].copy(), pose[:3, 3].copy())
 
 
 def _extent(surfaces: Surfaces) -> float:

@@ -11,10 +11,10 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import STILL, Motion, nearest_rotation
+from calib.geometry import IDENTITY, Pose, nearest_rotation
 from calib.numerics import Bools, Floats, Ints, distinct
 from calib.rooms.agreement import COARSE, FINE, compare, compare_one, gain, nats_of_tilt
-from calib.rooms.alignment import are_near, normal_equations, settled
+from calib.rooms.alignment import normal_equations, settled
 from calib.rooms.features import feature_poses
 from calib.rooms.marked_poses import marked_poses
 from calib.rooms.surfaces import Surfaces
@@ -38,7 +38,7 @@ _HOLDING_PATCHES = 20
 class Hypothesis:
     """X_first = R X_second + t, the evidence of the overlap in nats, and the contradicting share."""
 
-    pose: Motion
+    pose: Pose
     nats: float
     contradiction: float
 
@@ -49,25 +49,23 @@ def hypotheses(first: Surfaces, second: Surfaces) -> list[Hypothesis]:
     Marks of the pictures suggest some. Features of the surfaces are asked where planes are too few to fix a pose; and
     the rig may hardly have been moved at all.
     """
-    rotations, translations = _suggested(first, second)
-    others = [STILL, *marked_poses(first, second)]
+    by_planes, further = _suggested(first, second), [IDENTITY, *marked_poses(first, second)]
     if min(_fixed_directions(first), _fixed_directions(second)) < 3:
-        others += feature_poses(first, second)
-    rotations = np.concatenate([rotations, np.stack([pose.rotation for pose in others])])
-    translations = np.concatenate([translations, np.stack([pose.translation for pose in others])])
-    coarse = compare(first, second, rotations, translations, COARSE, _COARSE_PATCHES)
+        further += feature_poses(first, second)
+    poses = Pose.concatenate([by_planes, Pose.stack(further)])
+    coarse = compare(first, second, poses, COARSE, _COARSE_PATCHES)
     thinned = max(1.0, len(first.patches) / _COARSE_PATCHES)
-    worth = gain([coarse], thinned) - nats_of_tilt(rotations)
-    worth[len(worth) - len(others) :] += 1e6  # they are few, and each is evaluated
+    worth = gain([coarse], thinned) - nats_of_tilt(poses)
+    worth[len(worth) - len(further) :] += 1e6  # they are few, and each is evaluated
     size = _SAME_PLACE * (first.distance + second.distance) / 2
-    found = []
-    for k in _distinct(rotations, translations, worth, size, _REFINED):
-        pose = refined(first, second, Motion(rotations[k], translations[k]))
-        found.append(judged(first, second, _slid(first, second, pose)))
-    found.sort(key=lambda each: -each.nats)
-    poses = np.stack([each.pose.rotation for each in found]), np.stack([each.pose.translation for each in found])
-    kept = _distinct(*poses, np.array([each.nats for each in found]), size, _KEPT)
-    return [found[k] for k in kept if found[k].nats > _LEAST_NATS]
+    judgements = []
+    for k in _distinct(poses, worth, size, _REFINED):
+        pose = refined(first, second, poses[k])
+        judgements.append(judged(first, second, _slid(first, second, pose)))
+    judgements.sort(key=lambda hypothesis: -hypothesis.nats)
+    nats = np.array([hypothesis.nats for hypothesis in judgements])
+    kept = _distinct(Pose.stack([hypothesis.pose for hypothesis in judgements]), nats, size, _KEPT)
+    return [judgements[k] for k in kept if judgements[k].nats > _LEAST_NATS]
 
 
 def _fixed_directions(surfaces: Surfaces) -> int:
@@ -76,57 +74,52 @@ def _fixed_directions(surfaces: Surfaces) -> int:
     return int(np.count_nonzero(np.linalg.svd(normals, compute_uv=False) > _LEAST_SINE)) if len(normals) else 0
 
 
-def refined(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
+def refined(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
     """The pose at which the second station's surfaces fit the first one's."""
-    return settled(second, pose, [(first, STILL)], (COARSE, FINE), _SETTLING_PATCHES)
+    return settled(second, pose, [(first, IDENTITY)], (COARSE, FINE), _SETTLING_PATCHES)
 
 
-def _slid(first: Surfaces, second: Surfaces, pose: Motion) -> Motion:
+def _slid(first: Surfaces, second: Surfaces, pose: Pose) -> Pose:
     """The pose, or a likelier one a little further along the direction that holds the second station least: what holds
     it there, the side of a cupboard, may have been too far off to be found.
     """
-    shifts = normal_equations(second, pose, first, STILL, FINE, _SETTLING_PATCHES).matrix[3:, 3:]
+    shifts = normal_equations(second, pose, first, IDENTITY, FINE, _SETTLING_PATCHES).matrix[3:, 3:]
     along = np.linalg.eigh(shifts)[1][:, 0]
     steps = _SLIDES * (first.distance + second.distance) / 2
-    translations = pose.translation + steps[:, None] * along
-    rotations = np.broadcast_to(pose.rotation, (len(steps), 3, 3))
-    best = int(np.argmax(gain([compare(first, second, rotations, translations, FINE)])))
+    poses = Pose(np.broadcast_to(pose.rotation, (len(steps), 3, 3)), pose.translation + steps[:, None] * along)
+    best = int(np.argmax(gain([compare(first, second, poses, FINE)])))
     if steps[best] == 0.0:
         return pose
-    return settled(second, Motion(pose.rotation, translations[best]), [(first, STILL)], (FINE,), _SETTLING_PATCHES)
+    return settled(second, poses[best], [(first, IDENTITY)], (FINE,), _SETTLING_PATCHES)
 
 
-def judged(first: Surfaces, second: Surfaces, pose: Motion) -> Hypothesis:
+def judged(first: Surfaces, second: Surfaces, pose: Pose) -> Hypothesis:
     """What is to be thought of a pose."""
     seen = compare_one(first, second, pose)
-    nats = float(gain([seen])[0] - nats_of_tilt(pose.rotation[None])[0])
+    nats = float(gain([seen])[0] - nats_of_tilt(pose))
     return Hypothesis(pose, nats, float(seen.contradiction[0]))
 
 
-def _distinct(rotations: Floats, translations: Floats, worth: Floats, size: float, most: int) -> list[int]:
+def _distinct(poses: Pose, worth: Floats, size: float, most: int) -> list[int]:
     """Indices of the best of K poses, each unlike the better ones."""
     order = np.argsort(-worth, kind="stable")
-    rotations, translations = rotations[order], translations[order]
-
-    def alike(k: int) -> Bools:
-        return are_near(rotations, translations, Motion(rotations[k], translations[k]), _SAME_ROTATION, size)
-
-    return [int(order[k]) for k in distinct(len(order), alike, most)]
+    ordered = poses[order]
+    alike = distinct(len(order), lambda k: ordered.is_near(ordered[k], _SAME_ROTATION, size), most)
+    return [int(order[k]) for k in alike]
 
 
-def _suggested(first: Surfaces, second: Surfaces) -> tuple[Floats, Floats]:
-    """Rotations (K, 3, 3) and translations (K, 3) from planes."""
+def _suggested(first: Surfaces, second: Surfaces) -> Pose:
+    """Poses (K,) from planes."""
     largest = [np.argsort(-each.plane_area, kind="stable")[:_MOST_PLANES] for each in (first, second)]
     a, b = (each.planes[order] for each, order in zip((first, second), largest, strict=True))
     area = np.minimum(first.plane_area[largest[0]][:, None], second.plane_area[largest[1]][None])
-    rotations, translations = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+    poses = [Pose.stack([])]
     reach = 1.2 * (first.distance + second.distance)
     for rotation in _rotations(a[:, :3], b[:, :3], area):
         alike = (a[:, :3] @ rotation @ b[:, :3].T > _LIKE_NORMALS) & (area > 2)
         shifts = _translations(a, b, alike, area, reach)
-        translations.append(shifts)
-        rotations.append(np.broadcast_to(rotation, (len(shifts), 3, 3)))
-    return np.concatenate(rotations), np.concatenate(translations)
+        poses.append(Pose(np.broadcast_to(rotation, (len(shifts), 3, 3)), shifts))
+    return Pose.concatenate(poses)
 
 
 def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
@@ -139,15 +132,15 @@ def _rotations(a: Floats, b: Floats, area: Ints) -> list[Floats]:
     i, j = np.nonzero(np.abs(off) < _LIKE_ANGLES)
     if len(i) == 0:
         return []
-    found = np.einsum("kij,klj->kil", frames_a[i], frames_b[j])
-    votes = np.zeros(len(found))
-    for start in range(0, len(found), 4096):
-        some = found[start : start + 4096]
+    turns = np.einsum("kij,klj->kil", frames_a[i], frames_b[j])
+    votes = np.zeros(len(turns))
+    for start in range(0, len(turns), 4096):
+        some = turns[start : start + 4096]
         alike = np.einsum("pi,kij,qj->kpq", a, some, b, optimize=True) > _LIKE_NORMALS
         votes[start : start + 4096] = np.sum(np.where(alike, np.sqrt(area), 0.0), axis=(1, 2))
-    worth = votes * np.exp(-nats_of_tilt(found) / 4)
-    kept = _distinct(found, np.zeros((len(found), 3)), worth, 1.0, _MOST_ROTATIONS)
-    return [_fitted(found[k], a, b, area) for k in kept]
+    poses = Pose(turns, np.zeros((len(turns), 3)))
+    worth = votes * np.exp(-nats_of_tilt(poses) / 4)
+    return [_fitted(turns[k], a, b, area) for k in _distinct(poses, worth, 1.0, _MOST_ROTATIONS)]
 
 
 def _frames(normals: Floats, pairs: list[tuple[int, int]]) -> tuple[Floats, Floats]:

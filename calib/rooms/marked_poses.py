@@ -5,7 +5,7 @@ Fischler and Bolles, "Random sample consensus", 1981; the pose through three poi
 
 import numpy as np
 
-from calib.geometry import Motion, nearest_rotation
+from calib.geometry import Pose, nearest_rotation
 from calib.numerics import Bools, Floats
 from calib.rooms.agreement import COARSE
 from calib.rooms.marks import alike
@@ -18,11 +18,11 @@ _ROUNDS = 3
 _MOST = 3
 
 
-def marked_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
+def marked_poses(first: Surfaces, second: Surfaces) -> list[Pose]:
     """Poses X_first = R X_second + t with the most coinciding marks; none with fewer than five."""
     own, other = alike(first.marks, second.marks)
     here, there = first.marks.points[own], second.marks.points[other]
-    found: list[Motion] = []
+    found: list[Pose] = []
     left = np.ones(len(own), np.bool_)
     rng = np.random.default_rng(0)
     while len(found) < _MOST and np.count_nonzero(left) >= _FEWEST:
@@ -34,7 +34,7 @@ def marked_poses(first: Surfaces, second: Surfaces) -> list[Motion]:
     return found
 
 
-def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[Motion | None, Bools]:
+def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[Pose | None, Bools]:
     """The pose that brings most points `there` (M, 3) to those `here`, and which of them (M,)."""
     within = COARSE * here[:, 2]
     three = rng.integers(0, len(here), (_DRAWN, 3))
@@ -43,20 +43,19 @@ def _likeliest(here: Floats, there: Floats, rng: np.random.Generator) -> tuple[M
     three = three[wide & (np.abs(sides[0] - sides[1]).max(axis=1) < 2 * within[three].min(axis=1))]
     if len(three) == 0:
         return None, np.zeros(len(here), np.bool_)
-    rotations, translations = rigid(here[three], there[three])
-    off = np.einsum("kij,nj->kni", rotations, there) + translations[:, None] - here
+    off = rigid(here[three], there[three]) @ there - here
     near = np.linalg.norm(off, axis=2) < within
     best = near[int(np.argmax(np.count_nonzero(near, axis=1)))]
     for _ in range(_ROUNDS):
-        rotation, translation = (each[0] for each in rigid(here[best][None], there[best][None]))
-        best = np.linalg.norm(there @ rotation.T + translation - here, axis=1) < within
+        pose = rigid(here[best][None], there[best][None])[0]
+        best = np.linalg.norm(pose @ there - here, axis=1) < within
         if np.count_nonzero(best) < 3:
             return None, best
-    return Motion(rotation, translation), best
+    return pose, best
 
 
-def rigid(here: Floats, there: Floats) -> tuple[Floats, Floats]:
-    """Rotations (K, 3, 3) and translations (K, 3) that bring points `there` (K, M, 3) nearest to those `here`."""
-    middle, other = here.mean(axis=1), there.mean(axis=1)
-    rotations = nearest_rotation(np.swapaxes(here - middle[:, None], 1, 2) @ (there - other[:, None]))
-    return rotations, middle - np.einsum("kij,kj->ki", rotations, other)
+def rigid(here: Floats, there: Floats) -> Pose:
+    """The poses (K,) that bring points `there` (K, M, 3) nearest to those `here`."""
+    to, of = here.mean(axis=1), there.mean(axis=1)
+    rotations = nearest_rotation(np.swapaxes(here - to[:, None], 1, 2) @ (there - of[:, None]))
+    return Pose(rotations, to - np.einsum("kij,kj->ki", rotations, of))

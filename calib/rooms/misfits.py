@@ -10,10 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.rooms.agreement import COARSE, compare_one
-from calib.rooms.alignment import composed, inverse, normal_equations
+from calib.rooms.alignment import normal_equations
 from calib.rooms.surfaces import Surfaces
 
 _MOST_CONTRADICTION = 0.05
@@ -54,11 +54,11 @@ class Misfit:
         return ""
 
 
-def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> Misfit | None:
+def worst_misfit(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> Misfit | None:
     """The station of a group that fits the others worst; None where only two overlap, for none is then to blame."""
     sums: dict[tuple[int, int], Floats] = {}
     for i, j in combinations(places, 2):
-        seen = compare_one(surfaces[i], surfaces[j], composed(inverse(places[i]), places[j]))
+        seen = compare_one(surfaces[i], surfaces[j], places[i].inverse() @ places[j])
         if seen.agreeing[0] + seen.contradicting[0] < _LEAST_PATCHES:
             continue
         fit = normal_equations(surfaces[i], places[i], surfaces[j], places[j], COARSE)

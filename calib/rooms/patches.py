@@ -5,13 +5,13 @@ cells are summed over these 24 columns, and the sums are transferred to the room
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.geometry import cross, tangent_basis, unproject
 from calib.numerics import Floats, Ints
-from calib.refinement import PER_CORNER, PER_POSE, SHARED, Cells, FurtherPlane, Pose, State, predict
+from calib.refinement import PER_CORNER, PER_POSE, SHARED, Cells, FurtherPlane, PlacedCorner, predict
 from calib.rooms.planes import PER_PLANE
 from calib.rooms.room import PER_PLACE, Room
 
@@ -46,9 +46,8 @@ class Patch:
         axes = np.stack([plane.normal, *tangent_basis(plane.normal).T]) @ place.rotation
         height = plane.offset - float(plane.normal @ place.translation)
         free = (np.inf, np.inf)
-        pose = Pose(np.eye(3), np.zeros(3), planes=(FurtherPlane(axes, np.zeros(2), height, free),))
-        rig = room.rig
-        state = State(rig.camera, rig.projector, rig.rotation, rig.translation, np.zeros((1, PER_CORNER)), (pose,))
+        corner = PlacedCorner(np.eye(3), np.zeros(3), planes=(FurtherPlane(axes, np.zeros(2), height, free),))
+        state = replace(room.rig, off_square=np.zeros((1, PER_CORNER)), corners=(corner,))
         predicted, jacobian, depths = predict(state, pixels, np.full(len(pixels), _FURTHER, np.int32))
         return predicted, np.ascontiguousarray(jacobian[:, :, _OF_PLANE]), depths
 
@@ -57,7 +56,7 @@ class Patch:
         rays, _ = unproject(room.rig.camera, self.cells.camera_px)
         _, _, depths = self.predict(room)
         place = room.places[self.station]
-        return (rays * depths[:, :1]) @ place.rotation.T + place.translation
+        return place @ (rays * depths[:, :1])
 
     def columns(self, room: Room) -> Ints:
         """The room's columns that it depends on, (30,): those of the rig, its station's place and its plane."""

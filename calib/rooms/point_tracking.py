@@ -131,7 +131,7 @@ def _common(
             return axes, np.zeros(2), 1.0, (0, 0)
         place = room.places[station]
         rays, _ = unproject(room.rig.camera, step * np.stack([column, row], axis=1).astype(np.float64))
-        turned = rays @ place.rotation.T
+        turned = place.rotate(rays)
         depth = (wall.offset - float(wall.normal @ place.translation)) / (turned @ wall.normal)
         at = (depth[:, None] * turned + place.translation) @ axes
         lows.append(np.percentile(at, 1, axis=0))
@@ -146,7 +146,7 @@ def _common(
 def _seen_at(room: Room, station: int, points: Floats) -> Floats:
     """Camera pixels (N, 2) of points (N, 3) of the room, NaN behind the camera."""
     place = room.places[station]
-    own = (points - place.translation) @ place.rotation
+    own = place.undo(points)
     pixels, _, _ = project(room.rig.camera, own)
     return np.where(own[:, 2:] > 0, pixels, np.nan)
 

@@ -12,7 +12,7 @@ from calib.refinement import (
     TRANSLATION,
     Knowledge,
     KnownRig,
-    Pose,
+    PlacedCorner,
     State,
     inverse_of,
 )
@@ -37,9 +37,8 @@ class RigPrior:
         """What is known of any rig of its image sizes, and of this one's principal point: the prior for stations from
         whose own matches the start was calibrated, which must not count twice.
         """
-        pose = Pose(np.eye(3), np.zeros(3))
-        layout = State(start.camera, start.projector, start.rotation, start.translation, np.zeros((1, 3)), (pose,))
-        prior = knowledge.prior(layout)
+        corner = PlacedCorner(np.eye(3), np.zeros(3))
+        prior = knowledge.prior(replace(start.rig, off_square=np.zeros((1, 3)), corners=(corner,)))
         mean = start.moved(_to_mean(start, prior.mean[:SHARED], prior.sigma[:SHARED]))
         precision = np.diag(prior.root_precision[:SHARED] ** 2)
         return cls(mean, precision, prior.sigma[:SHARED] == 0)
@@ -54,12 +53,12 @@ class RigPrior:
         precision = np.zeros((SHARED, SHARED))
         safe = KnownRig(calibrated, of_rig).safe_covariance
         precision[np.ix_(~known, ~known)] = inverse_of(safe[np.ix_(~known, ~known)])
-        return cls(rig_of(calibrated), precision, known)
+        return cls(calibrated.rig, precision, known)
 
     @classmethod
     def exactly(cls, calibrated: State) -> "RigPrior":
         """The rig as it was calibrated, all of it held."""
-        return cls(rig_of(calibrated), np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
+        return cls(calibrated.rig, np.zeros((SHARED, SHARED)), np.ones(SHARED, np.bool_))
 
     def holding(self, columns: Sequence[int]) -> "RigPrior":
         """The same with some columns held where the start has them."""
@@ -71,21 +70,17 @@ class RigPrior:
     def cost(self, rig: State) -> tuple[float, Floats, Floats]:
         """Of a rig, with half its gradient (21,) and Hessian (21, 21) in the coordinates of a step from it."""
         by_step = np.eye(SHARED)
-        by_step[TRANSLATION, TRANSLATION] = tangent_basis(self.mean.translation).T @ tangent_basis(rig.translation)
+        mean, own = (tangent_basis(state.pose.translation) for state in (self.mean, rig))
+        by_step[TRANSLATION, TRANSLATION] = mean.T @ own
         deviation = self.mean.step_to(rig)
         pull = self.precision @ deviation
         return float(deviation @ pull), by_step.T @ pull, by_step.T @ self.precision @ by_step
 
 
-def rig_of(state: State) -> State:
-    """A state's rig, without corners."""
-    return State(state.camera, state.projector, state.rotation, state.translation, np.zeros((0, 3)), ())
-
-
 def _to_mean(start: State, mean: Floats, sigma: Floats) -> Floats:
     """The step (21,) to the mean of parameters with a prior; zero for others."""
     has_prior = np.isfinite(sigma) & (sigma > 0)
-    return np.where(has_prior, mean - rig_of(start).additive(), 0.0)
+    return np.where(has_prior, mean - start.rig.additive(), 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from calib.geometry import STILL, Motion
+from calib.geometry import IDENTITY, Pose
 from calib.rooms.agreement import DECIDED_NATS, NATS_OF_POSE, compare_one
-from calib.rooms.alignment import composed, inverse, normal_equations
+from calib.rooms.alignment import normal_equations
 from calib.rooms.assembly import Assembly, Edges, assemble
 from calib.rooms.hypotheses import hypotheses, judged, refined
 from calib.rooms.misfits import worst_misfit
@@ -29,7 +29,7 @@ _TOO_LITTLE = "it shares too little with the other stations to find its pose, or
 class Alternative:
     """Other places of a group's stations that are not ruled out, and by how many nats they are behind."""
 
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     behind_nats: float
 
 
@@ -44,7 +44,7 @@ class Group:
     """
 
     stations: tuple[int, ...]
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     planes: tuple[RoomPlane, ...]
     plane_of: tuple[tuple[int, ...], ...]
     alternatives: tuple[Alternative, ...]
@@ -69,7 +69,7 @@ class Pair:
     first: int
     second: int
     overlap: float
-    pose: Motion
+    pose: Pose
     nats: float
     contradiction: float
     residual: float
@@ -157,12 +157,12 @@ def _group(surfaces: Mapping[int, Surfaces], best: Assembly, rivals: Sequence[As
 def _pairs(surfaces: Mapping[int, Surfaces], group: Group) -> list[Pair]:
     found = []
     for (i, at), (j, there) in combinations(zip(group.stations, group.places, strict=True), 2):
-        pose = composed(inverse(at), there)
+        pose = at.inverse() @ there
         seen = compare_one(surfaces[i], surfaces[j], pose)
         overlap = float(seen.agreeing[0]) / (len(surfaces[i].patches) + len(surfaces[j].patches))
         if overlap < _LEAST_OVERLAP:
             continue
-        fit = normal_equations(surfaces[j], pose, surfaces[i], STILL, 0.01)
+        fit = normal_equations(surfaces[j], pose, surfaces[i], IDENTITY, 0.01)
         alone = refined(surfaces[i], surfaces[j], pose)
         found.append(
             Pair(

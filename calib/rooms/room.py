@@ -10,9 +10,8 @@ normal, and its offset.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion, rotation_about, tangent_basis
+from calib.geometry import Pose, tangent_basis
 from calib.numerics import Floats
 from calib.refinement import SHARED, State
 from calib.rooms.planes import PER_PLANE, RoomPlane
@@ -25,7 +24,7 @@ class Room:
     """`rig`: a state without corners. `places`: of the stations, X_room = rotation X_camera + translation."""
 
     rig: State
-    places: tuple[Motion, ...]
+    places: tuple[Pose, ...]
     planes: tuple[RoomPlane, ...]
 
     @property
@@ -46,7 +45,7 @@ class Room:
         """The room after a step (size,) in the columns' coordinates."""
         return Room(
             self.rig.moved(step[:SHARED]),
-            tuple(moved_place(place, step[self.place_columns(i)]) for i, place in enumerate(self.places)),
+            tuple(place.retract(step[self.place_columns(i)]) for i, place in enumerate(self.places)),
             tuple(moved_plane(plane, step[self.plane_columns(i)]) for i, plane in enumerate(self.planes)),
         )
 
@@ -55,17 +54,11 @@ class Room:
         step = np.zeros(self.size)
         step[:SHARED] = self.rig.step_to(other.rig)
         for i, (here, there) in enumerate(zip(self.places, other.places, strict=True)):
-            turn = Rotation.from_matrix(there.rotation @ here.rotation.T).as_rotvec()
-            step[self.place_columns(i)] = [*turn, *(there.translation - here.translation)]
+            step[self.place_columns(i)] = here.local(there)
         for i, (plane, true) in enumerate(zip(self.planes, other.planes, strict=True)):
             tilt = tangent_basis(plane.normal).T @ true.normal / (plane.normal @ true.normal)
             step[self.plane_columns(i)] = [*tilt, true.offset - plane.offset]
         return step
-
-
-def moved_place(place: Motion, step: Floats) -> Motion:
-    """A pose after a step (6,): a rotation about the axes of the common frame, and a translation."""
-    return Motion(rotation_about(step[:3]) @ place.rotation, place.translation + step[3:])
 
 
 def moved_plane(plane: RoomPlane, step: Floats) -> RoomPlane:

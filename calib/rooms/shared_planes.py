@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.rooms.agreement import compare_one
-from calib.rooms.alignment import composed, inverse
 from calib.rooms.planes import RoomPlane, plane_through
 from calib.rooms.surfaces import Surfaces
 
@@ -33,7 +32,7 @@ class SharedPlanes:
     plane_of: dict[int, tuple[int, ...]]
 
 
-def shared_planes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> SharedPlanes:
+def shared_planes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> SharedPlanes:
     """Of stations at `places` in the room."""
     classes = _classes(surfaces, places)
     planes = tuple(_plane(surfaces, places, members) for members in classes)
@@ -48,7 +47,7 @@ def patches_on(surfaces: Surfaces, label: int) -> Floats:
     return on
 
 
-def _classes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> list[list[Segment]]:
+def _classes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> list[list[Segment]]:
     member_of: dict[Segment, list[Segment]] = {
         (k, label): [(k, label)]
         for k in places
@@ -69,13 +68,13 @@ def _classes(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> 
     return sorted(distinct.values(), key=lambda members: (-len(members), members))
 
 
-def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> list[tuple[int, Segment, Segment]]:
+def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose]) -> list[tuple[int, Segment, Segment]]:
     """Pairs of coinciding segments, and the number of patches as evidence."""
     found = []
     names = sorted(places)
     for n, i in enumerate(names):
         for j in names[n + 1 :]:
-            pose = composed(inverse(places[i]), places[j])
+            pose = places[i].inverse() @ places[j]
             matched = compare_one(surfaces[i], surfaces[j], pose).matched[0, :-1, :-1]
             for a, b in np.argwhere(matched >= _FEWEST):
                 if _one_plane(surfaces[i], int(a), surfaces[j], int(b), pose):
@@ -83,22 +82,22 @@ def _links(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion]) -> li
     return found
 
 
-def _one_plane(first: Surfaces, a: int, second: Surfaces, b: int, pose: Motion) -> bool:
+def _one_plane(first: Surfaces, a: int, second: Surfaces, b: int, pose: Pose) -> bool:
     """Whether two segments coincide where they are near each other; `pose`: X_first = R X_second + t."""
-    moved = patches_on(second, b) @ pose.rotation.T + pose.translation
+    moved = pose @ patches_on(second, b)
     own = patches_on(first, a)
     off = moved @ first.planes[a, :3] - first.planes[a, 3]
-    back = (own - pose.translation) @ pose.rotation @ second.planes[b, :3] - second.planes[b, 3]
+    back = pose.undo(own) @ second.planes[b, :3] - second.planes[b, 3]
     apart = min(abs(float(np.median(each))) for each in (off, back))
     return apart < _APART * (first.distance + second.distance) / 2
 
 
-def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Motion], members: Sequence[Segment]) -> RoomPlane:
+def _plane(surfaces: Mapping[int, Surfaces], places: Mapping[int, Pose], members: Sequence[Segment]) -> RoomPlane:
     """Least squares through all patches, distant ones weighing less, in the room's frame."""
     points, weights, eyes = [], [], []
     for k, label in members:
         own = patches_on(surfaces[k], label)
-        points.append(own @ places[k].rotation.T + places[k].translation)
+        points.append(places[k] @ own)
         weights.append(1 / own[:, 2] ** 2)
         eyes.append(places[k].translation)
     return plane_through(np.concatenate(points), np.concatenate(weights), np.mean(eyes, axis=0))

@@ -45,7 +45,7 @@ class Track:
         for i, (station, pixels, sign) in enumerate(zip((self.first, self.second), self.pixels, (1, -1), strict=True)):
             place = room.places[station]
             rays, by_camera = unproject(room.rig.camera, pixels)
-            turned = rays @ place.rotation.T
+            turned = place.rotate(rays)
             facing = turned @ plane.normal
             depth = (plane.offset - float(plane.normal @ place.translation)) / facing
             at = depth[:, None] * turned

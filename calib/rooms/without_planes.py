@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.geometry import Matches, Motion, unproject
+from calib.geometry import Matches, Pose, unproject
 from calib.numerics import Floats
 from calib.refinement import Noise, State, covariance_of, depths
 from calib.refusal import RefusalError
@@ -15,7 +15,7 @@ from calib.rooms.contacts import SMOOTH, Contact, find_contacts
 from calib.rooms.estimate import NEAR, RoomEstimate, undetermined_in
 from calib.rooms.likelihood import minimise
 from calib.rooms.noise import Levels
-from calib.rooms.priors import RigPrior, RoomPrior, rig_of
+from calib.rooms.priors import RigPrior, RoomPrior
 from calib.rooms.room import Room
 
 _MATCH_PX = 1 / np.sqrt(12.0)  # sigma of plain Gray code, if matches do not state theirs
@@ -23,13 +23,13 @@ _FREE_ROTATION = 1.0  # sigma of an unconstrained rotation, in radians
 
 
 def estimate_without_planes(
-    loose: Sequence[Matches], places: Sequence[Motion], start: State, prior: RigPrior
+    loose: Sequence[Matches], places: Sequence[Pose], start: State, prior: RigPrior
 ) -> RoomEstimate:
     """From all matches of the stations, `places` as registered, and a calibrated rig, all in baselines.
 
     Raises RefusalError if no two stations share a surface.
     """
-    room = Room(rig_of(start), tuple(places), ())
+    room = Room(start.rig, tuple(places), ())
     reach = _reach(loose, room.rig)
     known = RoomPrior.of(prior, (), 0.0, room, (_FREE_ROTATION, reach))
     free = known.free(np.zeros(0, np.bool_))

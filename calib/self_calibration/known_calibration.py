@@ -60,12 +60,8 @@ class KnownCalibration:
         baseline = self.calibration.baseline * np.exp(log_baseline)
         own = (known / self.calibration.baseline) ** 2 - gain @ self.uncertainty.covariance @ gain
         variance = max(float(own), 0.0) + float(gain @ uncertainty.covariance @ gain)
-        return replace(
-            calibration,
-            translation=calibration.translation * (baseline / calibration.baseline),
-            unit=self.calibration.unit,
-            sigma=replace(calibration.sigma, known_baseline=float(baseline * np.sqrt(variance))),
-        )
+        sigma = replace(calibration.sigma, known_baseline=float(baseline * np.sqrt(variance)))
+        return replace(calibration.scaled(baseline / calibration.baseline, self.calibration.unit), sigma=sigma)
 
 
 def _squared(device: Intrinsics, pixels: Floats) -> Floats:

@@ -20,7 +20,7 @@ from calib.diagnostics import (
     sigmas_of,
     uncertainty_of,
 )
-from calib.geometry import Corner, Matches, Motion, TooFewMatchesError, before_the_matches, unproject
+from calib.geometry import Corner, Matches, Pose, TooFewMatchesError, before_the_matches, unproject
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     ORDINARY_LENSES,
@@ -111,7 +111,7 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
         alone, covariance = _one_pair(refinement, i)
         sigmas = sigmas_of(alone, covariance)
         calibration = calibration_of(alone, knowledge.camera_size, knowledge.camera_size, sigmas)
-        corner, residual_px = before_the_matches(Corner(alone.poses[0].vertex, alone.legs(0)), calibration, matches)
+        corner, residual_px = before_the_matches(Corner(alone.corners[0].vertex, alone.legs(0)), calibration, matches)
         columns = _columns_of_pair(state, i)
         information = refinement.fit.information[np.ix_(columns, columns)]
         prior = knowledge.prior(alone)
@@ -125,12 +125,11 @@ def _solutions(refinement: Refinement, knowledge: Knowledge, pairs: Sequence[Mat
 def _one_pair(refinement: Refinement, pair: int) -> tuple[State, Floats]:
     """Return the two-photo state of one pair, in units of its own baseline, with its covariance."""
     state = refinement.fit.state
-    motion, pose = state.motion(pair), state.poses[0]
+    pose, corner = state.pose_of(pair), state.corners[0]
     alone = replace(
         state,
-        rotation=motion.rotation,
-        translation=motion.translation / motion.length,
-        poses=(replace(pose, vertex=pose.vertex / motion.length),),
+        pose=pose.in_baselines,
+        corners=(replace(corner, vertex=corner.vertex / pose.distance),),
         further=(),
     )
     columns = _columns_of_pair(state, pair)
@@ -148,7 +147,7 @@ def _with_all(pairs: Sequence[Cells], fit: Fit, knowledge: Knowledge, variance: 
     return evaluate(pairs, state, knowledge.prior(state), [np.full(len(cells), variance) for cells in pairs])
 
 
-def _placed(cells: Cells, state: State) -> Motion:
+def _placed(cells: Cells, state: State) -> Pose:
     """Estimate the pose of a further photo from its matches with the first and the planes they lie on."""
     points = state.points(cells.camera_px, cells.plane)
     rays, _ = unproject(state.camera, cells.projector_px)
@@ -156,5 +155,5 @@ def _placed(cells: Cells, state: State) -> Motion:
         points, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
     )
     if not placed:
-        return Motion(state.rotation, state.translation)
-    return Motion(np.asarray(cv2.Rodrigues(rotation)[0], np.float64), np.asarray(translation, np.float64).ravel())
+        return state.pose
+    return Pose.from_vector(np.concatenate([rotation, translation]).astype(np.float64).ravel())

@@ -22,7 +22,7 @@ from calib.diagnostics import (
     uncertainty_of,
 )
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Calibration, Corner, Intrinsics, Matches, TooFewMatchesError, before_the_matches
+from calib.geometry import Calibration, Corner, Intrinsics, Matches, Pose, TooFewMatchesError, before_the_matches
 from calib.numerics import Floats, Ints, singular_refused
 from calib.refinement import (
     CAMERA,
@@ -267,8 +267,7 @@ def _by_paper(
             (float(matrix[0, 0]), float(matrix[1, 1])),
             (float(matrix[0, 2]), float(matrix[1, 2])),
         ),
-        best.rotation[0],
-        best.translation[0] / baseline,
+        Pose(best.rotation[0], best.translation[0] / baseline),
     )
     corner, residual_px = before_the_matches(Corner(best.vertex[0] / baseline, best.normals[0]), calibration, matches)
     return SelfCalibration(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics, Matches
+from calib.geometry import Calibration, Intrinsics, Matches, Pose
 from calib.numerics import Floats
 from calib.synthetic.captures import inside, look_at
 
@@ -57,8 +57,8 @@ class SyntheticView:
 class SyntheticBoards:
     """Views with their ground truth.
 
-    Heights are `reach` times a², ab, b² times `bend` (3,), with a, b in units of `reach`. `poses`: of each board its
-    rotation (3, 3) from its own axes and its middle (3,), in the camera's frame.
+    Heights are `reach` times a², ab, b² times `bend` (3,), with a, b in units of `reach`. `poses`: of the boards in
+    the camera's frame; a board's origin is its middle.
     """
 
     views: tuple[SyntheticView, ...]
@@ -66,7 +66,7 @@ class SyntheticBoards:
     options: BoardOptions
     bend: Floats
     reach: float
-    poses: tuple[tuple[Floats, Floats], ...]
+    poses: tuple[Pose, ...]
 
 
 def random_boards(rng: np.random.Generator, options: BoardOptions | None = None, **changes: Any) -> SyntheticBoards:
@@ -82,7 +82,7 @@ def random_boards(rng: np.random.Generator, options: BoardOptions | None = None,
     rotation = Rotation.from_rotvec([-np.arctan(throw), 0, 0]).as_matrix() @ look_at(
         eye, target, np.array([0.0, -1.0, 0.0]), np.radians(rng.normal(0, 2))
     )
-    calibration = Calibration(options.camera, options.projector, rotation, -rotation @ eye, unit="m")
+    calibration = Calibration(options.camera, options.projector, Pose(rotation, -rotation @ eye), unit="m")
     reach = options.square * (max(options.columns, options.rows) + 1) / 2
     bend = rng.normal(0, options.bend, 3)
     views, poses = [], []
@@ -97,8 +97,8 @@ def random_boards(rng: np.random.Generator, options: BoardOptions | None = None,
     raise ValueError("no pose of the board that both devices see whole")
 
 
-def _random_pose(rng: np.random.Generator, options: BoardOptions, calibration: Calibration) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) from the board's axes and its middle (3,) in the camera's frame."""
+def _random_pose(rng: np.random.Generator, options: BoardOptions, calibration: Calibration) -> Pose:
+    """Of a board in the camera's frame."""
     width, height = calibration.camera.size
     pixel = np.array([width, height]) * (0.5 + rng.uniform(-options.aside, options.aside, 2))
     ray = calibration.camera.unproject(pixel[None])[0]
@@ -107,7 +107,7 @@ def _random_pose(rng: np.random.Generator, options: BoardOptions, calibration: C
     tilt = np.radians(rng.uniform(*options.tilt_deg)) * np.array([np.cos(direction), np.sin(direction), 0.0])
     roll = np.radians(rng.uniform(-options.roll_deg, options.roll_deg))
     rotation = Rotation.from_rotvec(tilt).as_matrix() @ Rotation.from_rotvec([0, 0, roll]).as_matrix()
-    return rotation, middle
+    return Pose(rotation, middle)
 
 
 def _seen(
@@ -116,7 +116,7 @@ def _seen(
     rig: Calibration,
     bend: Floats,
     reach: float,
-    pose: tuple[Floats, Floats],
+    pose: Pose,
 ) -> SyntheticView | None:
     """The view of a posed board; None if a part of it is outside of either picture."""
     counts = np.array([options.columns, options.rows])
@@ -126,10 +126,9 @@ def _seen(
     both = np.concatenate([corners, spread])
     a, b = both.T / reach
     heights = reach * np.stack([a * a, a * b, b * b], axis=1) @ bend
-    rotation, middle = pose
-    points = np.concatenate([both, heights[:, None]], axis=1) @ rotation.T + middle
+    points = pose @ np.concatenate([both, heights[:, None]], axis=1)
     camera_px = rig.camera.project(points)
-    projector_px = rig.projector.project(points @ rig.rotation.T + rig.translation)
+    projector_px = rig.projector.project(rig.pose @ points)
     if not (inside(camera_px, rig.camera).all() and inside(projector_px, rig.projector).all()):
         return None
     corners_px = camera_px[: len(corners)] + rng.normal(0, options.corner_px, corners.shape)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Corner, Intrinsics, Matches
+from calib.geometry import Calibration, Corner, Intrinsics, Matches, Pose
 from calib.numerics import Bools, Floats, Ints
 
 
@@ -140,7 +140,9 @@ def _one_capture(
     camera_eye = rng.uniform(*options.distance) * direction / np.linalg.norm(direction)
     up = np.array([0.0, 0.0, 1.0])
     spread = 0.05 * np.linalg.norm(camera_eye)
-    world_to_camera = look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+    to_camera = Pose(
+        look_at(camera_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll)).T, camera_eye
+    ).inverse()
     if rig is None:
         aside = np.cross(direction, rng.normal(size=3))
         aside /= np.linalg.norm(aside)
@@ -148,22 +150,22 @@ def _one_capture(
             ahead = direction / np.linalg.norm(direction) * rng.choice([-1.0, 1.0])
             aside = np.cos(options.forward) * ahead + np.sin(options.forward) * aside
         projector_eye = camera_eye + rng.uniform(*options.baseline) * aside
-        world_to_projector = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
-        rotation = world_to_projector @ world_to_camera.T
-        translation = world_to_projector @ (camera_eye - projector_eye)
+        turn = look_at(projector_eye, rng.normal(0, spread, 3), up, rng.normal(0, options.roll))
+        pose = Pose(turn.T, projector_eye).inverse() @ to_camera.inverse()
     else:
-        rotation, translation = rig.rotation, rig.translation
-        projector_eye = camera_eye - world_to_camera.T @ rotation.T @ translation
+        pose = rig.pose
+        projector_eye = (pose @ to_camera).inverse().translation
     if np.any(projector_eye < 0.4 * np.transpose(options.slants)[0] * np.linalg.norm(projector_eye)):
         return None
 
-    corner = Corner(-world_to_camera @ camera_eye, legs_world @ world_to_camera.T)
+    corner = Corner(to_camera.translation, to_camera.rotate(legs_world))
 
     pixels = jittered_grid(rng, projector, count)
     normals, heights = corner.normals, corner.normals @ corner.vertex
     if options.parallel_m is not None:
         normals, heights = normals[[0, 1, 0]], heights[[0, 1, 0]] + np.array([0.0, 0.0, options.parallel_m])
-    points, face = cast_rays(projector.unproject(pixels) @ rotation, -rotation.T @ translation, normals, heights)
+    back = pose.inverse()
+    points, face = cast_rays(back.rotate(projector.unproject(pixels)), back.translation, normals, heights)
     camera_px = camera.project(points)
     visible = inside(camera_px, camera)
     camera_px, pixels, face = camera_px[visible], pixels[visible], face[visible]
@@ -176,7 +178,7 @@ def _one_capture(
     face = np.where(wrong, -1, face).astype(np.int32)
     return SyntheticCapture(
         Matches(camera_px, projector_px, face),
-        Calibration(camera, projector, rotation, translation, unit="m"),
+        Calibration(camera, projector, pose, unit="m"),
         corner,
     )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Intrinsics, Matches, Motion
+from calib.geometry import Intrinsics, Matches, Pose
 from calib.numerics import Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
 from calib.synthetic.rooms import RoomOptions, Scene, cast, is_free, on_waves, random_box, random_walls, random_waves
@@ -29,7 +29,7 @@ class SyntheticNetwork:
 
     captures: Mapping[tuple[str, str], Matches]
     devices: Mapping[str, Intrinsics]
-    poses: Mapping[str, Motion]
+    poses: Mapping[str, Pose]
     scene: Scene
 
     @property
@@ -78,8 +78,8 @@ def _varied(rng: np.random.Generator, device: Intrinsics) -> Intrinsics:
     )
 
 
-def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: RoomOptions) -> dict[str, Motion]:
-    poses: dict[str, Motion] = {}
+def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: RoomOptions) -> dict[str, Pose]:
+    poses: dict[str, Pose] = {}
     for name in names:
         while name not in poses:
             eye = np.array(options.size) * rng.uniform((0.4, 0.4, 0.35), (0.9, 0.9, 0.85))
@@ -87,7 +87,7 @@ def _poses(rng: np.random.Generator, names: list[str], scene: Scene, options: Ro
             if near or not is_free(eye, scene):
                 continue
             rotation = look_at(eye, rng.uniform(0.1, 0.6, 3), _UP, rng.normal(0, 0.05))
-            poses[name] = Motion(rotation.T, eye)
+            poses[name] = Pose(rotation.T, eye)
     return poses
 
 
@@ -96,15 +96,15 @@ def _seen(
     options: RoomOptions,
     scene: Scene,
     pair: tuple[Intrinsics, Intrinsics],
-    camera_at: Motion,
-    projector_at: Motion,
+    camera_at: Pose,
+    projector_at: Pose,
 ) -> Matches:
     camera, projector = pair
     pixels = jittered_grid(rng, projector, options.count)
-    rays = projector.unproject(pixels) @ projector_at.rotation.T
+    rays = projector_at.rotate(projector.unproject(pixels))
     points, plane = cast(rays, projector_at.translation, scene)
     points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
-    camera_px = camera.project((points - camera_at.translation) @ camera_at.rotation)
+    camera_px = camera.project(camera_at.undo(points))
     visible = inside(camera_px, camera)
     visible[visible] = cast(points[visible] - camera_at.translation, camera_at.translation, scene)[1] == plane[visible]
     label = np.argsort(_by_label(6 * len(scene.solids)))[plane[visible]].astype(np.int32)

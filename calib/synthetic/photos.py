@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.geometry import Calibration, Corner, Intrinsics, Matches
-from calib.numerics import Floats
+from calib.geometry import Calibration, Corner, Intrinsics, Matches, Pose
 from calib.synthetic.captures import cast_rays, inside, look_at, random_legs
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -74,24 +73,25 @@ def random_photos(
 def _draw(rng: np.random.Generator, options: PhotoOptions) -> SyntheticPhotos | None:
     camera = _camera(rng, options)
     legs = random_legs(rng, options.walls_off_deg)
-    first = rng.uniform(*options.slants, 3)
-    first /= np.linalg.norm(first)
-    eyes = [first]
+    eye = rng.uniform(*options.slants, 3)
+    eye /= np.linalg.norm(eye)
+    eyes = [eye]
     while len(eyes) < options.photos:
-        aside = np.cross(first, rng.normal(size=3))
-        eyes.append(first + options.baseline * aside / np.linalg.norm(aside))
-    if min(eye.min() for eye in eyes) < 0.1:
+        aside = np.cross(eye, rng.normal(size=3))
+        eyes.append(eye + options.baseline * aside / np.linalg.norm(aside))
+    if min(centre.min() for centre in eyes) < 0.1:
         return None
-    rotations = [look_at(eye, rng.normal(0, options.aim, 3), _UP, rng.normal(0, options.roll)) for eye in eyes]
-    corner = Corner(-rotations[0] @ eyes[0], legs @ rotations[0].T)
+    first, *others = (
+        Pose(look_at(eye, rng.normal(0, options.aim, 3), _UP, rng.normal(0, options.roll)).T, eye) for eye in eyes
+    )
+    corner = Corner(first.inverse().translation, first.inverse().rotate(legs))
     pairs = []
-    for eye, world_to_second in zip(eyes[1:], rotations[1:], strict=True):
-        rotation = world_to_second @ rotations[0].T
-        translation = world_to_second @ (eyes[0] - eye)
-        matches = _matches(rng, options, camera, corner, rotation, translation)
+    for second in others:
+        pose = second.inverse() @ first
+        matches = _matches(rng, options, camera, corner, pose)
         if matches is None:
             return None
-        pairs.append((matches, Calibration(camera, camera, rotation, translation / np.linalg.norm(translation))))
+        pairs.append((matches, Calibration(camera, camera, pose.in_baselines)))
     return SyntheticPhotos(tuple(pairs), Corner(corner.vertex / options.baseline, corner.legs))
 
 
@@ -107,13 +107,12 @@ def _matches(
     options: PhotoOptions,
     camera: Intrinsics,
     corner: Corner,
-    rotation: Floats,
-    translation: Floats,
+    pose: Pose,
 ) -> Matches | None:
     """Matches of random points that both photos see; None if a wall has too few of them."""
     pixels = rng.uniform((0, 0), (camera.width - 1, camera.height - 1), (4 * options.count, 2))
     points, face = cast_rays(camera.unproject(pixels), np.zeros(3), corner.normals, corner.normals @ corner.vertex)
-    second = camera.project(points @ rotation.T + translation)
+    second = camera.project(pose @ points)
     visible = np.flatnonzero(inside(second, camera))[: options.count]
     face = face[visible]
     if len(visible) < options.count or np.bincount(face, minlength=3).min() < options.least_share * options.count:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics, Matches
+from calib.geometry import Calibration, Intrinsics, Matches, Pose
 from calib.numerics import Bools, Floats, Ints
 from calib.synthetic.captures import inside, jittered_grid, look_at
 
@@ -56,11 +56,12 @@ class Scene(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SyntheticStation:
-    """`matches`, whose labels are planes of the room (−1: too few), and X_room = rotation X_camera + translation."""
+    """A camera's view of a room."""
 
     matches: Matches
-    rotation: Floats
-    translation: Floats
+    """Labels are planes of the room, −1 on those with too few."""
+    pose: Pose
+    """X_room = R X_camera + t."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ def _random_rig(rng: np.random.Generator, options: RoomOptions) -> Calibration:
     eye = options.baseline * np.array([rng.choice([-1, 1]), rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2)])
     target = np.array([0.0, 0.0, rng.uniform(2.5, 3.5)])
     rotation = look_at(eye, target, np.array([0.0, -1.0, 0.0]), rng.normal(0, np.radians(2)))
-    return Calibration(options.camera, options.projector, rotation, -rotation @ eye, unit="m")
+    return Calibration(options.camera, options.projector, Pose(rotation, -rotation @ eye), unit="m")
 
 
 def random_walls(rng: np.random.Generator, options: RoomOptions) -> tuple[Floats, Floats]:
@@ -139,15 +140,15 @@ def _station(
     centre = np.array([width, depth]) / 2
     eye = np.array([*(centre - 0.26 * across * [width, depth] + rng.normal(0, 0.1, 2)), rng.uniform(1.1, 1.8)])
     target = np.array([*(centre + 0.4 * across * [width, depth] + rng.normal(0, 0.2, 2)), rng.uniform(0.4, 1.3)])
-    to_camera = look_at(eye, target, np.array([0.0, 0.0, 1.0]), rng.normal(0, 0.05))
-    projector_eye = eye + to_camera.T @ rig.projector_centre
+    pose = Pose(look_at(eye, target, np.array([0.0, 0.0, 1.0]), rng.normal(0, 0.05)).T, eye)
+    projector_eye = pose @ rig.projector_centre
     if not (is_free(eye, scene) and is_free(projector_eye, scene)):
         return None
     pixels = jittered_grid(rng, rig.projector, options.count)
-    rays = rig.projector.unproject(pixels) @ (rig.rotation @ to_camera)
+    rays = (pose @ rig.pose.inverse()).rotate(rig.projector.unproject(pixels))
     points, plane = cast(rays, projector_eye, scene)
     points = on_waves(points, plane, rays, scene.solids[0][0], scene.waves)
-    camera_px = rig.camera.project((points - eye) @ to_camera.T)
+    camera_px = rig.camera.project(pose.undo(points))
     visible = inside(camera_px, rig.camera)
     there, again = cast(points[visible] - eye, eye, scene)
     on_ball = again >= _WALLS * len(scene.solids)
@@ -161,7 +162,7 @@ def _station(
         return None
     label = np.where(enough[plane], plane, -1).astype(np.int32)
     noisy = pixels[visible] + rng.normal(0, options.noise_px, (len(plane), 2))
-    return SyntheticStation(Matches(camera_px[visible], noisy, label), to_camera.T, eye)
+    return SyntheticStation(Matches(camera_px[visible], noisy, label), pose)
 
 
 def random_waves(rng: np.random.Generator, options: RoomOptions) -> Floats:

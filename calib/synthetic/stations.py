@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Intrinsics, Motion
+from calib.geometry import Intrinsics, Pose
 from calib.numerics import Bools, Floats, Image
 from calib.synthetic.captures import look_at
 from calib.synthetic.rooms import Scene, box_on, first_hits
@@ -37,7 +37,7 @@ class StationCloud:
     """
 
     points: NDArray[np.float32]
-    place: Motion
+    place: Pose
     picture: Image | None = None
 
 
@@ -104,7 +104,7 @@ def _piece(rng: np.random.Generator, room: Floats) -> tuple[Floats, Floats]:
     return box_on(turned + np.array([room[0], room[1], size[2]]) / 2, size / 2, yaw)
 
 
-def ring(rng: np.random.Generator, room: FurnishedRoom, stations: int, step_deg: float = 60.0) -> list[Motion]:
+def ring(rng: np.random.Generator, room: FurnishedRoom, stations: int, step_deg: float = 60.0) -> list[Pose]:
     """Places of a rig that is carried around once. Each looks across the room, and overlaps with the next."""
     start, places = rng.uniform(0, 2 * np.pi), []
     middle = room.size / 2
@@ -118,13 +118,13 @@ def ring(rng: np.random.Generator, room: FurnishedRoom, stations: int, step_deg:
                 break
         target = eye + ahead + [0, 0, -rng.uniform(0.15, 0.35)]
         rotation = look_at(eye, target, _UP, rng.normal(0, 0.03)).T
-        places.append(Motion(rotation, eye))
+        places.append(Pose(rotation, eye))
     return places
 
 
 def seen_from(
     room: FurnishedRoom,
-    place: Motion,
+    place: Pose,
     rng: np.random.Generator,
     errors: CloudErrors | None = None,
     camera: Intrinsics = STATION_CAMERA,
@@ -135,10 +135,10 @@ def seen_from(
     """
     errors = errors or CloudErrors()
     rays = camera.unproject(camera.size.pixels.reshape(-1, 2))
-    directions = rays @ place.rotation.T
+    directions = place.rotate(rays)
     depth, _ = first_hits(directions, place.translation, room.scene)
     hit = place.translation + depth[:, None] * directions
-    projector = place.translation + place.rotation @ np.array([0.3, 0.05, 0.0])
+    projector = place @ np.array([0.3, 0.05, 0.0])
     lit = first_hits(hit - projector, projector, room.scene)[0] > 1 - 1e-3
     points = rays * depth[:, None]
     points[~lit | _steep(points, camera, errors)] = np.nan

@@ -17,5 +17,5 @@ from hw.simulated.sensor import Sensor
 from hw.simulated.shapes import Block
 from hw.simulated.simulation import SimulatedRoom, place_room
 from hw.simulated.texture import Texture, paint
-from hw.simulated.truth import GroundTruth, true_calibration, true_place
+from hw.simulated.truth import GroundTruth, true_calibration
 from hw.simulated.view import look

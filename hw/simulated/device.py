@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.geometry import Pose
 from calib.numerics import Bools, Floats
 
 _KNOTS = 4096
@@ -83,6 +84,11 @@ class PlacedDevice:
     optics: Optics
     rotation: Floats
     centre: Floats
+
+    @property
+    def pose(self) -> Pose:
+        """X_world = R X_device + t, in metres."""
+        return Pose(self.rotation.T, self.centre)
 
     def rays(self, pixels: Floats) -> Floats:
         """Pixels (2, n) → directions (3, n) in the world, of length 1 along the optical axis."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from calib.numerics import Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light
@@ -15,7 +15,7 @@ from hw.simulated.placement import resized
 from hw.simulated.renderer import Renderer, build_renderer, has_indirect_light
 from hw.simulated.room import DRAWN_BY, Room, draw_room
 from hw.simulated.sensor import build_sensor
-from hw.simulated.truth import GroundTruth, true_calibration, true_place, true_view
+from hw.simulated.truth import GroundTruth, true_calibration, true_view
 
 # Stream of random numbers for paint and rays; `draw_room` uses streams from 0.
 _RENDERING_STREAM = 100
@@ -93,9 +93,9 @@ class SimulatedRoom:
         return true_calibration(self.room, self.renderer.picture.homography)
 
     @property
-    def place(self) -> Motion:
+    def place(self) -> Pose:
         """The pose of the rig in frame 0: X_world = R X_camera + t, in metres."""
-        return true_place(self.room)
+        return self.room.camera.pose
 
     def ground_truth(self) -> GroundTruth:
         """Ground truth of each camera pixel in frame 0."""

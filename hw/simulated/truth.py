@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics, Motion
+from calib.geometry import Calibration, Intrinsics
 from calib.numerics import Floats, Ints
 from hw.simulated.device import Optics, PlacedDevice
 from hw.simulated.illumination import ProjectorLight
@@ -45,14 +45,8 @@ def true_calibration(room: Room, homography: Floats | None = None) -> Calibratio
 
 def calibration_between(camera: PlacedDevice, projector: PlacedDevice) -> Calibration:
     """The calibration of two devices, in metres."""
-    rotation = projector.rotation @ camera.rotation.T
-    translation = projector.rotation @ (camera.centre - projector.centre)
-    return Calibration(_intrinsics(camera.optics), _intrinsics(projector.optics), rotation, translation, unit="m")
-
-
-def true_place(room: Room) -> Motion:
-    """The pose of the rig, in metres: X_world = rotation X_camera + translation."""
-    return Motion(room.camera.rotation.T, room.camera.centre)
+    pose = projector.pose.inverse() @ camera.pose
+    return Calibration(_intrinsics(camera.optics), _intrinsics(projector.optics), pose, unit="m")
 
 
 def _reshaped(panel: Intrinsics, homography: Floats) -> Intrinsics | None:

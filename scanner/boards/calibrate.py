@@ -154,7 +154,7 @@ def view_of(name: str, detected: Detected, matches: Matches, target: Target, siz
 
 def _on_scale(result: FromBoards) -> list[str]:
     """Note on the lengths that follow from the square's size, and whether they are plausible."""
-    distances = [float(np.linalg.norm(board.middle)) for board in result.calibrated.estimate.state.boards]
+    distances = [board.pose.distance for board in result.calibrated.estimate.state.boards]
     nearest, farthest, baseline = min(distances), max(distances), result.calibrated.calibration.baseline
     side, number = 2 * result.target.reach, shown_unit(UNIT).number
     note = (

@@ -1,7 +1,7 @@
 """Two calibration files → where they differ."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +102,7 @@ def _read(path: Path) -> SystematicErrors:
 def _in_unit(errors: SystematicErrors, factor: float, unit: str) -> SystematicErrors:
     calibration = errors.calibration
     return SystematicErrors(
-        replace(calibration, translation=factor * calibration.translation, unit=unit),
+        calibration.scaled(factor, unit),
         errors.uncertainty,
         errors.log_scale,
     )

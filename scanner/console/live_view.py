@@ -8,7 +8,7 @@ from threading import Thread
 import numpy as np
 import viser
 
-from calib.geometry import Calibration
+from calib.geometry import IDENTITY, Calibration
 from hw.rig import Frame
 from scanner.live import Account, LiveCloud, Newest, Watcher, Wishes, round_texts
 from scanner.rendering import photograph
@@ -89,7 +89,7 @@ class LiveView(Watcher):
             cloud.points[chosen].astype(np.float64),
             np.zeros((len(chosen), 3)),
             np.repeat(grey[:, None], 3, axis=1),
-            (PlacedRig(calibration, np.eye(3), np.zeros(3), photograph(cloud.picture)),) if first else (),
+            (PlacedRig(calibration, IDENTITY, photograph(cloud.picture)),) if first else (),
             None,
             np.array([0.0, -1.0, 0.0]),
             calibration.unit,

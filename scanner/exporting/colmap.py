@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import STILL, Intrinsics, Motion
+from calib.geometry import IDENTITY, Intrinsics, Pose
 from calib.numerics import Floats, Ints
 from scanner.exporting.formats import Request
 from scanner.io import new_files, refuse_existing
@@ -39,7 +39,7 @@ class _Chosen:
     """A scan at its place, X_world = rotation X_camera + translation, and which of its points go into the model."""
 
     scan: FinishedScan
-    place: Motion
+    place: Pose
     points: Ints
 
 
@@ -47,7 +47,7 @@ def export(request: Request) -> list[str]:
     """Write the model. Raises InputError and OSError."""
     room = read_finished_room(request.result)
     if room is None:
-        scans = [(read_finished_scan(request.result), STILL)]
+        scans = [(read_finished_scan(request.result), IDENTITY)]
     else:
         scans = [(station.scan, station.place) for station in room.stations]
     model = write_colmap(request.out, scans, most_points=request.most_points, overwrite=request.overwrite)
@@ -58,7 +58,7 @@ def export(request: Request) -> list[str]:
 
 
 def write_colmap(
-    folder: Path, scans: Sequence[tuple[FinishedScan, Motion]], *, most_points: int, overwrite: bool
+    folder: Path, scans: Sequence[tuple[FinishedScan, Pose]], *, most_points: int, overwrite: bool
 ) -> ModelSize:
     """Write a model of scans by one rig, each with its pose, with at most `most_points` points, spread evenly over the
     images.
@@ -113,16 +113,16 @@ def _images(every: Sequence[_Chosen]) -> Iterator[str]:
     first = 1
     for number, each in enumerate(every):
         calibration, matches = each.scan.calibration, each.scan.matches[each.points]
-        inward = each.place.rotation.T
+        to_camera = each.place.inverse()
         ending = f"-{number + 1}" if len(every) > 1 else ""
-        for device, name, rotation, translation, pixels in (
-            (CAMERA_ID, CAMERA_IMAGE, np.eye(3), np.zeros(3), matches.camera_px),
-            (PROJECTOR_ID, PROJECTOR_IMAGE, calibration.rotation, calibration.translation, matches.projector_px),
+        for device, name, pose, pixels in (
+            (CAMERA_ID, CAMERA_IMAGE, to_camera, matches.camera_px),
+            (PROJECTOR_ID, PROJECTOR_IMAGE, calibration.pose @ to_camera, matches.projector_px),
         ):
-            x, y, z, w = Rotation.from_matrix(rotation @ inward).as_quat(canonical=True)
-            shift = translation - rotation @ inward @ each.place.translation
+            x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
             stem, suffix = name.split(".")
-            yield f"{2 * number + device} {_numbers([w, x, y, z, *shift])} {device} {stem}{ending}.{suffix}"
+            numbers = _numbers([w, x, y, z, *(pose.translation + 0.0)])  # no −0
+            yield f"{2 * number + device} {numbers} {device} {stem}{ending}.{suffix}"
             ideal = (pixels + _HALF_PIXEL).tolist()
             yield " ".join(f"{x:.4f} {y:.4f} {index}" for index, (x, y) in enumerate(ideal, start=first))
         first += len(each.points)
@@ -135,7 +135,7 @@ def _points(every: Sequence[_Chosen]) -> Iterator[str]:
     for number, each in enumerate(every):
         scan, chosen = each.scan, each.points
         error = _reprojection_error_px(scan, chosen)
-        points = scan.points[chosen] @ each.place.rotation.T + each.place.translation
+        points = each.place @ scan.points[chosen]
         rows = zip(points.tolist(), scan.colours[chosen].tolist(), error.tolist(), strict=True)
         for index, ((x, y, z), (red, green, blue), miss) in enumerate(rows):
             track = f"{2 * number + CAMERA_ID} {index} {2 * number + PROJECTOR_ID} {index}"
@@ -146,7 +146,7 @@ def _points(every: Sequence[_Chosen]) -> Iterator[str]:
 def _reprojection_error_px(scan: FinishedScan, chosen: Ints) -> Floats:
     """Mean over both images of the distance between a point's image and the pixel that it was seen at, (N,)."""
     calibration, matches, points = scan.calibration, scan.matches[chosen], scan.points[chosen]
-    in_projector = points @ calibration.rotation.T + calibration.translation
+    in_projector = calibration.pose @ points
     in_camera_px = calibration.camera.project(points) - matches.camera_px
     in_projector_px = calibration.projector.project(in_projector) - matches.projector_px
     error: Floats = 0.5 * (np.hypot(*in_camera_px.T) + np.hypot(*in_projector_px.T))

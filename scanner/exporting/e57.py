@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from hw.optional_parts import E57
 from scanner.errors import InputError
@@ -30,7 +30,7 @@ def export(request: Request) -> list[str]:
     room = read_finished_room(request.result)
     if room is None:
         scan = read_finished_scan(request.result)
-        placed, unit = [PlacedScan("roomscan", request.result, Motion(_Z_UP_FROM_CAMERA, np.zeros(3)), scan)], scan.unit
+        placed, unit = [PlacedScan("roomscan", request.result, Pose(_Z_UP_FROM_CAMERA, np.zeros(3)), scan)], scan.unit
     else:
         placed, unit = list(room.stations), room.unit
     metres, remarks = in_metres(unit)

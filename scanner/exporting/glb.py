@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Intrinsics, Motion
+from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from scanner.exporting.triangles import Y_UP_FROM_CAMERA, Mesh
 
@@ -52,7 +52,7 @@ class GlbCamera:
 
     name: str
     device: Intrinsics
-    place: Motion
+    place: Pose
     near: float
     far: float
     extras: Mapping[str, object]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Pose, Sigmas
 from scanner.errors import InputError
 from scanner.io.given_file import LONGEST_SIDE_PX, refuse_more_pixels
 from scanner.io.validation import Entry, Number, Whole, validate
@@ -93,8 +93,7 @@ class _CalibrationEntry(Entry):
         return Calibration(
             self.camera.intrinsics(),
             self.projector.intrinsics(),
-            np.array(self.rotation),
-            np.array(self.translation),
+            Pose(np.array(self.rotation), np.array(self.translation)),
             self.unit,
             self.sigma.sigmas(),
         )
@@ -129,8 +128,8 @@ def write_calibration(path: Path, calibration: Calibration, more: Mapping[str, A
         f"camera: {flow_yaml(_device_to_dict(calibration.camera))}",
         f"projector: {flow_yaml(_device_to_dict(calibration.projector))}",
         "rotation:",
-        *(f"  - {flow_yaml(row)}" for row in calibration.rotation.tolist()),
-        f"translation: {flow_yaml(calibration.translation.tolist())}",
+        *(f"  - {flow_yaml(row)}" for row in calibration.pose.rotation.tolist()),
+        f"translation: {flow_yaml(calibration.pose.translation.tolist())}",
         f"unit: {flow_yaml(calibration.unit)}",
     ]
     if sigma := _sigma_to_dict(calibration.sigma):

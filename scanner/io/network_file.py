@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from calib.geometry import Intrinsics, Motion
+from calib.geometry import Intrinsics, Pose
 from scanner.errors import InputError
 from scanner.io.calibration_file import DeviceEntry
 from scanner.io.room_file import PlacedEntry, Unit
@@ -32,7 +32,7 @@ class StoredDevice:
     name: str
     kind: Literal["camera", "projector"]
     intrinsics: Intrinsics
-    place: Motion
+    place: Pose
 
 
 @dataclass(frozen=True)

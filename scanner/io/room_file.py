@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from calib.geometry import Motion
-from calib.numerics import Floats
+from calib.geometry import Pose
 from scanner.errors import InputError
 from scanner.io.validation import Entry, Number, validate
 from scanner.io.yaml_text import flow_yaml, read_yaml
@@ -30,12 +29,12 @@ class PlacedEntry(Entry):
     rotation: tuple[_Row, _Row, _Row]
     translation: Point
 
-    def place(self, what: str) -> Motion:
+    def place(self, what: str) -> Pose:
         """Raises InputError about `what` if the rotation is invalid."""
         rotation = np.array(self.rotation)
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0:
             raise InputError(f"{what}: its rotation is invalid: the rows are not orthonormal and right-handed")
-        return Motion(rotation, np.array(self.translation))
+        return Pose(rotation, np.array(self.translation))
 
 
 class _StationEntry(PlacedEntry):
@@ -54,7 +53,7 @@ class StoredStation:
 
     name: str
     folder: str
-    place: Motion
+    place: Pose
 
 
 @dataclass(frozen=True)
@@ -94,16 +93,16 @@ class _PosesEntry(Entry):
     cameras: list[_PoseEntry] = Field(min_length=1)
 
 
-def write_poses(path: Path, poses: Sequence[Floats]) -> None:
-    """Write a pose (3, 4) for each capture, oldest first: X_cloud = rotation X_camera + position. Raises OSError."""
-    lines = [f"  - {flow_yaml({'rotation': pose[:, :3].tolist(), 'position': pose[:, 3].tolist()})}" for pose in poses]
+def write_poses(path: Path, poses: Sequence[Pose]) -> None:
+    """Write a pose for each capture, oldest first: X_cloud = rotation X_camera + position. Raises OSError."""
+    entries = [{"rotation": pose.rotation.tolist(), "position": pose.translation.tolist()} for pose in poses]
+    lines = [f"  - {flow_yaml(entry)}" for entry in entries]
     path.write_text("\n".join(["cameras:", *lines]) + "\n", encoding="utf-8")
 
 
-def read_poses(path: Path, count: int) -> tuple[Floats, ...]:
-    """The poses (3, 4) of `count` captures. Raises InputError if they are others, malformed, or hold no rotation."""
+def read_poses(path: Path, count: int) -> tuple[Pose, ...]:
+    """The poses of `count` captures. Raises InputError if they are others, malformed, or hold no rotation."""
     entry = validate(_PosesEntry, read_yaml(path), str(path))
     if len(entry.cameras) != count:
         raise InputError(f"{path}: expected the cameras of {count} captures, found {len(entry.cameras)}")
-    places = (camera.place(f"{path}: camera {number}") for number, camera in enumerate(entry.cameras, start=1))
-    return tuple(np.column_stack([place.rotation, place.translation]) for place in places)
+    return tuple(camera.place(f"{path}: camera {number}") for number, camera in enumerate(entry.cameras, start=1))

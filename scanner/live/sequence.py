@@ -131,7 +131,9 @@ def _ends(pixels: Floats, axis: int, calibration: Calibration, depths: tuple[flo
 
 def _seen_at(pixels: Floats, inverse_depth: float, calibration: Calibration) -> Floats:
     """Projector pixels (N, 2) of the points at a depth."""
-    points = calibration.camera.unproject(pixels) @ calibration.rotation.T / inverse_depth + calibration.translation
+    points = (
+        calibration.pose.rotate(calibration.camera.unproject(pixels)) / inverse_depth + calibration.pose.translation
+    )
     return calibration.projector.project(points)
 
 

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics, Motion
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from calib.objects import (
     FEWEST_PIXELS,
@@ -27,7 +26,7 @@ from calib.objects import (
 )
 from calib.pointcloud import Cloud, build_cloud
 from calib.refusal import NoMeasurementError
-from calib.rooms import composed, relative_noise
+from calib.rooms import relative_noise
 from scanner.configuration import Config
 from scanner.objects.contents import SolvedObject
 from scanner.reconstruction import refuse_foreign, scaled
@@ -80,9 +79,9 @@ def solve_object(captures: Sequence[Decoded], start: RigStart, config: Config, p
     return _finished(clouds, captures, members, registered, joint, turntable, calibration, outlier_stations, rests)
 
 
-def _refuse_unturned(places: Sequence[Motion]) -> None:
+def _refuse_unturned(places: Sequence[Pose]) -> None:
     """Raise if no station is rotated relative to the first: a few stations fit together by their background."""
-    turns_deg = [np.degrees(Rotation.from_matrix(place.rotation).magnitude()) for place in places]
+    turns_deg = [np.degrees(place.angle) for place in places]
     if max(turns_deg) < _TURNED_DEG:
         raise NoMeasurementError(
             f"Nothing was turned between the {len(places)} stations, or the background outweighs the thing.",
@@ -174,7 +173,7 @@ def _finished(
         places, covariance = turntable.places, turntable.covariance
     upright = _upright(joint, turntable)
     kept = confirmed([view for _, view in members], places)
-    origin: Floats = -upright.rotation.T @ upright.translation
+    origin: Floats = upright.inverse().translation
     about = np.eye(6)  # maps the shift of the estimate's middle to that of the thing's origin
     about[3:, :3] = -np.cross(np.eye(3), origin - joint.middle)
     stations, loose = [], []
@@ -192,7 +191,7 @@ def _finished(
         points, normals = (np.where(of_thing, each, nothing) for each in (view.points, view.normals))
         own = replace(clouds[k], points=points, normals=normals)
         on_no_plane = np.full(view.depth.shape, -1, np.int32)
-        place = composed(upright, places[n])
+        place = upright @ places[n]
         stations.append(Station(k, captures[k], own, on_no_plane, place, np.degrees(turning), moving, np.nan))
     axis = None
     if turntable is not None:
@@ -213,7 +212,7 @@ def _finished(
     )
 
 
-def _upright(joint: JointEstimate, turntable: Turntable | None) -> Motion:
+def _upright(joint: JointEstimate, turntable: Turntable | None) -> Pose:
     """Into a frame about the thing's middle, z along the turntable's axis, or up as the first camera was held."""
     held = np.array([0.0, -1.0, 0.0])
     up: Floats = held if turntable is None else turntable.direction * (1.0 if turntable.direction @ held >= 0 else -1.0)
@@ -224,4 +223,4 @@ def _upright(joint: JointEstimate, turntable: Turntable | None) -> Motion:
     if turntable is not None:
         off = joint.middle - turntable.point
         centre = turntable.point + float(off @ up) * up
-    return Motion(rotation, -rotation @ centre)
+    return Pose(rotation, -rotation @ centre)

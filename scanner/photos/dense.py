@@ -90,7 +90,7 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
     disparities.
     """
     x = calibration.projector_centre / calibration.baseline
-    y = np.cross(np.array([0.0, 0.0, 1.0]) + calibration.rotation[2], x)
+    y = np.cross(np.array([0.0, 0.0, 1.0]) + calibration.pose.rotation[2], x)
     y /= np.linalg.norm(y)
     common = np.stack([x, y, np.cross(x, y)])
     met = intersect(matches, calibration)
@@ -110,7 +110,7 @@ def _rectified(calibration: Calibration, matches: Matches) -> tuple[_Rectified, 
     size = (int(focal * width) + 1, int(focal * (high_y - low_y)) + 1)
     left, right = (
         _Rectified(turn, focal, np.floor(focal * np.array([bound[0, 0] - spare, low_y])), size)
-        for turn, bound in zip((common, common @ calibration.rotation.T), bounds, strict=True)
+        for turn, bound in zip((common, calibration.pose.rotate(common)), bounds, strict=True)
     )
     low, high = focal * disparity - left.low[0] + right.low[0]
     least = int(np.floor(low - _SPARE_PX))

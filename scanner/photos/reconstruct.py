@@ -211,7 +211,7 @@ def _scaled(pair: Decoded, solution: SelfCalibration, scale: ScaleSettings | Non
 def _alike(pair: SelfCalibrated, first: SelfCalibrated) -> SelfCalibrated:
     """The pair in the first one's unit: the corner is the same, and so is its distance from the first photo."""
     calibration, distance, known = pair.calibration, _distance(first), first.calibration.sigma
-    translation = distance / _distance(pair) * calibration.translation
+    in_unit = calibration.scaled(distance / _distance(pair), first.calibration.unit)
     if known.known_camera_to_corner is not None:
         sigma = replace(calibration.sigma, known_camera_to_corner=known.known_camera_to_corner)
     elif known.known_baseline is not None:
@@ -219,8 +219,7 @@ def _alike(pair: SelfCalibrated, first: SelfCalibrated) -> SelfCalibrated:
         sigma = replace(calibration.sigma, known_camera_to_corner=relative * distance)
     else:
         sigma = calibration.sigma
-    unit = first.calibration.unit
-    return replace(pair, calibration=replace(calibration, translation=translation, unit=unit, sigma=sigma))
+    return replace(pair, calibration=replace(in_unit, sigma=sigma))
 
 
 def _distance(pair: SelfCalibrated) -> float:

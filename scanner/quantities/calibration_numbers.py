@@ -6,7 +6,6 @@ from math import atan2, degrees, floor, log10
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration, DeviceSigmas, Intrinsics
 from calib.numerics import Floats
@@ -140,7 +139,6 @@ def _distortion(device: Intrinsics, true: Intrinsics | None, sigmas: DeviceSigma
 def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list[Quantity]:
     """Return the relative pose of the two devices; lengths are compared only with a truth of the same unit."""
     same_unit = truth is not None and truth.unit == calibration.unit
-    turned = Rotation.from_matrix(calibration.rotation).magnitude()
     first, second = device_names(calibration)
     quantities = [
         Quantity(
@@ -153,17 +151,17 @@ def pose_quantities(calibration: Calibration, truth: Calibration | None) -> list
         ),
         Quantity(
             "turned by",
-            degrees(turned),
+            degrees(calibration.pose.angle),
             "°",
             None,
-            degrees(Rotation.from_matrix(truth.rotation).magnitude()) if truth else None,
+            degrees(truth.pose.angle) if truth else None,
             f"angle of the rotation from the {first} to the {second}",
         ),
     ]
     if truth is not None:
-        off = Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude()
+        error = calibration.pose @ truth.pose.inverse()
         quantities.append(
-            Quantity("rotation error", degrees(off), "°", meaning="between the rotation and the true one")
+            Quantity("rotation error", degrees(error.angle), "°", meaning="between the rotation and the true one")
         )
     return quantities
 

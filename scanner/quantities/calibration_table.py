@@ -3,7 +3,6 @@
 import numpy as np
 from rich import box
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from calib.geometry import Calibration
 from scanner.quantities.calibration_numbers import (
@@ -50,8 +49,8 @@ def _truth_cells(quantity: Quantity) -> tuple[str, str, str]:
 def truth_line(calibration: Calibration, truth: Calibration) -> str:
     """State the calibration's errors against the truth, in one line."""
     percent = np.abs(intrinsic_errors_percent(calibration, truth)).mean()
-    turned = np.degrees(Rotation.from_matrix(calibration.rotation @ truth.rotation.T).magnitude())
-    estimated, true = calibration.translation, truth.translation
+    turned = np.degrees((calibration.pose @ truth.pose.inverse()).angle)
+    estimated, true = calibration.pose.translation, truth.pose.translation
     aside = np.degrees(np.arctan2(np.linalg.norm(np.cross(estimated, true)), np.dot(estimated, true)))
     return (
         f"Against the truth: mean absolute error of f_c, f_p, x_p, y_p {percent:.2f} %, "

@@ -32,4 +32,4 @@ def scaled(calibration: Calibration, corner: Corner | None, scale: ScaleSettings
         factor = scale.camera_to_corner_m / float(np.linalg.norm(corner.vertex))
     else:
         return calibration
-    return replace(calibration, translation=calibration.translation * factor, unit="m", sigma=sigma)
+    return replace(calibration.scaled(factor, "m"), sigma=sigma)

@@ -63,9 +63,9 @@ def _scaled(
         by_columns = share @ np.stack([size.by_columns for size in sizes])
         variance += float(by_columns @ uncertainty.covariance @ by_columns)
         uncertainty = replace(uncertainty, with_log_baseline=-uncertainty.covariance @ by_columns)
-    translation = calibration.translation / np.exp(log_metre)
-    sigma = replace(calibration.sigma, known_baseline=float(np.linalg.norm(translation) * np.sqrt(variance)))
-    return replace(calibration, translation=translation, unit="m", sigma=sigma), uncertainty
+    metric = calibration.scaled(np.exp(-log_metre), "m")
+    sigma = replace(calibration.sigma, known_baseline=float(metric.baseline * np.sqrt(variance)))
+    return replace(metric, sigma=sigma), uncertainty
 
 
 def _size(capture: Decoded, sheet: _Sheet, calibration: Calibration, uncertainty: Uncertainty | None) -> SheetSize:

@@ -76,7 +76,7 @@ def frustum_lines(corners: Floats) -> Floats:
 
 def frustum_of_projector(calibration: Calibration, length: float) -> Floats:
     """Return the frustum that the projector lights, (8, 2, 3), in the camera's frame."""
-    return (frustum(calibration.projector, length) - calibration.translation) @ calibration.rotation
+    return calibration.pose.undo(frustum(calibration.projector, length))
 
 
 def rig_frusta(calibration: Calibration, length: float, camera_colour: RGB, projector_colour: RGB) -> list[Wireframe]:

@@ -69,7 +69,7 @@ def _off_the_corner(matches: Matches, face: Ints, calibration: Calibration, corn
     rays = calibration.camera.unproject(matches.camera_px)
     with np.errstate(divide="ignore", invalid="ignore"):
         points = (normals @ corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
-    predicted = calibration.projector.project(points @ calibration.rotation.T + calibration.translation)
+    predicted = calibration.projector.project(calibration.pose @ points)
     return matches.projector_px - predicted
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import Calibration
+from calib.geometry import IDENTITY, Calibration, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud, MergedCloud
 from scanner.quantities import FACE_NAMES, device_names
@@ -118,7 +118,7 @@ def _outlines(report: ReportInput, found: Reconstructed, cloud: Cloud | MergedCl
         to_cloud = cloud.from_cameras
     else:
         length = FRUSTUM_LENGTH * typical_depth(report, cloud)
-        to_cloud = (np.eye(3, 4),)
+        to_cloud = (IDENTITY,)
     lines: list[dict[str, object]] = []
     if to_cloud:
         # The capture of this page is the last one.
@@ -169,9 +169,9 @@ def _outline(points: Floats) -> Floats:
     return corners
 
 
-def _moved(points: Floats, pose: Floats) -> list[list[float]]:
-    """Points (n, 3) by a pose (3, 4), rounded."""
-    return [_rounded(point) for point in points @ pose[:, :3].T + pose[:, 3]]
+def _moved(points: Floats, pose: Pose) -> list[list[float]]:
+    """Points (n, 3) by a pose, rounded."""
+    return [_rounded(point) for point in pose @ points]
 
 
 def _rounded(values: Floats) -> list[float]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from scanner.io import read_room
 from scanner.results.finished_scan import FinishedScan, read_finished_scan
 from scanner.results.names import OBJECT_CLOUD_FILE, OBJECT_FILE, ROOM_CLOUD_FILE, ROOM_FILE
@@ -19,7 +19,7 @@ class PlacedScan:
 
     name: str
     folder: Path
-    place: Motion
+    place: Pose
     known: FinishedScan | None = None
 
     @property

@@ -53,7 +53,7 @@ def confidence_entries(verdict: Verdict, uncertainty: Uncertainty | None) -> dic
 
 def covariance_entries(uncertainty: Uncertainty) -> dict[str, Any]:
     """A key for a calibration file."""
-    to_file = _columns_of_file(uncertainty.state.translation)
+    to_file = _columns_of_file(uncertainty.state.pose.translation)
     covariance = {
         "columns": [*COLUMNS],
         "match_px": float(uncertainty.match_px),
@@ -85,9 +85,8 @@ def read_uncertainty(path: Path, calibration: Calibration) -> Uncertainty | None
             f"{path}: 'covariance.values' are no covariance: not symmetric, negative, or beyond any device"
         )
     camera, projector = device_of(calibration.camera), device_of(calibration.projector)
-    direction = calibration.translation / calibration.baseline
-    state = State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
-    to_file = _columns_of_file(direction)
+    state = State(camera, projector, calibration.pose.in_baselines)
+    to_file = _columns_of_file(state.pose.translation)
     # The columns of `to_file` are orthonormal.
     covariance = to_file.T @ values @ to_file
     along = _along(path, entry.along, to_file)

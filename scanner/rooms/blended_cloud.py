@@ -102,7 +102,7 @@ def blended_of(
         there = station.cloud.there
         points = station.to_room(cloud[there].astype(np.float64))
         own.points = o3d.utility.Vector3dVector(points)
-        normals = station.cloud.normals[there].astype(np.float64) @ station.place.rotation.T
+        normals = station.place.rotate(station.cloud.normals[there].astype(np.float64))
         own.normals = o3d.utility.Vector3dVector(normals)
         own.colors = o3d.utility.Vector3dVector(station.cloud.colours[there] / 255.0)
         # Each station first by itself, to limit memory; then all together.
@@ -118,5 +118,5 @@ def blended_of(
         calibration.unit,
         grid,
         (),
-        tuple(np.column_stack([each.place.rotation, each.place.translation]) for each in stations),
+        tuple(station.place for station in stations),
     )

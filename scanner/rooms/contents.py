@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from calib.numerics import Floats
 from calib.pointcloud import Cloud
 from calib.rooms import Group, Pair, RoomEstimate, RoomPlane
@@ -42,7 +42,7 @@ class Station:
     decoded: Decoded
     cloud: Cloud
     plane: NDArray[np.int32]
-    place: Motion
+    place: Pose
     sigma_deg: Floats
     sigma: Floats
     residual_px: float
@@ -54,7 +54,7 @@ class Station:
 
     def to_room(self, points: Floats) -> Floats:
         """Points (..., 3) of the camera's frame in the room's."""
-        return points @ self.place.rotation.T + self.place.translation
+        return self.place @ points
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class SolvedRoom:
     stations: tuple[Station, ...]
     planes: tuple[RoomPlane, ...]
     estimate: RoomEstimate
-    upright: Motion
+    upright: Pose
     factor: float
     group: Group
     pairs: tuple[Pair, ...]

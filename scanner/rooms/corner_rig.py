@@ -152,8 +152,7 @@ def state_of(calibration: Calibration) -> State:
         device_of(replace(device, focal_px=(float(np.mean(device.focal_px)),) * 2))
         for device in (calibration.camera, calibration.projector)
     )
-    direction = calibration.translation / calibration.baseline
-    return State(camera, projector, calibration.rotation, direction, np.zeros((0, 3)), ())
+    return State(camera, projector, calibration.pose.in_baselines)
 
 
 def is_estimated(start: RigStart) -> bool:

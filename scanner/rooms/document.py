@@ -1,7 +1,6 @@
 """Stations that exist already: recorded captures, result folders and matches files of one unchanged rig."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from calib.geometry import Calibration
@@ -10,7 +9,6 @@ from scanner.configuration import Config
 from scanner.errors import InputError
 from scanner.io import MATCHES_FILE, read_calibration, real_path
 from scanner.pipeline import decode_recording
-from scanner.quantities import UNKNOWN_UNIT
 from scanner.reconstruction import read_captures
 from scanner.results import CAPTURES_FOLDER, Decoded, read_finished_room, read_uncertainty
 from scanner.rooms.contents import RigStart
@@ -66,5 +64,4 @@ def given_rig(path: Path, config: Config) -> RigStart:
     """A calibration file of the rig, with its covariance if the file states one. Raises InputError."""
     given = read_calibration(path)
     config.refuse_other_sizes(path, *given.sizes)
-    in_baselines: Calibration = replace(given, translation=given.translation / given.baseline, unit=UNKNOWN_UNIT)
-    return RigStart(in_baselines, read_uncertainty(path, given), {}, given)
+    return RigStart(given.in_baselines, read_uncertainty(path, given), {}, given)

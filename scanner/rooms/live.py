@@ -8,7 +8,7 @@ from shutil import copy2
 
 import numpy as np
 
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from calib.numerics import Bools
 from calib.refusal import RefusalError
 from calib.rooms import Group, Pair, register
@@ -24,7 +24,7 @@ from scanner.rooms.contents import RigStart
 from scanner.rooms.corner_rig import SeenCorner, corner_in, rig_of
 from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.solve import CaptureView, segment_capture
-from scanner.rooms.upright import moved_place, upright
+from scanner.rooms.upright import upright
 from scanner.ui import Terminal
 
 _BINS = 36
@@ -157,7 +157,7 @@ def _overlaps(captures: Sequence[Decoded], shared: Sequence[Pair], newest: int) 
 def _next(seen: Sequence[CaptureView], group: Group, newest: int, calibration: Calibration) -> str:
     """The direction to turn the rig, towards what has not been seen."""
     turn, _ = upright(group.places, group.planes, np.ones(len(group.planes)))
-    places = {k: moved_place(place, turn) for k, place in zip(group.stations, group.places, strict=True)}
+    places = {k: turn @ place for k, place in zip(group.stations, group.places, strict=True)}
     middle = np.mean([place.translation[:2] for place in places.values()], axis=0)
     open_bins = ~_seen_all_round(seen, places, middle)
     width = 360.0 / _BINS
@@ -170,12 +170,12 @@ def _next(seen: Sequence[CaptureView], group: Group, newest: int, calibration: C
     return f"Next: {_turn(calibration, 'to the left' if left <= right else 'to the right')}"
 
 
-def _seen_all_round(seen: Sequence[CaptureView], places: dict[int, Motion], middle: np.ndarray) -> Bools:
+def _seen_all_round(seen: Sequence[CaptureView], places: dict[int, Pose], middle: np.ndarray) -> Bools:
     """Which directions from the middle (2,) have something that was seen, (bins,)."""
     count = np.zeros(_BINS)
     for k, place in places.items():
         points = seen[k].view.points.reshape(-1, 3)[::50].astype(np.float64)
-        points = points[np.isfinite(points[:, 2])] @ place.rotation.T + place.translation
+        points = place @ points[np.isfinite(points[:, 2])]
         azimuth = np.degrees(np.arctan2(points[:, 1] - middle[1], points[:, 0] - middle[0])) % 360
         count += np.bincount((azimuth * _BINS / 360).astype(np.int64) % _BINS, minlength=_BINS)
     return count > 0.1 * np.median(count[count > 0])

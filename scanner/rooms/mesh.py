@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.geometry import Intrinsics
-from calib.numerics import Floats
 from calib.pointcloud import NONE, without_gaps
 from scanner.exporting import Mesh, open3d
 from scanner.rooms.blended_cloud import denoised, grid_of, index_of
@@ -69,7 +68,7 @@ def _view(o3d: Any, station: Station, depths: NDArray[np.float32], camera: Intri
     intrinsic = np.array([[fx, 0.0, x0 + 0.5], [0.0, fy, y0 + 0.5], [0.0, 0.0, 1.0]])
     images = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (depth[..., None], colour))
     depth_image, colour_image = images
-    matrices = (o3d.core.Tensor(intrinsic), o3d.core.Tensor(_into_camera(station)))
+    matrices = (o3d.core.Tensor(intrinsic), o3d.core.Tensor(station.place.inverse().matrix))
     return _View((depth_image, *matrices), colour_image, (1.0, 1.01 * float(depth.max())))
 
 
@@ -91,14 +90,6 @@ def filled(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """Depths (H, W), 0 for none; pixels between sparse points have the nearest one's."""
     index = without_gaps(index_of(np.isfinite(depth)))
     return np.where(index == NONE, np.float32(0.0), depth.ravel()[index]).astype(np.float32)
-
-
-def _into_camera(station: Station) -> Floats:
-    """X_camera from X_room, (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = station.place.rotation.T
-    matrix[:3, 3] = -station.place.rotation.T @ station.place.translation
-    return matrix
 
 
 def _cleaned(mesh: Any, unit: str) -> Mesh | None:

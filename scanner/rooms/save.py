@@ -29,7 +29,6 @@ from scanner.rooms.station_files import (
     write_stations,
     write_textured,
 )
-from scanner.rooms.upright import moved_place
 from scanner.rooms.verdict import verdict_on
 from scanner.ui import Progress
 
@@ -67,7 +66,7 @@ def entries_of(room: SolvedRoom) -> dict[str, Any]:
         entries["alternatives"] = [
             {
                 "behind_nats": each.behind_nats,
-                "stations": [motion_entries(moved_place(place, room.upright, room.factor)) for place in each.places],
+                "stations": [motion_entries((room.upright @ place).scaled(room.factor)) for place in each.places],
             }
             for each in room.group.alternatives
         ]

@@ -36,7 +36,7 @@ from scanner.rooms.contents import RigStart, SolvedRoom, Station
 from scanner.rooms.corner_rig import ideal_matches, ideal_rig, is_estimated, state_of
 from scanner.rooms.epipolar_lines import of_another_rig
 from scanner.rooms.outlier_stations import outlier_stations_of
-from scanner.rooms.upright import moved_place, moved_plane, upright
+from scanner.rooms.upright import moved_plane, upright
 from scanner.ui import Progress
 
 _FEWEST_ON_A_PLANE = 200
@@ -274,7 +274,7 @@ def _finished(
             each.decoded,
             build_cloud(each.decoded.matches, each.decoded.texture, calibration),
             np.array([*group.plane_of[i], -1], np.int32)[each.view.labels],
-            moved_place(estimate.room.places[i], turn, factor),
+            (turn @ estimate.room.places[i]).scaled(factor),
             *_sigmas(estimate, i, turn.rotation, factor),
             float(estimate.residual_px[i]),
         )
@@ -307,7 +307,7 @@ def _in_unit_of(given: Calibration | None, own: Calibration) -> Calibration:
     if given is None:
         return own
     sigma = replace(own.sigma, known_baseline=given.sigma.known_baseline)
-    return replace(own, translation=own.translation * given.baseline, unit=given.unit, sigma=sigma)
+    return replace(own.scaled(given.baseline, given.unit), sigma=sigma)
 
 
 def areas_of(members: Sequence[CaptureView], group: Group, planes: int) -> Floats:
@@ -329,7 +329,7 @@ def _corner(members: Sequence[CaptureView], group: Group, estimate: RoomEstimate
         faces = _faces(members[number], group.plane_of[number], start.corners.get(group.stations[number]))
         if min(faces) >= 0 and len(set(faces)) == 3:
             place = estimate.room.places[number]
-            return Corner(place.rotation.T @ (vertex(estimate, *faces).position - place.translation), np.eye(3))
+            return Corner(place.undo(vertex(estimate, *faces).position), np.eye(3))
     return None
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from scanner.exporting import Mesh, write_pieces
 from scanner.io import MATCHES_FILE, write_calibration, write_matches, write_ply
 from scanner.quantities import METRES
@@ -48,7 +48,7 @@ def station_entries(station: Station) -> dict[str, Any]:
     }
 
 
-def motion_entries(place: Motion) -> dict[str, Any]:
+def motion_entries(place: Pose) -> dict[str, Any]:
     """The entries of a pose."""
     return {"rotation": place.rotation.tolist(), "translation": place.translation.tolist()}
 

@@ -59,7 +59,7 @@ def part_of(mesh: Mesh, chosen: Bools) -> tuple[Ints, Mesh]:
 
 def _looked_at(station: Station, points: Floats, camera: Intrinsics, near: float) -> tuple[Floats, Bools]:
     """The station's camera pixels (N, 2) of points (N, 3) of the room, and which of them (N,) it sees."""
-    own = (points - station.place.translation) @ station.place.rotation
+    own = station.place.undo(points)
     ahead = own[:, 2] > 0
     pixels = camera.project(np.where(ahead[:, None], own, [0.0, 0.0, 1.0]))
     depth = filled(np.where(station.cloud.there, station.cloud.points[..., 2], np.nan))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.rooms import RoomPlane
 
@@ -17,7 +17,7 @@ _FLOOR_OF_LARGEST = 0.15
 _CAMERAS_UP = np.array([0.0, -1.0, 0.0])
 
 
-def upright(places: Sequence[Motion], planes: Sequence[RoomPlane], areas: Floats) -> tuple[Motion, int | None]:
+def upright(places: Sequence[Pose], planes: Sequence[RoomPlane], areas: Floats) -> tuple[Pose, int | None]:
     """X_up = rotation X + translation, and the number of the floor; None without a floor, if the cameras define up.
 
     `areas` (P,): visible area of each plane.
@@ -30,18 +30,13 @@ def upright(places: Sequence[Motion], planes: Sequence[RoomPlane], areas: Floats
     rotation = np.stack([along, np.cross(up, along), up])
     foot = places[0].translation
     height = 0.0 if floor is None else float(up @ foot) - planes[floor].offset
-    return Motion(rotation, -rotation @ foot + np.array([0.0, 0.0, height])), floor
+    return Pose(rotation, -rotation @ foot + np.array([0.0, 0.0, height])), floor
 
 
-def moved_plane(plane: RoomPlane, motion: Motion, factor: float = 1.0) -> RoomPlane:
+def moved_plane(plane: RoomPlane, motion: Pose, factor: float = 1.0) -> RoomPlane:
     """A plane after X → factor · (rotation X + translation)."""
     normal: Floats = motion.rotation @ plane.normal
     return RoomPlane(normal, factor * (plane.offset + float(normal @ motion.translation)))
-
-
-def moved_place(place: Motion, motion: Motion, factor: float = 1.0) -> Motion:
-    """A station's place after the same."""
-    return Motion(motion.rotation @ place.rotation, factor * (motion.rotation @ place.translation + motion.translation))
 
 
 def ceiling_of(planes: Sequence[RoomPlane], areas: Floats) -> int | None:

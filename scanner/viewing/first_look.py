@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.numerics import Floats
+from calib.geometry import IDENTITY, Pose
 from scanner.rendering import photograph
 from scanner.results import Reconstructed, Scan
 from scanner.viewing.decimation import DEFAULT_SHOWN, shuffled
@@ -33,7 +33,7 @@ def preview_scan(scan: Scan) -> tuple[ViewedCloud, int]:
     points, normals, colours = (
         values.reshape(-1, 3)[chosen] for values in (cloud.points, cloud.normals, cloud.colours)
     )
-    rigs = tuple(_rig(newest, np.eye(3, 4)))
+    rigs = tuple(_rig(newest, IDENTITY))
     up = np.array([0.0, -1.0, 0.0])
     return ViewedCloud(points.astype(np.float64), normals, colours, rigs, None, up, cloud.unit, "camera"), len(there)
 
@@ -43,10 +43,8 @@ def _chosen(count: int) -> np.ndarray:
     return np.sort(shuffled(count)[:DEFAULT_SHOWN])
 
 
-def _rig(capture: Reconstructed, pose: Floats) -> Iterator[PlacedRig]:
-    """Return the devices in the cloud's frame, by the pose (3, 4) of its camera; none without the camera's white
-    picture.
-    """
+def _rig(capture: Reconstructed, pose: Pose) -> Iterator[PlacedRig]:
+    """The devices in the cloud's frame, by the pose of the camera in it; none without the camera's white picture."""
     texture = capture.decoded.texture
     if texture is not None:
-        yield PlacedRig(capture.calibration, pose[:, :3], pose[:, 3], photograph(texture))
+        yield PlacedRig(capture.calibration, pose, photograph(texture))

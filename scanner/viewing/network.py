@@ -32,15 +32,7 @@ def network_cloud(folder: Path) -> ViewedCloud:
 
 
 def _rig(camera: StoredDevice, projector: StoredDevice, unit: str, folder: Path) -> PlacedRig:
-    to_projector = projector.place.rotation.T
-    calibration = Calibration(
-        camera.intrinsics,
-        projector.intrinsics,
-        to_projector @ camera.place.rotation,
-        to_projector @ (camera.place.translation - projector.place.translation),
-        unit,
-    )
+    to_projector = projector.place.inverse() @ camera.place
+    calibration = Calibration(camera.intrinsics, projector.intrinsics, to_projector, unit)
     picture = read_white_picture(folder / CAPTURES_FOLDER / f"{camera.name}-{projector.name}")
-    return PlacedRig(
-        calibration, camera.place.rotation, camera.place.translation, picture, (camera.name, projector.name)
-    )
+    return PlacedRig(calibration, camera.place, picture, (camera.name, projector.name))

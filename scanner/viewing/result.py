@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration, Matches
+from calib.geometry import IDENTITY, Calibration, Matches, Pose
 from calib.numerics import Floats
 from calib.pointcloud import point_covariances
 from scanner.errors import InputError
@@ -45,24 +45,25 @@ _AT_ONCE = 100_000  # covariances are large
 
 @dataclass(frozen=True)
 class PlacedRig:
-    """A rig in a cloud's frame: X_cloud = `rotation` X_camera + `position`; `picture` (H, W, 3) RGB is the camera's, if
-    there is one. `names` of camera and projector, where they have any.
-    """
+    """A rig in a cloud's frame."""
 
     calibration: Calibration
-    rotation: Floats
-    position: Floats
+    pose: Pose
+    """X_cloud = R X_camera + t."""
     picture: NDArray[np.uint8] | None
+    """(H, W, 3) RGB of the camera, if there is one."""
     names: tuple[str, str] | None = None
+    """Of camera and projector, where they have any."""
+
+    @property
+    def position(self) -> Floats:
+        """The camera's centre in the cloud's frame, (3,)."""
+        return self.pose.translation
 
     @property
     def projector_centre(self) -> Floats:
         """The projector's centre in the cloud's frame, (3,)."""
-        return self.to_cloud(self.calibration.projector_centre)
-
-    def to_cloud(self, points: Floats) -> Floats:
-        """Points (..., 3) of the camera's frame in the cloud's."""
-        return points @ self.rotation.T + self.position
+        return self.pose @ self.calibration.projector_centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +195,7 @@ class ViewedResult:
             scan.points,
             scan.normals,
             scan.colours,
-            (PlacedRig(scan.calibration, np.eye(3), np.zeros(3), _picture(folder, scan)),),
+            (PlacedRig(scan.calibration, IDENTITY, _picture(folder, scan)),),
             corner,
             _up(corner),
             scan.unit,
@@ -210,8 +211,7 @@ class ViewedResult:
         rigs = tuple(
             PlacedRig(
                 scan.calibration,
-                station_with_scan.place.rotation,
-                station_with_scan.place.translation,
+                station_with_scan.place,
                 _picture(station_with_scan.folder, scan),
             )
             for station_with_scan, scan in ((station, station.scan) for station in reversed(room.stations))
@@ -234,12 +234,12 @@ class ViewedResult:
                 pose = place_camera(scan.points[some], found.corner, cloud.points[of_many])
             if pose is not None:
                 corner = corner if rigs else found
-                rigs.append(PlacedRig(scan.calibration, pose[:, :3], pose[:, 3], _picture(folder, scan)))
+                rigs.append(PlacedRig(scan.calibration, pose, _picture(folder, scan)))
         up = np.array([0.0, 0.0, 1.0 if np.median(cloud.points[:, 2]) >= 0 else -1.0])
         unit = self.calibration.unit
         return ViewedCloud(cloud.points, cloud.normals, cloud.colours, tuple(rigs), corner, up, unit, "corner")
 
-    def _poses(self) -> Sequence[Floats | None]:
+    def _poses(self) -> Sequence[Pose | None]:
         """Read the poses of the captures' cameras in the merged cloud, newest first; None if an older result has
         none.
         """

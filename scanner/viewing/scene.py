@@ -193,10 +193,9 @@ class Scene:
         depth = _FRUSTUM_OF_SIZE * _DRAWN_SIZE / self._factor
         of_camera = picture_corners(calibration.camera, depth)
         in_projector = picture_corners(calibration.projector, depth)
-        to_camera = calibration.rotation.T
         centre = rig.projector_centre
-        of_projector = rig.to_cloud(in_projector @ to_camera.T + calibration.projector_centre)
-        self._lines(f"{name}/camera", frustum_lines(of_camera) @ rig.rotation.T + rig.position, BLUE)
+        of_projector = rig.pose @ calibration.pose.inverse() @ in_projector
+        self._lines(f"{name}/camera", rig.pose @ frustum_lines(of_camera), BLUE)
         self._lines(f"{name}/projector", frustum_lines(of_projector - centre) + centre, VERMILION)
         self._lines(f"{name}/baseline", np.stack([rig.position, centre])[None], _INK)
         if rig.picture is not None:
@@ -212,15 +211,15 @@ class Scene:
             picture,
             render_width=float(self._factor * width),
             render_height=float(self._factor * height),
-            wxyz=Rotation.from_matrix(rig.rotation).as_quat(scalar_first=True),
-            position=self._drawn(rig.to_cloud(corners.mean(axis=0))),
+            wxyz=Rotation.from_matrix(rig.pose.rotation).as_quat(scalar_first=True),
+            position=self._drawn(rig.pose @ corners.mean(axis=0)),
             cast_shadow=False,
             receive_shadow=False,
         )
 
     def _draw_corner(self, corner: MeasuredCorner, rig: PlacedRig) -> None:
-        vertex = rig.to_cloud(corner.corner.vertex)
-        outlines = rig.to_cloud(corner.outlines)
+        vertex = rig.pose @ corner.corner.vertex
+        outlines = rig.pose @ corner.outlines
         for face, outline, colour in zip(corner.scene.faces, outlines, FACE_COLOURS, strict=True):
             self._scene.add_mesh_simple(
                 f"{FACES}/{face.name}",
@@ -247,15 +246,15 @@ class Scene:
         unit = shown_unit(cloud.unit)
         if cloud.corner is None:
             for rig in cloud.rigs[:1]:
-                middle = rig.to_cloud(rig.calibration.projector_centre / 2)
+                middle = rig.pose @ (rig.calibration.projector_centre / 2)
                 self._label(f"{LABELS}/ruler", unit.length(rig.calibration.baseline), middle, "top-center")
             return
         rig = cloud.rigs[0]
-        legs = cloud.corner.corner.legs @ rig.rotation.T
+        legs = rig.pose.rotate(cloud.corner.corner.legs)
         level = int(np.argmin(np.abs(legs @ cloud.up)))
         edge, across = legs[level], legs[(level + 1) % 3]
-        vertex = rig.to_cloud(cloud.corner.corner.vertex)
-        reach = float(np.max((rig.to_cloud(cloud.corner.outlines) - vertex) @ edge))
+        vertex = rig.pose @ cloud.corner.corner.vertex
+        reach = float(np.max((rig.pose @ cloud.corner.outlines - vertex) @ edge))
         lines = ruler_lines(vertex, edge, across, reach)
         self._lines(f"{FACES}/ruler", lines, _INK)
         step = nice_step(reach)

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from calib.geometry import Calibration
+from calib.geometry import IDENTITY, Calibration, Pose
 from tests.fuzz.guarded import MOST_CHARACTERS, Run, guarded
 from tests.fuzz.mutations import Random, of_bytes, of_header, of_yaml
 
@@ -63,7 +63,7 @@ def calibration(folder: Path) -> Run:
     from tests.support.cloud_scene import CAMERA, PROJECTOR
 
     path = folder / "calibration.yaml"
-    write_calibration(path, Calibration(CAMERA, PROJECTOR, np.eye(3), np.array([0.4, 0.1, 0.0]), "m"))
+    write_calibration(path, Calibration(CAMERA, PROJECTOR, Pose(np.eye(3), np.array([0.4, 0.1, 0.0])), "m"))
     count = len(COLUMNS)
     seed = yaml.safe_load(path.read_text()) | {
         "sigma": {"camera_focal_px": 1.5, "rotation_deg": [0.1, 0.1, 0.2], "corner_angles_deg": 0.1},
@@ -160,7 +160,7 @@ def poses(folder: Path) -> Run:
     from scanner.io import read_poses, write_poses
 
     path = folder / "poses.yaml"
-    write_poses(path, [np.eye(3, 4), np.eye(3, 4)])
+    write_poses(path, [IDENTITY, IDENTITY])
     seed = yaml.safe_load(path.read_text())
 
     def read(rng: Random) -> None:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import yaml
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.numerics import Floats
 from scanner.boards import draw_target
 from scanner.io import write_png
@@ -20,8 +20,8 @@ _SIDE_PX = 24  # of a square as it is drawn
 _DARK, _SURROUNDINGS = 12.0, 0.4
 
 
-def write_board_capture(folder: Path, target: Target, rig: Calibration, pose: tuple[Floats, Floats]) -> Path:
-    """Write a capture of a flat board in a `pose`: rotation (3, 3), middle (3,) in the unit of `target` and `rig`."""
+def write_board_capture(folder: Path, target: Target, rig: Calibration, pose: Pose) -> Path:
+    """Write a capture of a flat board in a `pose` in the camera's frame, in the unit of `target` and `rig`."""
     board, projector_px = _seen(rig, pose)
     reflectance = _reflectance(target, board)
     (folder / "frames").mkdir(parents=True)
@@ -40,14 +40,14 @@ def write_board_capture(folder: Path, target: Target, rig: Calibration, pose: tu
     return folder
 
 
-def _seen(rig: Calibration, pose: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+def _seen(rig: Calibration, pose: Pose) -> tuple[Floats, Floats]:
     """For each camera pixel, (H, W, 2): its point on the board's plane, and the projector's pixel there."""
-    rotation, middle = pose
     row, column = np.indices((rig.camera.height, rig.camera.width), dtype=np.float64)
     rays = rig.camera.unproject(np.stack([column.ravel(), row.ravel()], axis=1))
-    points = rays * (middle @ rotation[:, 2] / (rays @ rotation[:, 2]))[:, None]
-    board = ((points - middle) @ rotation)[:, :2]
-    projector_px = rig.projector.project(points @ rig.rotation.T + rig.translation)
+    normal = pose.rotation[:, 2]
+    points = rays * (pose.translation @ normal / (rays @ normal))[:, None]
+    board = (pose.inverse() @ points)[:, :2]
+    projector_px = rig.projector.project(rig.pose @ points)
     return board.reshape(*row.shape, 2), projector_px.reshape(*row.shape, 2)
 
 

@@ -33,7 +33,7 @@ def room(
     """A concave corner 2.5 m away, a sphere in front of it, and a projector 0.4 m beside the camera."""
     eye = Placed.looking(np.array([1.5, 1.3, 1.2]), np.array([0.3, 0.25, 0.25]))
     source = Placed.looking(np.array([1.75, 1.0, 1.3]), np.array([0.3, 0.2, 0.25]))
-    calibration = Calibration(camera, projector, *eye.into(source), unit="m")
+    calibration = Calibration(camera, projector, eye.into(source), unit="m")
     corner = Corner(-eye.rotation @ eye.eye, eye.rotation.T.copy())
     ball = Ball(np.array([0.5, 0.4, 0.4]), SPHERE_RADIUS_M)
     view = seen(Room(ball=ball), calibration, eye)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.numerics import Bools, Floats, Image
 from hw.errors import FrameLostError
 from hw.rig import Capabilities, Frame, Rig
@@ -24,7 +24,7 @@ def calibration(lens: float = 0.0, smaller: float = 1) -> Calibration:
     focal, width, height = 220.0 / smaller, round(CAMERA[0] / smaller), round(CAMERA[1] / smaller)
     camera = Intrinsics(width, height, (focal, focal), (80.0 / smaller, 63.0 / smaller), distortion)
     projector = Intrinsics(*PROJECTOR, (560.0, 560.0), (205.0, 150.0), distortion)
-    return Calibration(camera, projector, turned, np.array([-0.12, 0.005, 0.01]), "m")
+    return Calibration(camera, projector, Pose(turned, np.array([-0.12, 0.005, 0.01])), "m")
 
 
 @dataclass
@@ -109,7 +109,7 @@ class LiveBench:
         return points, ball
 
     def _lit(self, points: Floats) -> tuple[Floats, Floats, Bools]:
-        to = points @ self.calibration.rotation.T + self.calibration.translation
+        to = self.calibration.pose @ points
         pixel = self.calibration.projector.project(to)
         width, height = PROJECTOR
         inside = (pixel[..., 0] > 0) & (pixel[..., 0] < width - 1) & (pixel[..., 1] > 0) & (pixel[..., 1] < height - 1)

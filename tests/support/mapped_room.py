@@ -47,8 +47,8 @@ class _Cloud(CloudPoints):
 
 def to_network(points: Floats) -> Floats:
     """Points (..., 3) of the room → the network's frame."""
-    found: Floats = (points - CAMERA.centre) @ CAMERA.rotation.T
-    return found
+    moved: Floats = (points - CAMERA.centre) @ CAMERA.rotation.T
+    return moved
 
 
 def write_network(folder: Path, rng: np.random.Generator, noise_m: float = 3e-4) -> Path:

@@ -40,7 +40,7 @@ def _seen(network: SyntheticNetwork, camera: str, projector: str) -> tuple[Float
     row, column = np.indices((height, width), dtype=np.float64)
     at, light = network.poses[camera], network.poses[projector]
     rays = network.devices[camera].unproject(np.stack([column.ravel(), row.ravel()], axis=1))
-    points, _ = cast(rays @ at.rotation.T, at.translation, network.scene)
+    points, _ = cast(at.rotate(rays), at.translation, network.scene)
     from_light = points - light.translation
     met, _ = cast(from_light, light.translation, network.scene)
     before = from_light @ light.rotation

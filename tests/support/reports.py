@@ -41,7 +41,7 @@ def calibrated_report(scene: Scene) -> ReportInput:
     focal_px = np.geomspace(120, 1600, 60)
     decoding = decoding_of(scene)
     solution = SelfCalibration(
-        replace(calibration, translation=calibration.translation / calibration.baseline, unit="baseline"),
+        calibration.in_baselines,
         scene.matches,
         Corner(scene.corner.vertex / calibration.baseline, scene.corner.legs),
         Profile(focal_px, 400 * np.log(focal_px / 299.5) ** 2),

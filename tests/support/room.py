@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Pose
 from calib.numerics import Bools, Floats, Ints
 from calib.synthetic import look_at
 
@@ -117,9 +117,9 @@ class Placed:
     def looking(cls, eye: Floats, target: Floats, roll: float = 0.0) -> "Placed":
         return cls(eye, look_at(eye, target, UP, roll))
 
-    def into(self, other: "Placed") -> tuple[Floats, Floats]:
-        """Rotation (3, 3) and translation (3,) from this device's frame into another's."""
-        return other.rotation @ self.rotation.T, other.rotation @ (self.eye - other.eye)
+    def into(self, target: "Placed") -> Pose:
+        """From this device's frame into another's."""
+        return Pose(target.rotation @ self.rotation.T, target.rotation @ (self.eye - target.eye))
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def seen(room: Room, calibration: Calibration, camera: Placed) -> Seen:
     rays = device.unproject(camera_px)
     depth, surface = room.cast(camera.eye, rays @ camera.rotation)
     points = rays * np.where(np.isfinite(depth), depth, 1.0)[:, None]
-    projected = projector.project(points @ calibration.rotation.T + calibration.translation)
+    projected = projector.project(calibration.pose @ points)
     with np.errstate(invalid="ignore"):
         lit = (surface >= 0) & np.all((projected > 0) & (projected < (projector.width - 1, projector.height - 1)), 1)
     source = calibration.projector_centre @ camera.rotation + camera.eye

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from calib.geometry import Motion
 from calib.refinement import CAMERA, PROJECTOR, ROTATION, SHARED, Cells, Knowledge, State, into_cells
 from calib.rooms import Room, RoomPlane
 from calib.synthetic import SyntheticRoom
@@ -14,26 +13,16 @@ def true_room(made: SyntheticRoom) -> tuple[Room, list[dict[int, int]]]:
 
     Also, for each station, the room's plane of each label of its matches.
     """
-    rig, first = made.calibration, made.stations[0]
+    rig, first = made.calibration, made.stations[0].pose
     unit = rig.baseline
-    places = tuple(
-        Motion(first.rotation.T @ station.rotation, first.rotation.T @ (station.translation - first.translation) / unit)
-        for station in made.stations
-    )
+    places = tuple((first.inverse() @ station.pose).scaled(1 / unit) for station in made.stations)
     labels = [np.unique(station.matches.labels[station.matches.labels >= 0]) for station in made.stations]
     seen = np.unique(np.concatenate(labels))
     planes = tuple(
         RoomPlane(first.rotation.T @ normal, float(offset - normal @ first.translation) / unit)
         for normal, offset in zip(made.normals[seen], made.offsets[seen], strict=True)
     )
-    state = State(
-        device_of(rig.camera),
-        device_of(rig.projector),
-        rig.rotation,
-        rig.translation / unit,
-        np.zeros((0, 3)),
-        (),
-    )
+    state = State(device_of(rig.camera), device_of(rig.projector), rig.pose.scaled(1 / unit))
     number = {int(label): i for i, label in enumerate(seen)}
     return Room(state, places, planes), [{int(label): number[int(label)] for label in each} for each in labels]
 

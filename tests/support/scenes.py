@@ -90,7 +90,7 @@ def place_rig(
         Placed.looking(place, target + rng.normal(0, spread, 3), rng.normal(0, 0.15))
         for place in (eye, eye + baseline * _unit(aside))
     )
-    return Calibration(*devices, *camera.into(projector), unit="m"), camera
+    return Calibration(*devices, camera.into(projector), unit="m"), camera
 
 
 def furnished_room(rng: np.random.Generator, *, scale: float = 1.0, hidden_vertex: bool | None = None) -> Scene:

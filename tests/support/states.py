@@ -4,7 +4,7 @@ import numpy as np
 
 from calib.geometry import Intrinsics
 from calib.numerics import Floats
-from calib.refinement import Cells, Pose, State
+from calib.refinement import Cells, PlacedCorner, State
 from calib.synthetic import SyntheticCapture
 
 
@@ -15,14 +15,13 @@ def device_of(intrinsics: Intrinsics) -> Floats:
 
 def true_state(capture: SyntheticCapture) -> State:
     calibration = capture.calibration
-    pose = Pose(capture.corner.legs, capture.corner.vertex / calibration.baseline)
+    corner = PlacedCorner(capture.corner.legs, capture.corner.vertex / calibration.baseline)
     return State(
         device_of(calibration.camera),
         device_of(calibration.projector),
-        calibration.rotation,
-        calibration.translation / calibration.baseline,
+        calibration.pose.in_baselines,
         np.zeros((1, 3)),
-        (pose,),
+        (corner,),
     )
 
 

@@ -1,17 +1,16 @@
 """Matches of a simulated thing at some steps, from rays with noise; no frames are rendered."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from calib.geometry import Calibration, Matches, Motion, Size
+from calib.geometry import Calibration, Matches, Pose, Size
 from calib.numerics import Bools, Floats, Image
 from hw.settings import SimulatedRigSettings
 from hw.simulated.things import SimulatedThing, Solid
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
-from scanner.quantities import UNKNOWN_UNIT
 from scanner.results import Decoded, GivenMatches
 
 PROJECTOR = (854, 480)
@@ -25,7 +24,7 @@ class ThingStation:
     """
 
     matches: Matches
-    place: Motion
+    place: Pose
     calibration: Calibration
     picture: Image
     thing: Bools
@@ -60,10 +59,9 @@ def _exposed(bright: Floats, rng: np.random.Generator) -> Image:
     return np.clip(np.rint(level), 0, 255).astype(np.uint8)
 
 
-def between(first: Motion, second: Motion) -> Motion:
+def between(first: Pose, second: Pose) -> Pose:
     """X_first = R X_second + t, from two cameras' poses."""
-    back = first.rotation.T
-    return Motion(back @ second.rotation, back @ (second.translation - first.translation))
+    return first.inverse() @ second
 
 
 def config_for(camera: tuple[int, int]) -> Config:
@@ -84,8 +82,3 @@ def decoded(stations: list[ThingStation], camera: tuple[int, int], pictures: boo
         Decoded(metadata, each.matches, GivenMatches(each.picture if pictures else None, 0.0), f"Station {number}")
         for number, each in enumerate(stations, start=1)
     ]
-
-
-def in_baselines(calibration: Calibration) -> Calibration:
-    """The stations of a rig of unknown scale."""
-    return replace(calibration, translation=calibration.translation / calibration.baseline, unit=UNKNOWN_UNIT)

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Matches, Motion
+from calib.geometry import Calibration, Matches, Pose
 from calib.numerics import Floats, Image, Ints
 from hw.settings import SimulatedRigSettings
-from hw.simulated import ProjectorLight, Room, Scene, Texture, paint, place_room, true_calibration, true_place
+from hw.simulated import ProjectorLight, Room, Scene, Texture, paint, place_room, true_calibration
 
 CAMERA = (612, 512)
 PROJECTOR = (854, 480)
@@ -27,7 +27,7 @@ class TrueStation:
 
     scene: Scene
     calibration: Calibration
-    place: Motion
+    place: Pose
     matches: Matches
     pixel: Ints
     surface: Ints
@@ -65,7 +65,7 @@ def with_turned_projector(station: TrueStation, turn_deg: Sequence[float] | Floa
     `calibration` stays that of the other stations.
     """
     rig = station.calibration
-    points = station.points @ rig.rotation.T + rig.translation
+    points = rig.pose @ station.points
     noise = station.matches.projector_px - rig.projector.project(points)
     turned = points @ Rotation.from_rotvec(turn_deg, degrees=True).as_matrix().T
     return replace(station, matches=replace(station.matches, projector_px=rig.projector.project(turned) + noise))
@@ -88,7 +88,7 @@ def observed(room: Room, rng: np.random.Generator, noise_px: float) -> TrueStati
     return TrueStation(
         room.scene,
         calibration,
-        true_place(room),
+        room.camera.pose,
         Matches(camera_px[:, pixel].T, seen + noise_px * rng.standard_normal(seen.shape), None, sigma_px),
         pixel,
         surface[pixel],

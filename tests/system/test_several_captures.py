@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry import NO_FACE, Calibration, Intrinsics, Matches, Size
+from calib.geometry import NO_FACE, Calibration, Intrinsics, Matches, Pose, Size
 from calib.synthetic import PAPER_PROJECTOR, SyntheticCapture, random_captures
 from scanner.io import read_calibration, read_matches, write_calibration, write_matches
 from scanner.quantities import intrinsic_errors_percent
@@ -193,7 +193,7 @@ def test_a_result_of_another_camera_is_refused(
     write_matches(result / "matches.npz", given.captures[1].matches)
     camera = Intrinsics(1224, 1024, (900.0, 900.0), (600.0, 500.0))
     write_calibration(
-        result / "calibration.yaml", Calibration(camera, PAPER_PROJECTOR, np.eye(3), np.array([1.0, 0.0, 0.0]))
+        result / "calibration.yaml", Calibration(camera, PAPER_PROJECTOR, Pose(np.eye(3), np.array([1.0, 0.0, 0.0])))
     )
     arguments = ("--config", given.config, "--out", tmp_path / "out")
     assert run("calibrate", given.files[0], result, *arguments) == 2
@@ -238,7 +238,7 @@ def test_earlier_results_are_found_beside_the_configuration(
     assert "one.npz: camera_px runs" in capsys.readouterr().err
     calibration = tmp_path / "calibration.yaml"
     device = Intrinsics(*SIZE, (50.0, 50.0), (24.0, 16.0))
-    write_calibration(calibration, Calibration(device, device, np.eye(3), np.array([1.0, 0.0, 0.0])))
+    write_calibration(calibration, Calibration(device, device, Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))))
     arguments = ("--config", config, "--calibration", calibration, "--out", tmp_path / "out")
     assert run("replay", capture, *arguments) == 2
     assert "--set earlier=[]" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from calib.geometry import Calibration, Motion
+from calib.geometry import Calibration, Pose
 from calib.numerics import Bools, Floats
 from hw.settings import SimulatedRigSettings
 from hw.simulated.arrays import Light, sparse_matrix
@@ -30,7 +30,7 @@ class ThingTruth:
     """`solid` in its own frame, and the camera in it: X_thing = rotation X_camera + translation of `place`."""
 
     solid: Solid
-    place: Motion
+    place: Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +79,7 @@ class SimulatedThing:
     @property
     def truth(self) -> ThingTruth:
         """The shape of the thing and the pose of the camera in its frame."""
-        camera = self.room.camera
-        back = self.pose.rotation.T
-        return ThingTruth(self.solid, Motion(back @ camera.rotation.T, back @ (camera.centre - self.pose.translation)))
+        return ThingTruth(self.solid, self.pose.inverse() @ self.room.camera.pose)
 
     @cached_property
     def renderer(self) -> ThingRenderer:

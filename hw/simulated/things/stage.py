@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Bools, Floats, Ints
 from calib.open3d_module import open3d
 from hw.settings import ThingSettings
@@ -25,7 +25,7 @@ _START = 1e-5  # distance of a ray's start from its surface, over the length of 
 _THING, _PLATE, _BACKGROUND = 0, 1, 2
 
 
-def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, int]) -> Motion:
+def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, int]) -> Pose:
     """The pose of the thing at a step: X_world = R X_thing + t."""
     rng = np.random.default_rng([*seed, 0])
     aside = _OFF_CENTRE * settings.size_m * rng.standard_normal(2)
@@ -33,11 +33,11 @@ def pose_of(solid: Solid, settings: ThingSettings, step: int, seed: tuple[int, i
         turn = float(settings.step_deg or 360.0 / settings.steps) * step
         rotation = np.asarray(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.float64)
         height = _PLATE_M - float(solid.vertices[:, 2].min())
-        return Motion(rotation, rotation @ np.array([*aside, height]))
+        return Pose(rotation, rotation @ np.array([*aside, height]))
     own = np.random.default_rng([*seed, 1, step])
     rotation = np.asarray(Rotation.random(random_state=own).as_matrix(), np.float64)
     aside = aside + _ELSEWHERE * settings.size_m * own.uniform(-1, 1, 2)
-    return Motion(rotation, np.array([*aside, _PLATE_M - float((solid.vertices @ rotation.T)[:, 2].min())]))
+    return Pose(rotation, np.array([*aside, _PLATE_M - float((solid.vertices @ rotation.T)[:, 2].min())]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,11 @@ class Hits:
 class Stage:
     """A thing in a pose, with the plate of the turntable and the static background."""
 
-    def __init__(self, solid: Solid, place: Motion, settings: ThingSettings) -> None:
+    def __init__(self, solid: Solid, place: Pose, settings: ThingSettings) -> None:
         self._o3d = open3d()
         self._solid, self._size = solid, settings.size_m
         self._scene: Any = self._o3d.t.geometry.RaycastingScene(nthreads=0)
-        parts = [(solid.vertices @ place.rotation.T + place.translation, solid.triangles)]
+        parts = [(place @ solid.vertices, solid.triangles)]
         if settings.background:
             parts += [_plate(self._size), _surroundings(self._size)]
         for vertices, triangles in parts:

@@ -73,7 +73,8 @@ def _add_region(region: LitRegion, position: RowFile, to_file: Floats, total: Nu
     """Add to the `total` (H, W) the squared distances of the pixels that light the points at `position`."""
     scale = abs(to_file[0])
     place, lens = region.view.projector.place, region.view.projector.intrinsics
-    turn, shift = scale * place.rotation.T / to_file, -scale * (place.rotation.T @ place.translation)
+    into = place.inverse().scaled(scale)
+    turn, shift = scale * into.rotation / to_file, into.translation
     depth, distance = region.view.depth.read_all(), region.distance.read_all()
 
     def add(rows: slice) -> None:

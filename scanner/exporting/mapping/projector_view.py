@@ -101,7 +101,7 @@ class _Surface:
 
         def fill(part: slice) -> None:
             x, y = np.meshgrid(np.arange(float(lens.width)), np.arange(rows.start, rows.stop, 1.0)[part])
-            rays[part, :, 3:] = lens.unproject(np.stack([x, y], axis=-1)) @ place.rotation.T
+            rays[part, :, 3:] = place.rotate(lens.unproject(np.stack([x, y], axis=-1)))
 
         in_slices(len(rays), _slice_rows(lens.width), fill)
         return rays

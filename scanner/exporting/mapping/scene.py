@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.geometry import Motion
 from calib.numerics import Floats
 from scanner.errors import InputError
 from scanner.exporting.poisson import mesh_of, reconstruct_surface
@@ -44,11 +43,8 @@ def read_scene(result: Path) -> Scene:
                 f"export one station, as in {result}/captures/1"
             )
     scan = read_finished_scan(result)
-    found = scan.calibration
-    pose = Motion(found.rotation.T.copy(), found.projector_centre)
-    return Scene(
-        (StoredDevice("projector", "projector", found.projector, pose),), build_mesh(scan), "from camera to projector"
-    )
+    projector = StoredDevice("projector", "projector", scan.calibration.projector, scan.calibration.pose.inverse())
+    return Scene((projector,), build_mesh(scan), "from camera to projector")
 
 
 def _of_network(result: Path) -> Scene:

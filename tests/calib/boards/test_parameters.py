@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from calib.boards.parameters import (
     SHARED,
-    Placed,
+    PlacedBoard,
     State,
     device_of,
     intrinsics_of,
     predict_corners,
     predict_matches,
 )
-from calib.geometry import Motion, rotation_about
+from calib.geometry import Pose, rotation_about
 from calib.synthetic import random_boards
 
 
@@ -23,11 +23,14 @@ def random_state(seed: int) -> State:
     return State(
         np.array([1500, 1.01, 640, 500, -0.1, 0.05, 0.001, -0.002, 0.02]) * rng.uniform(0.9, 1.1, 9),
         np.array([1800, 0.99, 500, 700, -0.05, 0.03, -0.001, 0.002, 0.01]) * rng.uniform(0.9, 1.1, 9),
-        Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([5.0, 0.3, 0.5])),
+        Pose(rotation_about(rng.normal(0, 0.1, 3)), np.array([5.0, 0.3, 0.5])),
         0.01 * rng.standard_normal(7),
         4.0,
         tuple(
-            Placed(rotation_about(rng.normal(0, 0.3, 3)), rng.normal((0, 0, 22), (0.5, 0.5, 2)), rng.normal(0, 1e-3, 3))
+            PlacedBoard(
+                Pose(rotation_about(rng.normal(0, 0.3, 3)), rng.normal((0, 0, 22), (0.5, 0.5, 2))),
+                rng.normal(0, 1e-3, 3),
+            )
             for _ in range(2)
         ),
     )
@@ -54,9 +57,8 @@ def test_the_model_predicts_the_pixels_of_a_synthetic_board(seed: int) -> None:
     boards = random_boards(np.random.default_rng(seed), corner_px=0, match_px=0, matches=200)
     rig = boards.calibration
     bend = np.append(boards.bend, np.zeros(4))
-    placed = tuple(Placed(*pose) for pose in boards.poses)
-    motion = Motion(rig.rotation, rig.translation)
-    state = State(device_of(rig.camera), device_of(rig.projector), motion, bend, boards.reach, placed)
+    placed = tuple(PlacedBoard(pose) for pose in boards.poses)
+    state = State(device_of(rig.camera), device_of(rig.projector), rig.pose, bend, boards.reach, placed)
     for i, view in enumerate(boards.views):
         assert np.abs(predict_corners(state, view.points, i)[0] - view.corners_px).max() < 1e-8
         assert np.abs(predict_matches(state, view.matches.camera_px, i)[0] - view.matches.projector_px).max() < 1e-6

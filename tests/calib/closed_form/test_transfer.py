@@ -49,7 +49,7 @@ def test_transferring_the_true_camera_gives_the_true_projector(seed: int) -> Non
     errors = np.abs(result.matrix - capture.calibration.projector.matrix).max(axis=(1, 2))
     best = int(np.nanargmin(errors))
     assert errors[best] < 0.5
-    assert np.allclose(result.rotation[best], capture.calibration.rotation, atol=1e-3)
+    assert np.allclose(result.rotation[best], capture.calibration.pose.rotation, atol=1e-3)
     direction = result.translation[best] / np.linalg.norm(result.translation[best])
-    truth = capture.calibration.translation / capture.calibration.baseline
+    truth = capture.calibration.pose.translation / capture.calibration.baseline
     assert np.allclose(direction, truth, atol=2e-3)

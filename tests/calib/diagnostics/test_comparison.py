@@ -50,7 +50,7 @@ def test_a_zoom_of_half_a_per_cent_is_found(boards: tuple[SystematicErrors, Syst
 
 def test_without_a_scale_only_shapes_are_compared(boards: tuple[SystematicErrors, SystematicErrors]) -> None:
     found, truth = boards
-    tripled = SystematicErrors.of(replace(truth.calibration, translation=3 * truth.calibration.translation), None)
+    tripled = SystematicErrors.of(truth.calibration.scaled(3), None)
     free = compare(found, tripled, grid(found), DEPTHS, metric=False)
     assert free.agree
     assert 0.32 < free.scale < 0.345

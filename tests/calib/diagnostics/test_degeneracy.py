@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.diagnostics.degeneracy import reasons_in_images, reasons_in_space
+from calib.geometry import Pose
 from calib.numerics import Floats
-from calib.refinement import Cells, Pose, State, without_lens
+from calib.refinement import Cells, PlacedCorner, State, without_lens
 from calib.refusal import RIG
 
 AHEAD = np.array([0.0, 0.0, 1.0])
@@ -22,8 +23,8 @@ def state_seen(sines: Floats, distance: float, ahead_deg: float = 90.0) -> State
     frame = Rotation.align_vectors(AHEAD[None], sines[None])[0].as_matrix().T
     direction = np.array([np.sin(np.radians(ahead_deg)), 0.0, np.cos(np.radians(ahead_deg))])
     device = without_lens(1000.0, np.array([500.0, 400.0]))
-    pose = Pose(frame, distance * AHEAD)
-    return State(device, device, np.eye(3), -direction, np.zeros((1, 3)), (pose,))
+    corner = PlacedCorner(frame, distance * AHEAD)
+    return State(device, device, Pose(np.eye(3), -direction), np.zeros((1, 3)), (corner,))
 
 
 def test_a_balanced_view_has_no_degeneracy() -> None:
@@ -47,7 +48,7 @@ def test_the_slant_seen_by_the_projector_is_named_separately() -> None:
     rows = np.array([[2.0, 0.0, 1.0], [-1.0, 1.2, 2.0], [-1.2, -5.0, 2.4]])
     rows /= np.linalg.norm(rows, axis=1, keepdims=True)
     turned = rows @ Rotation.from_rotvec([0.0, np.radians(3), 0.0]).as_matrix().T
-    state = replace(state_seen(np.ones(3), 2.0), poses=(Pose(turned, 2 * AHEAD),))
+    state = replace(state_seen(np.ones(3), 2.0), corners=(PlacedCorner(turned, 2 * AHEAD),))
     assert reasons_in_space(state, 0, RIG) == [
         "the first face is seen at a slant of only 3° from the projector: the face passes nearly through its centre"
     ]
@@ -65,8 +66,9 @@ def test_a_short_baseline_is_named_with_its_share(distance: float, is_named: boo
     state = state_seen(np.ones(3), distance)
     share = f"camera and projector are only {100 / distance:.1f} % of the distance to the corner apart"
     assert reasons_in_space(state, 0, RIG) == [share] * is_named
-    pose = Pose(state.poses[0].frame, 2 * state.poses[0].vertex)  # the same in another unit, as of a further photo
-    in_halves = replace(state, translation=2 * state.translation, poses=(pose,))
+    # The same in another unit, as of a further photo.
+    corner = PlacedCorner(state.corners[0].frame, 2 * state.corners[0].vertex)
+    in_halves = replace(state, pose=state.pose.scaled(2), corners=(corner,))
     assert reasons_in_space(in_halves, 0, RIG) == [share] * is_named
 
 

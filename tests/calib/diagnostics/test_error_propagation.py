@@ -68,12 +68,11 @@ def state() -> State:
         np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (rig.camera, rig.projector)
     )
-    return State(camera, projector, rig.rotation, rig.translation / rig.baseline, np.zeros((0, 3)), ())
+    return State(camera, projector, rig.pose.in_baselines)
 
 
 def in_metres(state: State, baseline_m: float = 0.4) -> Calibration:
-    found = calibration_of(state, *SIZES, Sigmas())
-    return replace(found, translation=baseline_m * found.translation, unit="m")
+    return calibration_of(state, *SIZES, Sigmas()).scaled(baseline_m, "m")
 
 
 def uncertainty_of(state: State, step: Floats, along: Along = NOWHERE) -> Uncertainty:

@@ -1,19 +1,17 @@
 """The size of a board of known points from its matches, with a true sigma."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from calib.diagnostics import moved_calibration, size_of_sheet
-from calib.geometry import Calibration, Matches
+from calib.geometry import Calibration, Matches, Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR, look_at
 from tests.support.known_rigs import before
 
 ROTATION = look_at(np.array([0.4, 0.0, 0.0]), np.array([0.0, 0.1, 2.0]), np.array([0.0, -1.0, 0.0]))
-RIG = Calibration(PAPER_CAMERA, PAPER_PROJECTOR, ROTATION, -ROTATION @ np.array([0.4, 0.0, 0.0]), "m")
+RIG = Calibration(PAPER_CAMERA, PAPER_PROJECTOR, Pose(ROTATION, -ROTATION @ np.array([0.4, 0.0, 0.0])), "m")
 
 
 def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float) -> tuple[Floats, Floats, Matches]:
@@ -27,7 +25,7 @@ def seen(rng: np.random.Generator, rig: Calibration, distance: float, px: float)
         return on_sheet @ turn[:, :2].T + middle
 
     spread = placed(rng.uniform(-0.1, 0.1, (4000, 2)))
-    projected = rig.projector.project(spread @ rig.rotation.T + rig.translation)
+    projected = rig.projector.project(rig.pose @ spread)
     matches = Matches(rig.camera.project(spread), projected + rng.normal(0, px, projected.shape))
     return points, rig.camera.project(placed(points)) + rng.normal(0, px / 2, points.shape), matches
 
@@ -56,6 +54,6 @@ def test_the_scale_changes_with_the_calibration_as_predicted() -> None:
 
 
 def test_matches_behind_the_devices_are_refused() -> None:
-    turned_round = replace(RIG, translation=-RIG.translation)
+    turned_round = RIG.scaled(-1.0)
     with pytest.raises(ValueError, match="not in front"):
         size_of_sheet(*seen(np.random.default_rng(0), RIG, 2.0, 0.1), turned_round, None)

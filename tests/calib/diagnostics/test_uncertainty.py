@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.diagnostics.next_best_view import best_next_view, moved_pose
+from calib.diagnostics.next_best_view import best_next_view, moved_corner
 from calib.diagnostics.uncertainty import Uncertainty
 from calib.geometry import Matches, unproject
 from calib.refinement import CAMERA, SHARED, Knowledge, depths, family_of, into_cells, refine, straighten
@@ -93,8 +93,8 @@ def test_the_next_view_reduces_sigmas_as_predicted() -> None:
 
     # The rig goes there: every ray of a grid meets a wall of the true corner.
     truth, baseline = capture.calibration, capture.calibration.baseline
-    pose = moved_pose(
-        replace(refinement.fit.state.poses[0], frame=capture.corner.legs, vertex=capture.corner.vertex / baseline),
+    corner = moved_corner(
+        replace(refinement.fit.state.corners[0], frame=capture.corner.legs, vertex=capture.corner.vertex / baseline),
         view.right_deg,
         view.up_deg,
         view.distance,
@@ -102,12 +102,12 @@ def test_the_next_view_reduces_sigmas_as_predicted() -> None:
     x, y = np.meshgrid(np.arange(0, CAMERA_SIZE[0], 12.0), np.arange(0, CAMERA_SIZE[1], 12.0))
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
     rays = truth.camera.unproject(pixels)
-    normals = np.cross(np.roll(pose.frame, -1, axis=0), np.roll(pose.frame, -2, axis=0))
-    depth = (normals @ pose.vertex) / (rays @ normals.T)
+    normals = np.cross(np.roll(corner.frame, -1, axis=0), np.roll(corner.frame, -2, axis=0))
+    depth = (normals @ corner.vertex) / (rays @ normals.T)
     depth[depth <= 0] = np.inf
     face = np.argmin(depth, axis=1).astype(np.int32)
     points = baseline * rays * depth[np.arange(len(face)), face][:, None]
-    projector_px = truth.projector.project(points @ truth.rotation.T + truth.translation)
+    projector_px = truth.projector.project(truth.pose @ points)
     with np.errstate(invalid="ignore"):
         lit = np.all((projector_px >= 0) & (projector_px <= (853, 479)), axis=1)
     projector_px = projector_px[lit] + rng.normal(0, 0.1, (int(lit.sum()), 2))

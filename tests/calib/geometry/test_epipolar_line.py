@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from calib.geometry import Pose
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.epipolar_line import cross_epipolar_lines
@@ -24,13 +25,11 @@ CENTRE = np.array([0.35, 0.3, -0.1])
 def rig(centre: Floats = CENTRE, *, bent: bool = True, roll: float = 0.1) -> Calibration:
     camera, projector = (replace(device, distortion=BENT) if bent else device for device in (CAMERA, PROJECTOR))
     rotation = look_at(centre, np.array([0.0, 0.0, 3.0]), UP, roll)
-    return Calibration(camera, projector, rotation, -rotation @ centre)
+    return Calibration(camera, projector, Pose(rotation, -rotation @ centre))
 
 
 def seen(calibration: Calibration, points: Floats) -> tuple[Floats, Floats]:
-    return calibration.camera.project(points), calibration.projector.project(
-        points @ calibration.rotation.T + calibration.translation
-    )
+    return calibration.camera.project(points), calibration.projector.project(calibration.pose @ points)
 
 
 def room(count: int, seed: int = 0) -> Floats:
@@ -63,7 +62,7 @@ def test_the_sine_gives_the_error_amplification(axis: int) -> None:
 def test_stripes_along_the_epipolar_lines_have_zero_sine() -> None:
     """Side by side, devices have epipolar lines along the rows: y gives no depth, x all of it."""
     rotation, centre = np.eye(3), np.array([0.4, 0.0, 0.0])
-    calibration = Calibration(CAMERA, PROJECTOR, rotation, -rotation @ centre)
+    calibration = Calibration(CAMERA, PROJECTOR, Pose(rotation, -rotation @ centre))
     camera_px, projector_px = seen(calibration, room(200))
     x, y = (cross_epipolar_lines(camera_px, projector_px[:, axis], axis, calibration) for axis in (0, 1))
     np.testing.assert_allclose(x.sine, 1.0, atol=1e-9)
@@ -73,7 +72,7 @@ def test_stripes_along_the_epipolar_lines_have_zero_sine() -> None:
 def test_points_behind_a_device_are_flagged() -> None:
     calibration = rig(bent=False)
     camera_px, projector_px = seen(calibration, room(300))
-    turned = replace(calibration, translation=-calibration.translation)
+    turned = calibration.scaled(-1.0)
     found = cross_epipolar_lines(camera_px, projector_px[:, 0], 0, turned)
     assert not found.in_front.any()
 

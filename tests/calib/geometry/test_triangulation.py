@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calib.geometry import Pose
 from calib.geometry.calibration import Calibration
 from calib.geometry.camera import Intrinsics
 from calib.geometry.matches import Matches
@@ -27,7 +28,7 @@ NOISE_PX = 0.5
 def rig(lens: str) -> Calibration:
     camera, projector = LENSES[lens]
     rotation = look_at(np.array([0.4, 0.1, -0.1]), np.array([0.0, 0.0, 3.0]), np.array([0.0, -1.0, 0.0]), 0.1)
-    return Calibration(camera, projector, rotation, -rotation @ np.array([0.4, 0.1, -0.1]))
+    return Calibration(camera, projector, Pose(rotation, -rotation @ np.array([0.4, 0.1, -0.1])))
 
 
 def points(count: int, seed: int = 0) -> Floats:
@@ -36,7 +37,7 @@ def points(count: int, seed: int = 0) -> Floats:
 
 
 def seen(calibration: Calibration, at: Floats) -> tuple[Floats, Floats]:
-    moved = at @ calibration.rotation.T + calibration.translation
+    moved = calibration.pose @ at
     return calibration.camera.project(at), calibration.projector.project(moved)
 
 
@@ -63,7 +64,7 @@ def test_the_residual_is_the_distance_from_the_epipolar_line(lens: str) -> None:
     projector_px = projector_px + np.random.default_rng(1).normal(0, NOISE_PX, projector_px.shape)
     met = intersect_rays(camera_px, projector_px, calibration)
     along_ray = truth[:, None] * np.linspace(0.98, 1.02, 2001)[:, None]
-    line = calibration.projector.project(along_ray @ calibration.rotation.T + calibration.translation)
+    line = calibration.projector.project(calibration.pose @ along_ray)
     distance = np.linalg.norm(line - projector_px[:, None], axis=2).min(axis=1)
     assert 0.7 * NOISE_PX < np.std(met.residual_px) < 1.3 * NOISE_PX
     assert np.abs(np.abs(met.residual_px) - distance).max() < 0.02 * NOISE_PX
@@ -89,7 +90,7 @@ def test_the_point_is_midway_between_the_rays(seed: int, noise_px: float) -> Non
     projector_px = projector_px + np.random.default_rng(seed).normal(0, noise_px, projector_px.shape)
     met = intersect_rays(camera_px, projector_px, calibration)
     u = calibration.camera.unproject(camera_px)
-    v = calibration.projector.unproject(projector_px) @ calibration.rotation
+    v = calibration.projector.unproject(projector_px) @ calibration.pose.rotation
     from_camera = np.linalg.norm(np.cross(met.points, u), axis=1) / np.linalg.norm(u, axis=1)
     of_projector = met.points - calibration.projector_centre
     from_projector = np.linalg.norm(np.cross(of_projector, v), axis=1) / np.linalg.norm(v, axis=1)
@@ -101,7 +102,7 @@ def test_the_point_is_midway_between_the_rays(seed: int, noise_px: float) -> Non
 def test_rays_that_meet_behind_a_device_are_flagged() -> None:
     calibration = rig("none")
     camera_px, projector_px = seen(calibration, points(500))
-    backwards = replace(calibration, translation=-calibration.translation)
+    backwards = calibration.scaled(-1.0)
     met = intersect_rays(camera_px, projector_px, backwards)
     assert not met.in_front.any()
     assert np.isnan(met.residual_px).all()
@@ -109,7 +110,7 @@ def test_rays_that_meet_behind_a_device_are_flagged() -> None:
 
 def test_parallel_rays_meet_nowhere() -> None:
     camera = replace(CAMERA, focal_px=(1000.0, 1000.0))
-    calibration = Calibration(camera, camera, np.eye(3), np.array([-1.0, 0.0, 0.0]))
+    calibration = Calibration(camera, camera, Pose(np.eye(3), np.array([-1.0, 0.0, 0.0])))
     same_px = np.array([[600.0, 400.0], [10.0, 20.0]])
     assert not intersect_rays(same_px, same_px, calibration).in_front.any()
 

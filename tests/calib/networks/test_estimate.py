@@ -30,8 +30,7 @@ def errors(estimate: NetworkEstimate, network: SyntheticNetwork) -> tuple[Floats
         device, sigma = estimate.device(name), estimate.sigmas(name)
         focals.append(np.log(device.lens[0] / network.devices[name].focal_px[0]))
         relative.append(focals[-1] / sigma[0])
-        true = first.rotation.T @ (network.poses[name].translation - first.translation)
-        off = device.pose.translation * unit - true
+        off = device.pose.translation * unit - first.inverse() @ network.poses[name].translation
         places.append(np.linalg.norm(off))
         if name != estimate.names[0]:
             relative.extend(off / unit / sigma[11:])
@@ -90,10 +89,10 @@ def test_an_observation_of_another_plane_gets_its_own_plane() -> None:
     camera, projector = (made.devices[name] for name in pair)
     at, light = (made.poses[name] for name in pair)
     normals, offsets = made.scene.solids[0]
-    rays = camera.unproject(seen.camera_px) @ at.rotation.T
+    rays = at.rotate(camera.unproject(seen.camera_px))
     higher = offsets[0] + 0.05 * np.sign(at.translation @ normals[0] - offsets[0])
     points = at.translation + rays * ((higher - at.translation @ normals[0]) / (rays @ normals[0]))[:, None]
-    lit = projector.project((points - light.translation) @ light.rotation)
+    lit = projector.project(light.inverse() @ points)
     on = (seen.labels == 0) & np.isfinite(lit[:, 0])
     moved = replace(seen, projector_px=np.where(on[:, None], np.nan_to_num(lit), seen.projector_px))
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.geometry import Motion, Size, project, rotation_about
+from calib.geometry import Pose, Size, project, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.shared_points import SharedPoints
 from calib.numerics import Floats
@@ -11,9 +11,7 @@ LENS = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
 
 def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoints]:
     """Points that the second of three devices shares with the others; some of them with only one."""
-    poses = [
-        Motion(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)
-    ]
+    poses = [Pose(rotation_about(rng.normal(0, 0.1, 3)), np.array([x, 0.1 * x, 0.2 * x * x])) for x in (0.0, 1.0, -0.8)]
     network = Network(
         tuple(Device(LENS * (1 + 0.05 * i), pose, Size(1000, 800)) for i, pose in enumerate(poses)),
         (RoomPlane(np.array([0.0, 0, 1]), 4.0),),
@@ -22,12 +20,12 @@ def made(rng: np.random.Generator, noise_px: float) -> tuple[Network, SharedPoin
 
     def seen(number: int) -> Floats:
         device = network.devices[number]
-        return project(device.lens, (points - device.pose.translation) @ device.pose.rotation)[0]
+        return project(device.lens, device.pose.inverse() @ points)[0]
 
     others = np.stack([seen(0), seen(2)], axis=1) + rng.normal(0, noise_px, (80, 2, 2))
     variance = np.full((80, 2), noise_px**2)
     variance[:5, 1] = np.inf
-    ahead = ((points - poses[1].translation) @ poses[1].rotation)[:, 2]
+    ahead = (poses[1].inverse() @ points)[:, 2]
     return network, SharedPoints(1, (0, 2), seen(1), others, variance, 1.1 * ahead)
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.geometry import Motion, Size, rotation_about
+from calib.geometry import Pose, Size, rotation_about
 from calib.networks.network import Device, Network
 from calib.networks.placement import placed
 from calib.networks.sights import Sight
@@ -11,7 +11,7 @@ from calib.rooms import RoomPlane
 def test_the_jacobian_matches_the_prediction() -> None:
     rng = np.random.default_rng(0)
     lens = np.array([900.0, 500, 400, -0.05, 0.01, 2e-4, -1e-4, 0.001])
-    at, light = (Motion(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
+    at, light = (Pose(rotation_about(rng.normal(0, 0.2, 3)), np.array([x, 0.1, -0.2])) for x in (0.2, 1.0))
     camera = Device(lens, at, Size(1000, 800), np.array([0.1, -0.2, 0.15, -0.1]))
     projector = Device(1.1 * lens, light, Size(1000, 800), np.array([-0.1, 0.2, 0.1, 0.2]))
     plane = RoomPlane(np.array([0.1, 0.2, -1.0]) / np.sqrt(1.05), -4.0)
@@ -35,8 +35,8 @@ def test_a_device_is_placed_by_points_on_two_planes_and_not_by_one() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(0, 1, (60, 3))
     points[:30, 0], points[30:, 1] = 0.0, 0.0
-    pose = Motion(rotation_about(np.array([2.2, 0.3, 0.1])), np.array([1.5, 2.0, 3.5]))
-    before = (points - pose.translation) @ pose.rotation
+    pose = Pose(rotation_about(np.array([2.2, 0.3, 0.1])), np.array([1.5, 2.0, 3.5]))
+    before = pose.inverse() @ points
     pixels = 800 * before[:, :2] / before[:, 2:] + (320, 240)
     assert (before[:, 2] > 0).all() or (before[:, 2] < 0).all()
 

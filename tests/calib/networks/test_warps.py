@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Motion, Size
+from calib.geometry import Pose, Size
 from calib.networks import NetworkEstimate, Warps, estimate_network
 from calib.networks.network import Device
 from calib.synthetic import RoomOptions, SyntheticNetwork, random_network
@@ -17,7 +17,7 @@ def test_a_keystone_is_one_parameter_whatever_the_lens() -> None:
     """The lower edge is shorter than the upper one by a share of the mean of both."""
     size = Size(1280, 800)
     lens = np.array([1000.0, 600, 760, -0.05, 0.01, 0, 0, 0])
-    device = Device(lens, Motion(np.eye(3), np.zeros(3)), size)
+    device = Device(lens, Pose(np.eye(3), np.zeros(3)), size)
     points = np.random.default_rng(0).uniform((-0.5, -0.7, 1), (0.6, 0.03, 1), (20, 3))
     square = device.pixels(points)[0]
     off = square - (np.array(size) - 1) / 2

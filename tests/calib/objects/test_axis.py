@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.objects import find_turntable
 
@@ -13,18 +13,18 @@ SIGMA_RAD, SIGMA = 1e-4, 1e-4
 MIDDLE = np.array([0.1, -0.05, 3.0])
 
 
-def places(rng: np.random.Generator, count: int, step_deg: float, tumbling_deg: float) -> tuple[list[Motion], Floats]:
+def places(rng: np.random.Generator, count: int, step_deg: float, tumbling_deg: float) -> tuple[list[Pose], Floats]:
     axis = rng.standard_normal(3)
     axis /= np.linalg.norm(axis)
     point = MIDDLE + 0.2 * rng.standard_normal(3)
-    found = [Motion(np.eye(3), np.zeros(3))]
+    found = [Pose(np.eye(3), np.zeros(3))]
     for k in range(1, count):
         turn = Rotation.from_rotvec(np.radians(step_deg * k) * axis)
         turn = Rotation.from_rotvec(np.radians(tumbling_deg) * rng.standard_normal(3)) * turn
         noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal(3))
         rotation = (noise * turn).as_matrix()
         middle = turn.as_matrix() @ (MIDDLE - point) + point + SIGMA * rng.standard_normal(3)
-        found.append(Motion(rotation, middle - rotation @ MIDDLE))
+        found.append(Pose(rotation, middle - rotation @ MIDDLE))
     # The covariance is of where the thing's middle in the common frame is.
     variances = np.tile([SIGMA_RAD**2] * 3 + [1.1 * SIGMA**2] * 3, count)
     variances[:6] = 0.0

@@ -110,9 +110,7 @@ def test_flying_points_are_dropped_though_their_rays_agree(scene: Scene) -> None
     flying = np.zeros(len(scene.matches), dtype=bool)
     flying[np.random.default_rng(2).permutation(np.flatnonzero(in_mid_air))[:200]] = True
     moved = scene.matches.projector_px.copy()
-    moved[flying] = scene.calibration.projector.project(
-        nearer[flying] @ scene.calibration.rotation.T + scene.calibration.translation
-    )
+    moved[flying] = scene.calibration.projector.project(scene.calibration.pose @ nearer[flying])
     spoiled = replace(scene, matches=replace(scene.matches, projector_px=moved))
     cloud = cloud_of(spoiled)
     kept = at_matches(cloud.there, spoiled)
@@ -181,7 +179,7 @@ def test_the_better_of_two_matches_at_a_pixel_is_kept(scene: Scene, cloud: Cloud
 
 
 def test_points_behind_the_devices_are_dropped(scene: Scene) -> None:
-    backwards = replace(scene.calibration, translation=-scene.calibration.translation)
+    backwards = scene.calibration.scaled(-1.0)
     cloud = build_cloud(scene.matches, scene.texture, backwards)
     assert cloud.statistics.behind > 0.9 * len(scene.matches)
     assert cloud.statistics.kept == cloud.there.sum() < 0.1 * len(scene.matches)
@@ -189,7 +187,7 @@ def test_points_behind_the_devices_are_dropped(scene: Scene) -> None:
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 def test_the_unit_does_not_matter(scene: Scene, cloud: Cloud, factor: float) -> None:
-    calibration = replace(scene.calibration, translation=factor * scene.calibration.translation, unit="other")
+    calibration = scene.calibration.scaled(factor, "other")
     other = build_cloud(scene.matches, scene.texture, calibration)
     assert other.unit == "other"
     assert np.array_equal(other.there, cloud.there)

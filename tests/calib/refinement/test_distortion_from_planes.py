@@ -25,7 +25,7 @@ def test_distortion_is_estimated_and_removed(seed: int, k1: float, k1_projector:
     rays = bare.camera.unproject(found.matches.camera_px)
     normals = capture.corner.normals[found.matches.face]
     points = (normals @ capture.corner.vertex / np.sum(normals * rays, axis=1))[:, None] * rays
-    ideal_px = bare.projector.project(points @ bare.rotation.T + bare.translation)
+    ideal_px = bare.projector.project(bare.pose @ points)
     assert 1e-4 < np.sqrt(np.mean((ideal_px - found.matches.projector_px) ** 2)) < 1.0
 
 

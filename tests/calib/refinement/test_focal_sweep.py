@@ -24,16 +24,16 @@ def test_the_starts_at_the_true_focal_include_the_truth() -> None:
     best = min(starts[0], key=lambda state: abs(state.projector[0] - truth.projector[0]))
     np.testing.assert_allclose(best.camera[:3], truth.camera[:3], rtol=1e-6)
     np.testing.assert_allclose(best.projector[:3], truth.projector[:3], rtol=0.01)
-    np.testing.assert_allclose(best.rotation, truth.rotation, atol=0.01)
-    np.testing.assert_allclose(best.translation, truth.translation, atol=0.03)
-    np.testing.assert_allclose(best.poses[0].vertex, truth.poses[0].vertex, rtol=0.03)
+    np.testing.assert_allclose(best.pose.rotation, truth.pose.rotation, atol=0.01)
+    np.testing.assert_allclose(best.pose.translation, truth.pose.translation, atol=0.03)
+    np.testing.assert_allclose(best.corners[0].vertex, truth.corners[0].vertex, rtol=0.03)
 
 
 def test_both_focals_scale_together(case: Case) -> None:
     moved = at_focal(case.truth, 2000.0)
     assert moved.camera[0] == pytest.approx(2000.0)
     assert moved.projector[0] / case.truth.projector[0] == pytest.approx(2000.0 / case.truth.camera[0])
-    assert replace(moved, camera=case.truth.camera, projector=case.truth.projector).poses == moved.poses
+    assert replace(moved, camera=case.truth.camera, projector=case.truth.projector).corners == moved.corners
 
 
 def test_the_sweep_is_lowest_at_the_truth(case: Case) -> None:
@@ -67,7 +67,7 @@ def test_captures_of_one_rig_fit_no_better_together_than_alone() -> None:
     for fit, bound in zip(sweep, bounds, strict=True):
         assert fit is None or bound < 4 * (lowest + count)
         if fit:
-            assert [pose.corner for pose in fit.state.poses] == [0, 1]
+            assert [corner.shape for corner in fit.state.corners] == [0, 1]
             assert fit.state.off_square.shape == (2, 3)
 
 

@@ -27,7 +27,7 @@ def _with_planes(
         normal = tilt @ capture.corner.normals[i]
         depth = (normal @ capture.corner.vertex + height) / (rays[chosen] @ normal)
         points = rays[chosen] * depth[:, None]
-        ideal = truth.projector.project(points @ truth.rotation.T + truth.translation)
+        ideal = truth.projector.project(truth.pose @ points)
         projector_px[chosen] = ideal + rng.normal(0, 0.1, ideal.shape)
         face[chosen], plane[chosen] = -1, 3 + i
     return Matches(matches.camera_px, projector_px, face), plane

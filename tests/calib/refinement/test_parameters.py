@@ -41,7 +41,7 @@ def _with_further_planes(state: State) -> State:
         FurtherPlane(np.eye(3), np.array([0.02, -0.01]), 0.4, (0.01, 0.01)),
         FurtherPlane(np.roll(np.eye(3), -1, axis=0), np.array([-0.03, 0.005]), 0.7, (0.01, 0.01)),
     )
-    return replace(state, poses=(replace(state.poses[0], planes=planes),))
+    return replace(state, corners=(replace(state.corners[0], planes=planes),))
 
 
 def test_derivatives_by_further_planes_are_exact() -> None:
@@ -90,7 +90,7 @@ def test_cells_behind_a_device_cost_and_have_no_gradient() -> None:
     stray = evaluate([replace(cells, camera_px=beyond)], state, prior, [variance])
     assert np.all(stray.residuals[0][one] == 0)
     assert 50 < stray.cost - whole.cost < 101
-    turned = replace(state, translation=-50 * state.translation)
+    turned = replace(state, pose=state.pose.scaled(-50))
     assert evaluate([cells], turned, prior, [variance]).cost == np.inf
 
 

@@ -17,14 +17,14 @@ def test_the_starts_at_the_true_focal_include_the_truth(seed: int) -> None:
     knowledge = Knowledge(size, size, photos.camera.principal_point_px, 0.0, 0.0, one_camera=True)
     (starts,) = photo_family(into_cells(matches), knowledge).starts(np.array([photos.camera.focal_px[0]]))
     assert 1 <= len(starts) <= 2
-    best = min(starts, key=lambda state: float(np.linalg.norm(state.rotation - truth.rotation)))
+    best = min(starts, key=lambda state: float(np.linalg.norm(state.pose.rotation - truth.pose.rotation)))
     assert best.one_camera
     assert best.camera is best.projector
     np.testing.assert_allclose(best.camera[:3], [photos.camera.focal_px[0], *photos.camera.principal_point_px])
-    np.testing.assert_allclose(best.rotation, truth.rotation, atol=0.03)
-    direction = truth.translation / truth.baseline
-    np.testing.assert_allclose(best.translation, direction, atol=0.05)
-    np.testing.assert_allclose(best.poses[0].vertex, photos.corner.vertex, rtol=0.1, atol=0.02)
+    np.testing.assert_allclose(best.pose.rotation, truth.pose.rotation, atol=0.03)
+    direction = truth.pose.translation / truth.baseline
+    np.testing.assert_allclose(best.pose.translation, direction, atol=0.05)
+    np.testing.assert_allclose(best.corners[0].vertex, photos.corner.vertex, rtol=0.1, atol=0.02)
 
 
 def test_the_objective_is_the_difference_of_the_cameras() -> None:

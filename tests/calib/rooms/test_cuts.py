@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.rooms.agreement import DECIDED_NATS
 from calib.rooms.alignment import settled_together
 from calib.rooms.assembly import gain_of
@@ -15,7 +15,7 @@ from tests.calib.rooms.test_registration import stations_in, view_of
 
 pytestmark = pytest.mark.xdist_group("registration")  # shares its stations
 
-Scene = tuple[dict[int, Surfaces], dict[int, Motion]]
+Scene = tuple[dict[int, Surfaces], dict[int, Pose]]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_stations_of_a_room_are_firmly_connected(scene: Scene) -> None:
 
 def test_halves_without_common_surfaces_are_separated(scene: Scene) -> None:
     surfaces, places = scene
-    far = {k: Motion(at.rotation, at.translation + np.array([100.0 * (k > 1), 0, 0])) for k, at in places.items()}
+    far = {k: Pose(at.rotation, at.translation + np.array([100.0 * (k > 1), 0, 0])) for k, at in places.items()}
     for k in far:
         others = {m: at for m, at in far.items() if m != k}
         assert gain_of(surfaces, others, k, far[k]) > DECIDED_NATS

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import CUBIC, Floats, monomials
 from calib.refinement import CAMERA, PROJECTOR, SHARED, TANGENTIAL, Cells, Shifts
 from calib.refusal import RefusalError
@@ -241,6 +241,6 @@ def test_inconsistent_input_is_refused(case: Case) -> None:
     rest = case.start.planes, case.start.rig, prior
     with pytest.raises(ValueError, match="3 places"):
         estimate_room(case.cells, case.plane_of, case.start.places[:3], *rest)
-    behind = [Motion(place.rotation @ np.diag([-1.0, 1.0, -1.0]), place.translation) for place in case.start.places]
+    behind = [Pose(place.rotation @ np.diag([-1.0, 1.0, -1.0]), place.translation) for place in case.start.places]
     with pytest.raises(RefusalError, match="behind"):
         estimate_room(case.cells, case.plane_of, behind, *rest)

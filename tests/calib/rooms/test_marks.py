@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calib.rooms import StationView, marks_of, register
-from calib.rooms.alignment import composed, inverse
 from calib.rooms.marked_poses import marked_poses
 from calib.rooms.marks import Marks, alike
 from calib.rooms.surfaces import surfaces_of
@@ -34,10 +33,10 @@ def views(painted: list[StationCloud]) -> list[StationView]:
 
 
 def test_matching_marks_are_paired(painted: list[StationCloud], views: list[StationView]) -> None:
-    pose = composed(inverse(painted[0].place), painted[1].place)
+    pose = painted[0].place.inverse() @ painted[1].place
     first, second = views[0].marks, views[1].marks
     own, other = alike(first, second)
-    moved = second.points[other] @ pose.rotation.T + pose.translation
+    moved = pose @ second.points[other]
     far, depth = np.linalg.norm(moved - first.points[own], axis=1), first.points[own, 2]
     assert len(far) >= 12
     right = far < 0.02 * depth
@@ -48,7 +47,7 @@ def test_matching_marks_are_paired(painted: list[StationCloud], views: list[Stat
 
 def test_marks_alone_determine_the_pose(painted: list[StationCloud], views: list[StationView]) -> None:
     poses = marked_poses(*(surfaces_of(view) for view in views[:2]))
-    degrees, metres = off(poses[0], composed(inverse(painted[0].place), painted[1].place))
+    degrees, metres = off(poses[0], painted[0].place.inverse() @ painted[1].place)
     assert 1e-3 < degrees < 0.8
     assert 1e-4 < metres < 0.04
 
@@ -58,7 +57,7 @@ def test_pictures_resolve_a_bare_room(painted: list[StationCloud], views: list[S
     assert group.stations == (0, 1, 2)
     assert not group.ambiguous
     for number, k in ((1, 0), (2, 1)):
-        degrees, metres = off(group.places[number], composed(inverse(painted[2].place), painted[k].place))
+        degrees, metres = off(group.places[number], painted[2].place.inverse() @ painted[k].place)
         assert 1e-4 < degrees < 0.6
         assert 1e-4 < metres < 0.05
 

@@ -5,11 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib.geometry import Intrinsics, Motion
+from calib.geometry import Intrinsics, Pose
 from calib.numerics import Floats
 from calib.pointcloud import surface
 from calib.rooms import Registration, StationView, register, station_view
-from calib.rooms.alignment import composed, inverse
 from calib.rooms.features import feature_poses
 from calib.rooms.surfaces import surfaces_of
 from calib.synthetic import FurnishedRoom, StationCloud, moved_rig, random_furnished_room, ring, seen_from
@@ -32,9 +31,9 @@ def view_of(station: StationCloud, factor: float = 1.0) -> StationView:
     return station_view(points, surface(points, CAMERA.focal_px[0]).normals, CAMERA)
 
 
-def off(found: Motion, true: Motion) -> tuple[float, float]:
+def off(found: Pose, true: Pose) -> tuple[float, float]:
     """Errors in degrees and metres."""
-    step = composed(inverse(true), found)
+    step = true.inverse() @ found
     angle = np.degrees(np.arccos(np.clip((np.trace(step.rotation) - 1) / 2, -1, 1)))
     return float(angle), float(np.linalg.norm(step.translation))
 
@@ -68,7 +67,7 @@ def test_stations_are_registered_and_an_outlier_station_is_left_out(
     assert left.cause in ("nothing shared", "too little shared", "free space")
     stood = [scene[1][k].place for k in (1, 0, 2)]
     for found, true in zip(group.places[1:], stood[1:], strict=True):
-        degrees, metres = off(found, composed(inverse(stood[0]), true))
+        degrees, metres = off(found, stood[0].inverse() @ true)
         # What the calibration is off bends the walls by some millimetres.
         assert 1e-4 < degrees < 0.6
         assert 1e-4 < metres < 0.05
@@ -109,7 +108,7 @@ def test_shared_walls_have_their_true_planes(
 def test_the_unit_does_not_matter(scene: tuple[FurnishedRoom, list[StationCloud]], views: list[StationView]) -> None:
     one = register(views[:2])
     (group,), (other,) = one.groups, register([view_of(station, 12.5) for station in scene[1][:2]]).groups
-    step = off(Motion(other.places[1].rotation, other.places[1].translation / 12.5), group.places[1])
+    step = off(Pose(other.places[1].rotation, other.places[1].translation / 12.5), group.places[1])
     assert step[0] < 0.05
     assert step[1] < 0.005
 

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from calib.refinement import SHARED, State, device_of
 from calib.rooms import Room, RoomPlane, Sight
 from calib.rooms.point_tracking import find_tracks
-from calib.rooms.priors import rig_of
 from calib.rooms.room import PER_PLACE
 from calib.rooms.tracks import Track
 from calib.synthetic import CloudErrors, Paint, random_furnished_room, ring, seen_from
@@ -28,17 +27,17 @@ def scene() -> Scene:
     places = ring(rng, made, 6)[:2]
     seen = [seen_from(made, place, rng, CloudErrors(0.0, 0.0), CAMERA, Paint(3, 0.3)) for place in places]
     device, along = device_of(CAMERA), np.array([1.0, 0.0, 0.0])
-    rig = State(device, device, np.eye(3), along, np.zeros((0, 3)), ())
+    rig = State(device, device, Pose(np.eye(3), along))
     normals, heights = made.scene.solids[0]
     planes = tuple(RoomPlane(normal, float(height)) for normal, height in zip(normals, heights, strict=True))
     sights = []
     for station in seen:
-        points = station.points @ station.place.rotation.T + station.place.translation
+        points = station.place @ station.points
         away = np.abs(points @ normals.T - heights)
         on = np.nanmin(np.where(np.isfinite(away), away, 9.0), axis=2) < 1e-3
         labels = np.where(on, np.argmin(np.where(np.isfinite(away), away, 9.0), axis=2), -1)
         sights.append(Sight.of(station.picture, labels.astype(np.int32)))
-    room = Room(rig_of(rig), tuple(places), planes)
+    room = Room(rig.rig, tuple(places), planes)
     return room, sights, [tuple(range(6))] * 2
 
 
@@ -50,7 +49,7 @@ def tracks(scene: Scene) -> tuple[Track, ...]:
 
 def shifted(room: Room, shift: Floats) -> Room:
     place = room.places[1]
-    return replace(room, places=(room.places[0], Motion(place.rotation, place.translation + shift)))
+    return replace(room, places=(room.places[0], Pose(place.rotation, place.translation + shift)))
 
 
 def test_tracked_points_coincide(scene: Scene, tracks: tuple[Track, ...]) -> None:

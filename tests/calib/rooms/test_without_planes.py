@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Intrinsics, Matches, Motion
+from calib.geometry import Calibration, Intrinsics, Matches, Pose
 from calib.numerics import Floats
 from calib.refinement import State, without_lens
 from calib.refusal import RefusalError
@@ -17,15 +17,12 @@ CAMERA, PROJECTOR = (
     Intrinsics(800, 600, (1200.0, 1200.0), (400.0, 300.0)),
 )
 RIG = Calibration(
-    CAMERA, PROJECTOR, Rotation.from_euler("y", 14, degrees=True).as_matrix(), np.array([-0.995, 0.02, 0.098])
+    CAMERA, PROJECTOR, Pose(Rotation.from_euler("y", 14, degrees=True).as_matrix(), np.array([-0.995, 0.02, 0.098]))
 )
 STATE = State(
     without_lens(1500.0, np.array([500.0, 400.0])),
     without_lens(1200.0, np.array([400.0, 300.0])),
-    RIG.rotation,
-    RIG.translation / RIG.baseline,
-    np.zeros((0, 3)),
-    (),
+    RIG.pose.in_baselines,
 )
 
 
@@ -40,7 +37,7 @@ def lump(rng: np.random.Generator, count: int) -> Floats:
 
 def seen(points: Floats, rng: np.random.Generator) -> Matches:
     camera_px = CAMERA.project(points)
-    projector_px = PROJECTOR.project(points @ STATE.rotation.T + STATE.translation)
+    projector_px = PROJECTOR.project(STATE.pose @ points)
     noise = NOISE_PX * rng.standard_normal(projector_px.shape)
     return Matches(camera_px, projector_px + noise, None, np.full(len(points), NOISE_PX))
 
@@ -51,10 +48,10 @@ def test_the_rotation_is_recovered_with_a_true_sigma() -> None:
         seen(lump(rng, 30_000) + CENTRE, rng),
         seen(lump(rng, 30_000) @ TURN.as_matrix().T + CENTRE, rng),
     ]
-    place = Motion(TURN.as_matrix().T, CENTRE - TURN.as_matrix().T @ CENTRE)
+    place = Pose(TURN.as_matrix().T, CENTRE - TURN.as_matrix().T @ CENTRE)
     off = Rotation.from_rotvec(np.radians([0.2, -0.15, 0.1])).as_matrix()
-    start = Motion(off @ place.rotation, off @ place.translation + 0.004)
-    still = Motion(np.eye(3), np.zeros(3))
+    start = Pose(off @ place.rotation, off @ place.translation + 0.004)
+    still = Pose(np.eye(3), np.zeros(3))
     found = estimate_without_planes(stations, [still, start], STATE, RigPrior.exactly(STATE))
     turned = Rotation.from_matrix(found.room.places[1].rotation @ place.rotation.T)
     sigma = np.sqrt(np.diag(found.place_covariance(1)))
@@ -67,6 +64,6 @@ def test_the_rotation_is_recovered_with_a_true_sigma() -> None:
 def test_surfaces_that_are_apart_are_refused() -> None:
     rng = np.random.default_rng(2)
     stations = [seen(lump(rng, 5000) + CENTRE, rng), seen(lump(rng, 5000) + CENTRE, rng)]
-    apart = Motion(np.eye(3), np.array([5.0, 0.0, 0.0]))
+    apart = Pose(np.eye(3), np.array([5.0, 0.0, 0.0]))
     with pytest.raises(RefusalError, match="too far apart"):
-        estimate_without_planes(stations, [Motion(np.eye(3), np.zeros(3)), apart], STATE, RigPrior.exactly(STATE))
+        estimate_without_planes(stations, [Pose(np.eye(3), np.zeros(3)), apart], STATE, RigPrior.exactly(STATE))

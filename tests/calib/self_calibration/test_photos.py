@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.geometry import Intrinsics, Matches, Motion
+from calib.geometry import Intrinsics, Matches
 from calib.plane_segmentation import find_sparse_faces
-from calib.refinement import CAMERA, PROJECTOR, Pose, State, predict, without_lens
+from calib.refinement import CAMERA, PROJECTOR, PlacedCorner, State, predict, without_lens
 from calib.refusal import RefusalError
 from calib.self_calibration.photos import anywhere, calibrate_photos
 from calib.self_calibration.rig import PrincipalPoint, SelfCalibration
@@ -63,9 +63,9 @@ def test_every_pair_has_its_own_motion() -> None:
     assert len(found) == 2
     assert found[0].calibration.camera == found[1].calibration.camera
     for solution, (_, truth) in zip(found, photos.pairs, strict=True):
-        assert np.linalg.norm(solution.calibration.translation) == pytest.approx(1.0)
-        assert np.degrees(np.arccos(solution.calibration.translation @ truth.translation)) < 1.0
-        assert np.abs(solution.calibration.rotation - truth.rotation).max() < 0.005
+        assert np.linalg.norm(solution.calibration.pose.translation) == pytest.approx(1.0)
+        assert np.degrees(np.arccos(solution.calibration.pose.translation @ truth.pose.translation)) < 1.0
+        assert np.abs(solution.calibration.pose.rotation - truth.pose.rotation).max() < 0.005
 
 
 def test_a_crop_changes_nothing_but_the_principal_point() -> None:
@@ -107,12 +107,11 @@ def test_derivatives_of_the_shared_camera_are_exact() -> None:
     state = State(
         camera,
         camera,
-        first.rotation,
-        first.translation,
+        first.pose,
         np.radians([[0.4, -0.2, 0.7]]),
-        (Pose(photos.corner.legs, photos.corner.vertex),),
+        (PlacedCorner(photos.corner.legs, photos.corner.vertex),),
         one_camera=True,
-        further=(Motion(truth.rotation, 1.3 * truth.translation),),
+        further=(truth.pose.scaled(1.3),),
     )
     for capture in (0, 1):
         _, jacobian, _ = predict(state, matches.camera_px, matches.face, capture)
@@ -135,12 +134,11 @@ def test_step_to_is_the_inverse_of_moved() -> None:
     state = State(
         camera,
         camera,
-        first.rotation,
-        first.translation,
+        first.pose,
         np.zeros((1, 3)),
-        (Pose(photos.corner.legs, photos.corner.vertex),),
+        (PlacedCorner(photos.corner.legs, photos.corner.vertex),),
         one_camera=True,
-        further=(Motion(second.rotation, 0.8 * second.translation),),
+        further=(second.pose.scaled(0.8),),
     )
     step = np.random.default_rng(0).normal(0, 1e-4, state.size)
     step[PROJECTOR] = step[CAMERA]  # the projector is the camera

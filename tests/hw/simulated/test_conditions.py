@@ -92,7 +92,7 @@ def test_enlarging_the_picture_changes_the_true_focal_length(room: SimulatedRoom
     assert enlarged.projector.focal_px[0] == pytest.approx(plain.projector.focal_px[0] / 0.6)
     truth = room.under(panel={"scale": 0.8, "squeeze": 0.75}).ground_truth()
     seen = np.isfinite(truth.projector_px[..., 0])
-    there = truth.points_m[seen] @ enlarged.rotation.T + enlarged.translation
+    there = enlarged.pose @ truth.points_m[seen]
     np.testing.assert_allclose(enlarged.projector.project(there), truth.projector_px[seen], atol=1e-6)
 
 

@@ -54,7 +54,7 @@ def test_true_points_project_to_true_pixels(room: SimulatedRoom, truth: GroundTr
     np.testing.assert_allclose(calibration.camera.project(truth.points_m), np.stack([x, y], axis=-1), atol=1e-5)
     lit = np.isfinite(truth.projector_px[..., 0])
     assert 0.1 < lit.mean() < 0.3
-    in_projector = truth.points_m[lit] @ calibration.rotation.T + calibration.translation
+    in_projector = calibration.pose @ truth.points_m[lit]
     np.testing.assert_allclose(calibration.projector.project(in_projector), truth.projector_px[lit], atol=1e-6)
 
 

@@ -73,8 +73,8 @@ def test_the_rig_moves_and_the_room_does_not() -> None:
     for i, (place, calibration) in enumerate(zip(places, calibrations, strict=True)):
         assert place.camera.optics == places[0].camera.optics
         assert place.projector.optics == places[0].projector.optics
-        np.testing.assert_allclose(calibration.rotation, calibrations[0].rotation, atol=1e-12)
-        np.testing.assert_allclose(calibration.translation, calibrations[0].translation, atol=1e-12)
+        np.testing.assert_allclose(calibration.pose.rotation, calibrations[0].pose.rotation, atol=1e-12)
+        np.testing.assert_allclose(calibration.pose.translation, calibrations[0].pose.translation, atol=1e-12)
         np.testing.assert_array_equal(place.scene.room.edges, places[0].scene.room.edges)
         assert len(place.scene.blocks) == len(places[0].scene.blocks) == 4
         for block, first in zip(place.scene.blocks, places[0].scene.blocks, strict=True):

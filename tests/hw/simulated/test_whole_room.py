@@ -36,12 +36,12 @@ def test_opposite_walls_are_not_parallel_and_every_match_is_where_a_ray_met_a_su
     off_deg = 180 - np.degrees(np.arccos(across))
     assert np.all((off_deg > 0.02) & (off_deg < 3.0))
     for station in found:
-        world = station.points @ station.place.rotation.T + station.place.translation
+        world = station.place @ station.points
         normals = scene.normals(station.surface, world.T)
         back = scene.points_on(int(station.surface[0]), scene.surface_coordinates(station.surface[:1], world[:1].T))
         np.testing.assert_allclose(back[:, 0], world[0], atol=1e-9)
         assert np.all(np.sum(normals.T * (station.place.translation - world), axis=1) > 0)
-        thrown = station.points @ station.calibration.rotation.T + station.calibration.translation
+        thrown = station.calibration.pose @ station.points
         assert np.all(thrown[:, 2] > 0)
 
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.geometry import Pose
 from calib.synthetic import BoardOptions, SyntheticBoards, random_boards
 from scanner.commands import main
 from scanner.io import read_image, write_png
@@ -38,8 +39,9 @@ def captures(made: SyntheticBoards, tmp_path_factory: pytest.TempPathFactory) ->
         half = np.asarray(cv2.resize(picture, None, fx=0.5, fy=1.0, interpolation=cv2.INTER_AREA), np.uint8)
         write_png(frame, np.hstack([half, half]))
     flat = random_boards(np.random.default_rng(2), replace(OPTIONS, tilt_deg=(0.0, 0.5), roll_deg=1.0))
-    for number, (_, middle) in enumerate(flat.poses):
-        write_board_capture(folder / f"parallel/{number}", TARGET, flat.calibration, (np.eye(3), middle))
+    for number, pose in enumerate(flat.poses):
+        parallel = Pose(np.eye(3), pose.translation)
+        write_board_capture(folder / f"parallel/{number}", TARGET, flat.calibration, parallel)
     return folder
 
 

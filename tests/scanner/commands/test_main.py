@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Pose
 from calib.refusal import RefusalError
 from hw.errors import DeviceError
 from scanner import pipeline
@@ -140,7 +140,7 @@ def test_a_calibration_of_another_size_is_refused(
 ) -> None:
     device = Intrinsics(64, 32, (50, 50), (24, 16))
     calibration = tmp_path / "calibration.yaml"
-    write_calibration(calibration, Calibration(device, device, np.eye(3), np.array([1.0, 0, 0])))
+    write_calibration(calibration, Calibration(device, device, Pose(np.eye(3), np.array([1.0, 0, 0]))))
     assert run("replay", capture_folder, "--calibration", calibration, "--out", tmp_path / "out") == 2
     assert "camera is 64 × 32, but the capture's is 48 × 32" in capsys.readouterr().err
 

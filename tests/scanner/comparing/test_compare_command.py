@@ -123,7 +123,7 @@ def test_a_difference_is_reported_with_its_location(
     told = " ".join(capsys.readouterr().out.split())
     assert "They differ by more than their sigmas allow" in told
     assert "at camera pixel" in told
-    free = replace(zoomed, translation=zoomed.translation / zoomed.baseline, unit="baseline")
+    free = zoomed.in_baselines
     write_calibration(folder / "free.yaml", free)
     assert main(["compare", str(folder / "free.yaml"), str(folder / "boards")]) == 0
     assert "They share no known length" in " ".join(capsys.readouterr().out.split())

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Pose
 from hw.settings import SimulatedRigSettings
 from hw.simulated import GroundTruth, SimulatedCamera, SimulatedProjector, SimulatedRoom
 from scanner.decoding.decoder import Decoder, Decoding
@@ -170,7 +170,7 @@ def test_one_axis_and_the_calibration_give_both_coordinates(
 def test_stripes_along_the_epipolar_lines_are_masked(room: SimulatedRoom) -> None:
     """With the projector straight above the camera, only y determines distances."""
     true = room.calibration
-    above = replace(true, rotation=np.eye(3), translation=np.array([0.0, 0.4, 0.0]))
+    above = replace(true, pose=Pose(np.eye(3), np.array([0.0, 0.4, 0.0])))
     patterns = [p for p in PRESETS["quick"].patterns(PROJECTOR) if getattr(p, "axis", "x") == "x"]
     decoding = scanned(room, patterns, above).decoding
     assert not len(decoding.matches)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry import Calibration, Intrinsics
+from calib.geometry import Calibration, Intrinsics, Pose
 from scanner.decoding.decoder import Decoder
 from scanner.decoding.planning import plan_sequence
 from scanner.decoding.stopped_sequence import usable
@@ -84,7 +84,7 @@ def test_a_calibration_replaces_the_missing_coordinate() -> None:
     assert {pattern.axis for pattern in found.patterns if isinstance(pattern, Phase)} == {"y"}
     assert "x follows from the calibration" in str(found.finding)
     device = Intrinsics(*SIZE, (200.0, 200.0), (107.0, 60.0))
-    known = Calibration(device, device, np.eye(3), np.array([0.3, 1.0, 0.0]))
+    known = Calibration(device, device, Pose(np.eye(3), np.array([0.3, 1.0, 0.0])))
     Decoder([pattern for pattern in found.patterns if pattern is not None], SIZE, known)
 
 

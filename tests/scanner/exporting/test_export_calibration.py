@@ -48,8 +48,8 @@ def test_opencv_reads_the_same_values(written: Written, opencv: OpenCV) -> None:
     calibration = written.scan.calibration
     assert np.array_equal(opencv.camera, calibration.camera.matrix)
     assert np.array_equal(opencv.projector_lens.ravel(), calibration.projector.distortion)
-    assert np.array_equal(opencv.R, calibration.rotation)
-    assert np.array_equal(opencv.T.ravel(), calibration.translation)
+    assert np.array_equal(opencv.R, calibration.pose.rotation)
+    assert np.array_equal(opencv.T.ravel(), calibration.pose.translation)
     assert opencv.camera_size == (calibration.camera.width, calibration.camera.height)
     assert opencv.projector_size == (calibration.projector.width, calibration.projector.height)
     assert opencv.unit == "m"
@@ -138,8 +138,8 @@ def test_colmap_pixels_are_offset_by_half_a_pixel(written: Written, model: Path)
         ray = np.array([0.21, -0.13, 1.0])
         assert np.allclose(theirs.img_from_cam(ray), device.project(ray) + 0.5, atol=1e-9)
     pose = reconstruction.images[2].cam_from_world()
-    assert np.allclose(pose.rotation.matrix(), ours.rotation, atol=1e-12)
-    assert np.allclose(pose.translation, ours.translation, atol=1e-12)
+    assert np.allclose(pose.rotation.matrix(), ours.pose.rotation, atol=1e-12)
+    assert np.allclose(pose.translation, ours.pose.translation, atol=1e-12)
     assert np.allclose(reconstruction.images[1].cam_from_world().matrix(), np.eye(3, 4))
 
 

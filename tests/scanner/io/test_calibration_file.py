@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Sigmas
+from calib.geometry import Calibration, DeviceSigmas, Intrinsics, Pose, Sigmas
 from scanner.errors import InputError
 from scanner.io.calibration_file import read_calibration, write_calibration
 
 CALIBRATION = Calibration(
     Intrinsics(2448, 2048, (1791.1, 1791.2), (1256.3, 1054.3), (-0.06, 0.01, 1e-5, -2e-17, 0.0)),
     Intrinsics(854, 480, (1247.3, 1247.3), (377.1, 234.0)),
-    Rotation.from_rotvec([0.1, -0.2, 1 / 3]).as_matrix(),
-    np.array([-0.4, 0.05, 1 / 7]),
+    Pose(Rotation.from_rotvec([0.1, -0.2, 1 / 3]).as_matrix(), np.array([-0.4, 0.05, 1 / 7])),
     "m",
     Sigmas(DeviceSigmas((1.5, 1.5)), DeviceSigmas(principal_point_px=(0.1, 0.2))),
 )
@@ -48,14 +47,14 @@ def calibrations(draw: st.DrawFn) -> Calibration:
 
     single = st.none() | positive
     sigma = Sigmas(sigmas(), sigmas(), draw(triples), draw(single), draw(triples), draw(single), draw(single))
-    return Calibration(device(), device(), rotation, translation, unit, sigma)
+    return Calibration(device(), device(), Pose(rotation, translation), unit, sigma)
 
 
 def same(a: Calibration, b: Calibration) -> bool:
     return (
         (a.camera, a.projector, a.unit, a.sigma) == (b.camera, b.projector, b.unit, b.sigma)
-        and np.array_equal(a.rotation, b.rotation)
-        and np.array_equal(a.translation, b.translation)
+        and np.array_equal(a.pose.rotation, b.pose.rotation)
+        and np.array_equal(a.pose.translation, b.pose.translation)
     )
 
 
@@ -73,7 +72,7 @@ def test_the_keys_of_the_file_format_are_fixed(tmp_path: Path) -> None:
     assert list(data["camera"]) == ["width", "height", "focal_px", "principal_point_px", "distortion"]
     assert data["camera"]["focal_px"] == [1791.1, 1791.2]
     assert data["sigma"] == {"camera_focal_px": 1.5, "projector_principal_point_px": [0.1, 0.2]}
-    np.testing.assert_array_equal(data["rotation"], CALIBRATION.rotation)
+    np.testing.assert_array_equal(data["rotation"], CALIBRATION.pose.rotation)
 
 
 def written(tmp_path: Path, **changes: object) -> Path:

@@ -4,18 +4,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.geometry import Pose
 from scanner.errors import InputError
 from scanner.io.room_file import read_poses, write_poses
 
 
-def poses() -> list[np.ndarray]:
+def poses() -> list[Pose]:
     rng = np.random.default_rng(3)
-    return [np.column_stack([turned, rng.normal(size=3)]) for turned in Rotation.random(3, random_state=3).as_matrix()]
+    return [Pose(turned, rng.normal(size=3)) for turned in Rotation.random(3, random_state=3).as_matrix()]
 
 
 def test_poses_read_back_the_same(tmp_path: Path) -> None:
     write_poses(tmp_path / "poses.yaml", poses())
-    assert np.array_equal(read_poses(tmp_path / "poses.yaml", 3), poses())
+    for pose, written in zip(read_poses(tmp_path / "poses.yaml", 3), poses(), strict=True):
+        assert np.array_equal(pose.rotation, written.rotation)
+        assert np.array_equal(pose.translation, written.translation)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from scanner.objects.solve import solve_object
 from scanner.objects.verdict import verdict_on
 from scanner.rooms import RigStart
 from scanner.ui import Terminal
-from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
+from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
 
 pytestmark = pytest.mark.xdist_group("objects")
 
@@ -37,7 +37,7 @@ def solved(parts: list[Any], step_deg: float, folder: Path) -> Solved:
         [*range(6)], CAMERA, seed=1, kind="file", file=str(folder / "thing.ply"), step_deg=step_deg, patches=0.0
     )
     rig = stations[0].calibration
-    start = RigStart(in_baselines(rig), None, {}, rig)
+    start = RigStart(rig.in_baselines, None, {}, rig)
     return stations, solve_object(decoded(stations, CAMERA, True), start, config_for(CAMERA), Terminal(quiet=True))
 
 

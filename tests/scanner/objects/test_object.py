@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from calib.open3d_module import open3d
 from calib.refusal import RefusalError
-from calib.rooms import composed, inverse
 from scanner.objects.contents import SolvedObject
 from scanner.objects.solve import solve_object
 from scanner.objects.surface import area_of, cloud_of, is_closed, surface_of, volume_of
@@ -18,7 +17,7 @@ from scanner.objects.verdict import verdict_on
 from scanner.rooms import CAMERA_FROM_ROOM, RigStart, read_stations
 from scanner.ui import Terminal
 from scanner.viewing import ViewedResult
-from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
+from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
 
 pytestmark = pytest.mark.xdist_group("objects")  # what the module shares is made once
 
@@ -32,7 +31,7 @@ def _open3d() -> None:
 
 def solved(stations: list[ThingStation], pictures: bool = True) -> SolvedObject:
     rig = stations[0].calibration
-    start = RigStart(in_baselines(rig), None, {}, rig)
+    start = RigStart(rig.in_baselines, None, {}, rig)
     return solve_object(decoded(stations, CAMERA, pictures), start, config_for(CAMERA), Terminal(quiet=True))
 
 
@@ -49,11 +48,11 @@ def test_poses_are_found_without_order_or_initial_guess(turned: tuple[list[Thing
     for true, station in zip(stations[1:], found.stations[1:], strict=True):
         off = between(found.stations[0].place, station.place)
         wanted = between(stations[0].place, true.place)
-        turn_deg = np.degrees(Rotation.from_matrix(off.rotation @ wanted.rotation.T).magnitude())
+        turn_deg = np.degrees(Rotation.from_matrix((off @ wanted.inverse()).rotation).magnitude())
         assert 0 < turn_deg < 0.03
         assert turn_deg < 8 * np.linalg.norm(station.sigma_deg)
-        middle = -wanted.rotation.T @ wanted.translation
-        shift = np.linalg.norm((off.rotation - wanted.rotation) @ middle + off.translation - wanted.translation)
+        middle = wanted.inverse().translation
+        shift = np.linalg.norm(off @ middle - wanted @ middle)
         assert 0 < shift < 2e-4
 
 
@@ -185,8 +184,8 @@ def test_the_surface_is_where_the_thing_is_and_ends_where_it_was_not_seen(
     assert surface is not None
     assert not surface.closed
     assert surface.bridged == 0
-    to_solid = composed(stations[0].place, inverse(found.stations[0].place))
-    points = surface.mesh.points @ CAMERA_FROM_ROOM @ to_solid.rotation.T + to_solid.translation
+    to_solid = stations[0].place @ found.stations[0].place.inverse()
+    points = to_solid @ (surface.mesh.points @ CAMERA_FROM_ROOM)
     solid, scene = stations[0].solid, o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(solid.vertices.astype(np.float32)), o3d.core.Tensor(solid.triangles.astype(np.uint32))

@@ -63,7 +63,7 @@ def test_two_photos_give_the_camera_and_a_cloud(result: Path) -> None:
     check_camera(calibration, 0.01)
     assert 1e-4 < calibration.sigma.camera.focal_px[0] / CAMERA.focal_px[0] < 0.01
     assert calibration.sigma.camera.focal_px[0] == calibration.sigma.projector.focal_px[0]
-    assert np.linalg.norm(calibration.translation) == pytest.approx(1.0)
+    assert np.linalg.norm(calibration.pose.translation) == pytest.approx(1.0)
 
 
 def test_the_cloud_has_the_photos_colours_and_lies_on_the_walls(result: Path, photos: list[Path]) -> None:

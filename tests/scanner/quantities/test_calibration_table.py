@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics, Sigmas
+from calib.geometry import Calibration, Corner, DeviceSigmas, Intrinsics, Pose, Sigmas
 from scanner.configuration import ScaleSettings
 from scanner.errors import InputError
 from scanner.quantities.calibration_numbers import intrinsic_errors_percent
@@ -17,16 +17,14 @@ from scanner.ui import Terminal
 TRUTH = Calibration(
     Intrinsics(1224, 1024, (895.0, 895.0), (628.0, 527.0)),
     Intrinsics(854, 480, (1250.0, 1250.0), (400.0, 200.0)),
-    np.eye(3),
-    np.array([-0.4, 0, 0]),
+    Pose(np.eye(3), np.array([-0.4, 0, 0])),
     "m",
 )
 FOUND = replace(
     TRUTH,
     camera=replace(TRUTH.camera, focal_px=(903.95, 903.95)),
     projector=replace(TRUTH.projector, focal_px=(1225.0, 1225.0), principal_point_px=(404.0, 199.0)),
-    rotation=Rotation.from_rotvec([0, 0, np.radians(0.5)]).as_matrix(),
-    translation=np.array([-np.cos(0.01), np.sin(0.01), 0]),
+    pose=Pose(Rotation.from_rotvec([0, 0, np.radians(0.5)]).as_matrix(), np.array([-np.cos(0.01), np.sin(0.01), 0])),
     unit="baseline",
     sigma=Sigmas(
         DeviceSigmas(focal_px=(9.5, 9.5), distortion=(0.011, 0.02)), DeviceSigmas(principal_point_px=(3.25, 1.75))
@@ -65,7 +63,7 @@ def test_the_table_shows_the_truth_beside_it() -> None:
 
 def test_a_baseline_is_compared_in_the_same_unit_only() -> None:
     assert "0.4000" not in printed(FOUND, TRUTH)
-    assert "+0.1000" in printed(replace(FOUND, translation=np.array([-0.5, 0, 0]), unit="m"), TRUTH)
+    assert "+0.1000" in printed(FOUND.scaled(0.5, "m"), TRUTH)
 
 
 CORNER = Corner(np.array([0.0, 3.0, 4.0]), np.eye(3))
@@ -84,7 +82,7 @@ def test_one_length_fixes_the_scale(scale: ScaleSettings | None, baseline: float
     calibration = scaled(FOUND, CORNER, scale)
     assert calibration.baseline == pytest.approx(baseline)
     assert calibration.unit == unit
-    np.testing.assert_allclose(calibration.translation / baseline, FOUND.translation)
+    np.testing.assert_allclose(calibration.pose.translation / baseline, FOUND.pose.translation)
 
 
 def test_a_calibration_with_a_unit_keeps_it() -> None:

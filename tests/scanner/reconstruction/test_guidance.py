@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.diagnostics import NextView, moved_pose, step_taken
+from calib.diagnostics import NextView, moved_corner, step_taken
 from calib.geometry import Calibration, Matches
-from calib.refinement import Pose
+from calib.refinement import PlacedCorner
 from calib.synthetic import PAPER_CAMERA, random_captures
 from scanner.capture import CaptureMetadata
 from scanner.configuration import Config
@@ -60,9 +60,9 @@ def test_a_repeated_view_is_reported_as_useless(twice: tuple[list[Matches], Cali
 @settings(max_examples=50)
 def test_the_proposed_step_and_turn_keep_the_corner_in_view(right: float, up: float, far: float) -> None:
     vertex = np.array([0.3, -0.2, 5.0])
-    pose = Pose(np.eye(3), vertex, 0)
-    step = step_taken(pose, right, up, far)
-    turned = moved_pose(pose, right, up, far)
+    corner = PlacedCorner(np.eye(3), vertex, 0)
+    step = step_taken(corner, right, up, far)
+    turned = moved_corner(corner, right, up, far)
     np.testing.assert_allclose(turned.frame.T @ (vertex - step), far * vertex, atol=1e-9)
     assert np.linalg.norm(vertex - step) == pytest.approx(far * np.linalg.norm(vertex))
 
@@ -79,7 +79,7 @@ def test_the_proposed_step_and_turn_keep_the_corner_in_view(right: float, up: fl
 def test_directions_to_the_operator(
     twice: tuple[list[Matches], Calibration], right: float, up: float, distance: float, words: tuple[str, ...]
 ) -> None:
-    step = step_taken(Pose(np.eye(3), np.array([0.0, 0.0, 5.0]), 0), right, up, distance)
+    step = step_taken(PlacedCorner(np.eye(3), np.array([0.0, 0.0, 5.0]), 0), right, up, distance)
     said = where_to(NextView(right, up, distance, 0.01, step), twice[1])
     for word in words:
         assert word in said, said

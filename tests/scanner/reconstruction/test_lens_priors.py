@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.geometry import Calibration, DeviceSigmas, Sigmas, Size
+from calib.geometry import Calibration, DeviceSigmas, Pose, Sigmas, Size
 from calib.refinement import ORDINARY_LENSES
 from calib.synthetic import PAPER_CAMERA, PAPER_PROJECTOR
 from scanner.configuration import Config, load_config
@@ -22,7 +22,7 @@ def calibrated(path: Path) -> Path:
     known = DeviceSigmas(None, None, SIGMAS)
     camera = replace(PAPER_CAMERA, distortion=TERMS)
     sigma = Sigmas(camera=known)
-    write_calibration(path, Calibration(camera, PAPER_PROJECTOR, np.eye(3), np.array([1.0, 0, 0]), sigma=sigma))
+    write_calibration(path, Calibration(camera, PAPER_PROJECTOR, Pose(np.eye(3), np.array([1.0, 0, 0])), sigma=sigma))
     return path
 
 

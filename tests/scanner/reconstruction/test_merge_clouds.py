@@ -83,7 +83,7 @@ def test_a_capture_agrees_with_itself(cloud: Cloud, view: View) -> None:
 def found_in(scene: Scene, corner: Corner, photograph: np.ndarray | None) -> SelfCalibrated:
     baseline = scene.calibration.baseline
     solution = SelfCalibration(
-        replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline"),
+        scene.calibration.scaled(1 / baseline, "baseline"),
         scene.matches,
         Corner(corner.vertex / baseline, corner.legs),
         Profile(np.ones(1), np.ones(1)),

@@ -35,9 +35,7 @@ def room() -> SimulatedRoom:
 @pytest.fixture(scope="module")
 def rig(room: SimulatedRoom) -> Calibration:
     """A rig in units of the baseline."""
-    return replace(
-        room.calibration, translation=room.calibration.translation / room.calibration.baseline, unit="baseline"
-    )
+    return room.calibration.in_baselines
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from calib.diagnostics import Uncertainty
 from calib.finding import Finding, FindingKind, Severity
-from calib.geometry import Calibration, Corner, Matches, unproject
+from calib.geometry import Calibration, Corner, Matches, Pose, unproject
 from calib.pointcloud import View, build_cloud, merged
 from calib.refinement import CAMERA as CAMERA_COLUMNS
 from calib.refinement import PROJECTOR as PROJECTOR_COLUMNS
@@ -34,8 +34,8 @@ def state_of(calibration: Calibration) -> State:
         np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
-    translation = calibration.translation / calibration.baseline
-    return State(camera, projector, calibration.rotation, translation, np.zeros((1, 3)), ())
+    translation = calibration.pose.translation / calibration.baseline
+    return State(camera, projector, Pose(calibration.pose.rotation, translation), np.zeros((1, 3)), ())
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def report(scene: Scene) -> ReportInput:
     by_principal_point[0] = 0.001, -0.0002
     by_principal_point[PROJECTOR_COLUMNS.start] = 0.0005, 0.0
     baseline = scene.calibration.baseline
-    calibration = replace(scene.calibration, translation=scene.calibration.translation / baseline, unit="baseline")
+    calibration = scene.calibration.scaled(1 / baseline, "baseline")
     solution = SelfCalibration(
         calibration,
         scene.matches,
@@ -128,9 +128,9 @@ def test_point_sigmas_match_trials(report: ReportInput, scene: Scene) -> None:
 def _triangulated(state: State, matches: Matches) -> np.ndarray:
     """The point of the camera's ray closest to the projector's."""
     rays, q = unproject(state.camera, matches.camera_px)[0], unproject(state.projector, matches.projector_px)[0]
-    turned = rays @ state.rotation.T
+    turned = state.pose.rotate(rays)
     a, b, c = (np.sum(x * y, axis=1) for x, y in ((turned, turned), (turned, q), (q, q)))
-    depth = (b * (q @ state.translation) - c * (turned @ state.translation)) / (a * c - b * b)
+    depth = (b * (q @ state.pose.translation) - c * (turned @ state.pose.translation)) / (a * c - b * b)
     return rays * depth[:, None]
 
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from calib.diagnostics import Uncertainty
-from calib.geometry import Calibration, Motion, intersect
+from calib.geometry import Calibration, Pose, intersect, rotation_about
 from calib.numerics import Floats
 from calib.refinement import CAMERA, ROTATION, SHARED, TRANSLATION, State
 from scanner.errors import InputError
@@ -31,8 +31,8 @@ def uncertainty_of(calibration: Calibration, covariance: Floats) -> Uncertainty:
         np.array([device.focal_px[0], *device.principal_point_px, *device.distortion])
         for device in (calibration.camera, calibration.projector)
     )
-    translation = calibration.translation / calibration.baseline
-    state = State(camera, projector, calibration.rotation, translation, np.zeros((1, 3)), ())
+    translation = calibration.pose.translation / calibration.baseline
+    state = State(camera, projector, Pose(calibration.pose.rotation, translation), np.zeros((1, 3)), ())
     return Uncertainty(state, covariance, None, 0.04)
 
 
@@ -58,7 +58,7 @@ def test_verdict_and_covariance_read_back_the_same(scene: Scene, tmp_path: Path)
 def test_covariance_columns_match_the_format(scene: Scene, tmp_path: Path) -> None:
     """A step of one column of the file, made as docs/formats.md describes, equals the model's."""
     calibration = scene.calibration
-    direction = calibration.translation / calibration.baseline
+    direction = calibration.pose.translation / calibration.baseline
     for column, name in ((CAMERA.start, "camera_log_focal"), (ROTATION.start + 2, "rotation_z_rad")):
         covariance = np.zeros((SHARED, SHARED))
         covariance[column, column] = 4.0
@@ -71,7 +71,7 @@ def test_covariance_columns_match_the_format(scene: Scene, tmp_path: Path) -> No
     covariance = np.zeros((SHARED, SHARED))
     covariance[TRANSLATION, TRANSLATION] = np.outer(step[3:5], step[3:5])
     values = np.array(confidence_entries(VERDICT, uncertainty_of(calibration, covariance))["covariance"]["values"])
-    moved = Motion(calibration.rotation, direction).moved(step).translation - direction
+    moved = Pose(calibration.pose.rotation, direction).retract_baseline(step).translation - direction
     assert values[-3:, -3:] == pytest.approx(np.outer(moved, moved), rel=1e-3, abs=1e-11)
     assert np.abs(values[-3:, -3:] @ direction).max() < 1e-15
 
@@ -119,16 +119,11 @@ def _moved(calibration: Calibration, step: dict[str, float]) -> Calibration:
         for name, device in (("camera", calibration.camera), ("projector", calibration.projector))
     )
     turned = np.array([step[f"rotation_{axis}_rad"] for axis in "xyz"])
-    direction = calibration.translation / calibration.baseline
+    direction = calibration.pose.translation / calibration.baseline
     direction = direction + np.array([step[f"translation_{axis}"] for axis in "xyz"])
-    motion = Motion(calibration.rotation, direction).moved(np.append(turned, [0.0, 0.0, 0.0]))
-    return replace(
-        calibration,
-        camera=camera,
-        projector=projector,
-        rotation=motion.rotation,
-        translation=calibration.baseline * direction / np.linalg.norm(direction),
-    )
+    rotation = rotation_about(turned) @ calibration.pose.rotation
+    pose = Pose(rotation, calibration.baseline * direction / np.linalg.norm(direction))
+    return replace(calibration, camera=camera, projector=projector, pose=pose)
 
 
 def test_an_older_result_has_neither(scene: Scene, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Calibration
+from calib.geometry import Calibration, Pose
 from scanner.rooms.epipolar_lines import line_offsets, of_another_rig
 from tests.scanner.rooms.conftest import CAMERA
 from tests.support.whole_room import TrueStation, stations, with_turned_projector
@@ -18,7 +18,8 @@ def two() -> list[TrueStation]:
 
 
 def turned(rig: Calibration, about: str, degrees: float) -> Calibration:
-    return replace(rig, rotation=Rotation.from_euler(about, degrees, degrees=True).as_matrix() @ rig.rotation)
+    turn = Rotation.from_euler(about, degrees, degrees=True).as_matrix()
+    return replace(rig, pose=Pose(turn @ rig.pose.rotation, rig.pose.translation))
 
 
 def test_the_true_rig_leaves_only_noise(two: list[TrueStation]) -> None:

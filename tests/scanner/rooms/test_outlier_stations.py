@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.rooms import Group, LeftOut, Registration
 from scanner.capture import CaptureMetadata
 from scanner.results import Decoded, GivenMatches
@@ -39,10 +39,10 @@ def said(
 
 def all_round(example: SolvedExample) -> list[Station]:
     """The example's stations, and the same rotated to cover the full circle."""
-    half = Motion(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+    half = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     found = list(example.solved.stations)
     for station in example.solved.stations:
-        place = Motion(half.rotation @ station.place.rotation, half.rotation @ station.place.translation)
+        place = Pose(half.rotation @ station.place.rotation, half.rotation @ station.place.translation)
         found.append(replace(station, place=place))
     return found
 

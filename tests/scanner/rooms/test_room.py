@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from calib.geometry import Motion
+from calib.geometry import Pose
 from calib.numerics import Floats
 from scanner.exporting import FORMATS, Request
 from scanner.io import read_calibration, read_cloud
@@ -21,11 +21,10 @@ from scanner.viewing import ViewedResult
 from tests.scanner.rooms.conftest import ORDER, SolvedExample
 
 
-def to_world(example: SolvedExample) -> Motion:
+def to_world(example: SolvedExample) -> Pose:
     """From the room's frame to the simulation's, by the first station."""
     found, true = example.solved.stations[0].place, example.true[0].place
-    rotation = true.rotation @ found.rotation.T
-    return Motion(rotation, true.translation - rotation @ found.translation)
+    return true @ found.inverse()
 
 
 def test_all_stations_have_their_true_poses(example: SolvedExample) -> None:
@@ -33,7 +32,7 @@ def test_all_stations_have_their_true_poses(example: SolvedExample) -> None:
     assert example.solved.outlier_stations == ()
     world = to_world(example)
     for found, true in zip(example.solved.stations[1:], example.true[1:], strict=True):
-        off = world.rotation @ found.place.translation + world.translation - true.place.translation
+        off = world @ found.place.translation - true.place.translation
         turned = Rotation.from_matrix(world.rotation @ found.place.rotation @ true.place.rotation.T)
         assert 0 < np.linalg.norm(off) < 3e-3
         assert 0 < np.degrees(turned.magnitude()) < 0.05
@@ -59,8 +58,8 @@ def test_z_is_up_from_the_floor(example: SolvedExample) -> None:
 def distances_to_surfaces(example: SolvedExample, points: Floats) -> Floats:
     """Distances of points (N, 3) in the room's frame from the true surfaces."""
     world = to_world(example)
-    seen = np.concatenate([true.points @ true.place.rotation.T + true.place.translation for true in example.true])
-    distance, _ = cKDTree(seen).query(points @ world.rotation.T + world.translation)
+    seen = np.concatenate([true.place @ true.points for true in example.true])
+    distance, _ = cKDTree(seen).query(world @ points)
     return np.asarray(distance)
 
 

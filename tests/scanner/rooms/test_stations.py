@@ -33,7 +33,7 @@ def test_a_station_of_another_room_is_named_and_left_out(example: SolvedExample,
     # The same rig in the other room: what its camera saw, as its projector would have lit it.
     seen = elsewhere.calibration.camera.project(elsewhere.points)
     inside = np.all((seen > 0) & (seen < np.array(CAMERA) - 1), axis=1)
-    thrown = truth.projector.project(elsewhere.points @ truth.rotation.T + truth.translation)
+    thrown = truth.projector.project(truth.pose @ elsewhere.points)
     camera_px = truth.camera.project(elsewhere.points)
     inside &= np.all((thrown > 0) & (thrown < np.array(PROJECTOR) - 1), axis=1) & np.all(
         (camera_px > 0) & (camera_px < np.array(CAMERA) - 1), axis=1
@@ -57,7 +57,7 @@ def test_rejected_stations_are_retried_with_the_estimated_rig(
 ) -> None:
     captures = read_stations([example.files[k] for k in (0, 2, 3)], example.config, QUIET)
     known = example.solved.calibration
-    given = replace(known, translation=known.translation / known.baseline, unit="baseline")
+    given = known.in_baselines
     rigs: list[Calibration] = []
 
     def looked_at(capture: Decoded, rig: Calibration) -> solve.CaptureView:

@@ -8,14 +8,14 @@ from calib.refusal import RefusalError
 from scanner.rooms.contents import RigStart, SolvedRoom
 from scanner.rooms.solve import solve_room
 from scanner.ui import Terminal
-from tests.support.things import ThingStation, between, config_for, decoded, in_baselines, thing_stations
+from tests.support.things import ThingStation, between, config_for, decoded, thing_stations
 
 CAMERA = (230, 192)
 
 
 def solved(stations: list[ThingStation]) -> SolvedRoom:
     rig = stations[0].calibration
-    start = RigStart(in_baselines(rig), None, {}, rig)
+    start = RigStart(rig.in_baselines, None, {}, rig)
     return solve_room(decoded(stations, CAMERA), start, config_for(CAMERA), Terminal(quiet=True))
 
 

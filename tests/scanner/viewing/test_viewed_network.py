@@ -23,7 +23,7 @@ def test_every_device_is_where_the_file_says(tmp_path: Path) -> None:
         camera, projector = (devices[name] for name in rig.names or ())
         np.testing.assert_allclose(rig.position, camera["translation"])
         np.testing.assert_allclose(rig.projector_centre, projector["translation"], atol=1e-9)
-        ahead = rig.rotation @ rig.calibration.rotation.T  # of the projector, in the network's frame
+        ahead = rig.pose.rotation @ rig.calibration.pose.rotation.T  # of the projector, in the network's frame
         np.testing.assert_allclose(ahead, projector["rotation"], atol=1e-9)
         assert rig.calibration.camera.focal_px == tuple(camera["focal_px"])
 

@@ -124,15 +124,7 @@ def test_depth_sigmas_include_the_calibration(tmp_path: Path) -> None:
     calibration = read_calibration(written.folder / "calibration.yaml")
     covariance = np.zeros((SHARED, SHARED))
     covariance[0, 0] = 0.001**2
-    direction = calibration.translation / calibration.baseline
-    state = State(
-        device_of(calibration.camera),
-        device_of(calibration.projector),
-        calibration.rotation,
-        direction,
-        np.zeros((0, 3)),
-        (),
-    )
+    state = State(device_of(calibration.camera), device_of(calibration.projector), calibration.pose.in_baselines)
     more = confidence_entries(Verdict("good", "Well", ("so",)), Uncertainty(state, covariance, None, 0.05))
     write_calibration(written.folder / "calibration.yaml", calibration, more)
     result = ViewedResult(written.folder)
@@ -190,7 +182,7 @@ def test_rigs_are_placed_into_the_merged_cloud(tmp_path: Path, turn: int, known:
     off = np.linalg.norm(rig.position - view.in_corner(np.zeros((1, 3)), turn)[0])
     assert off == 0 if known else 0 < off < 0.002
     assert found.corner is not None
-    assert np.abs(rig.to_cloud(found.corner.corner.vertex)).max() < 0.002  # the origin of the merged cloud
+    assert np.abs(rig.pose @ found.corner.corner.vertex).max() < 0.002  # the origin of the merged cloud
     assert abs(found.up[2]) == 1
     assert possible_colourings(found) == (Colouring.CAMERA,)
     with pytest.raises(ValueError, match="cannot be coloured"):

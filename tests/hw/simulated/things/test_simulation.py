@@ -31,7 +31,7 @@ def test_a_ball_has_the_volume_and_area_of_a_sphere() -> None:
 
 def test_the_turntable_rotates_about_the_vertical() -> None:
     first, second = (thing(pose).pose for pose in (0, 1))
-    turn = second.rotation @ first.rotation.T
+    turn = first.rotate(second.rotation)
     np.testing.assert_allclose(turn, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
     np.testing.assert_allclose(turn @ first.translation, second.translation, atol=1e-12)
 
@@ -39,7 +39,7 @@ def test_the_turntable_rotates_about_the_vertical() -> None:
 def test_free_poses_stand_on_the_table() -> None:
     for pose in range(3):
         seen = thing(pose, turntable=False)
-        heights = (seen.solid.vertices @ seen.pose.rotation.T + seen.pose.translation)[:, 2]
+        heights = (seen.pose @ seen.solid.vertices)[:, 2]
         assert 0 < heights.min() < 0.01
 
 
@@ -51,7 +51,7 @@ def test_matches_triangulate_to_the_surface() -> None:
     points = midpoints(
         Matches(np.stack([column, row], axis=1).astype(np.float64), projector_px[there]), seen.calibration
     )
-    own = points.T @ seen.truth.place.rotation.T + seen.truth.place.translation
+    own = seen.truth.place @ points.T
     apart = np.min(np.linalg.norm(own[::50, None] - seen.solid.vertices, axis=2), axis=1)
     assert 0 < np.median(apart) < 0.001  # vertices are a millimetre apart
     assert 0.05 < there.mean() < 0.5
