@@ -14,6 +14,8 @@ _BITS = range(4, 14)
 # A longer series is no capture and not read: four fringes of both axes in eight steps, white and black, and one
 # duplicate.
 MOST_FRAMES = 4 * 2 * 8 + 3
+# Lengths of cells that a program may have been given, where the size of the projector is known.
+_CELLS = [1, 2, 4]
 _MOST_APART = 4  # largest difference of the bits of the two axes
 
 
@@ -81,22 +83,26 @@ def candidates(
     """All variants of a layout for this number of frames, if the `missing` patterns were not taken."""
     if layout.names is not None and not missing:
         yield from _by_name(layout.names(files.numbered), files, given)
-    cell = given.cell or 1
     known = given.projector_size is not None and not layout.lacks(given)
-    sizes = [given.projector_size] if given.projector_size and known else _sizes(cell)
+    cells = [given.cell] if given.cell else _CELLS if known else [1]
+    sizes = [given.projector_size] if given.projector_size and known else _sizes(cells[0])
     sizes = [layout.any_size] if layout.any_size and not known else sizes
-    seen: set[tuple[Pattern, ...]] = set()
-    for sequence, size in product(layout.sequences, sizes):
+    tried: set[tuple[Pattern, ...]] = set()
+    for cell, sequence, size in product(cells, layout.sequences, sizes):
+        if tried and cell != cells[0]:
+            return  # a code of single pixels is what programs project
 
-        def for_size(size: Size, sequence: SequenceOf = sequence) -> tuple[Pattern, ...]:
+        def for_size(size: Size, sequence: SequenceOf = sequence, cell: int = cell) -> tuple[Pattern, ...]:
             return _beside(files, sequence(size, cell, len(files.numbered) + len(missing)), missing)
 
         paths, patterns = _paths(files), for_size(size)
-        if len(patterns) != len(paths):
+        if len(patterns) != len(paths) or (
+            cell != cells[0] and any(isinstance(pattern, Phase) for pattern in patterns)
+        ):
             continue
         kind = patterns if known else tuple(map(_unsized, patterns))
-        if kind not in seen:
-            seen.add(kind)
+        if kind not in tried:
+            tried.add(kind)
             yield Candidate(paths, patterns, size, known, for_size)
 
 

@@ -2,17 +2,22 @@
 
 It is one that projectors have, if one of these fits; of several the one whose rim was seen. Any other has to be seen to
 end, inside the camera's image and straight: all rows at the same column.
+
+A projector of two or four times as many pixels shows the same codes with cells of two or four. Nothing in the frames
+tells them apart, and calibrated as the wrong one, all lengths in the projector's pixels are off by that factor. So
+where a multiple is sold more often than the size itself, both are possible.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from calib.geometry import Matches
 from calib.numerics import Bools, Floats
 from scanner.importing.layout import Candidate, Given, Size
-from scanner.patterns import Axis, Gray, Pattern
+from scanner.patterns import Axis, Gray, Pattern, Phase
 
 # Sizes of projectors on the market, and of the light engines of scanners.
 _COMMON: tuple[Size, ...] = (
@@ -21,6 +26,11 @@ _COMMON: tuple[Size, ...] = (
     (1440, 900), (1600, 900), (1600, 1200), (1680, 1050), (1920, 1080), (1920, 1200), (2048, 1080), (2048, 1536),
     (2560, 1440), (2560, 1600), (3840, 2160), (4096, 2160),
 )  # fmt: skip
+# Sizes that most projectors have; the rest of those above is rare.
+_USUAL: frozenset[Size] = frozenset(
+    {(800, 600), (854, 480), (1024, 768), (1280, 720), (1280, 800), (1920, 1080), (1920, 1200), (3840, 2160)}
+)
+_ENLARGED = (1, 2, 4)
 _STRIPES = 24
 _FEWEST_IN_STRIPE = 5
 _MOST_STRAY = 0.0005
@@ -47,29 +57,78 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class SizeFound:
-    """`size` is possible; `reached`: how many ends of its codes in x and in y were seen; `usual`: it is sold."""
+class PossibleSize:
+    """A size that the projector may have, by the codes that were seen."""
 
     size: Size
+    patterns: tuple[Pattern, ...]
+    """What it showed then."""
     reached: tuple[int, int]
-    usual: bool = True
+    """How many ends of its codes in x and in y were seen."""
+    enlarged: int = 1
+    """How many of its pixels each pixel of the smallest such projector takes up, in each direction."""
 
     @property
     def total(self) -> int:
         """The number of all ends."""
         return sum(self.reached)
 
+    @property
+    def rank(self) -> int:
+        """How often such projectors are sold: 2 often, 1 rarely, 0 never."""
+        return int(self.size in _COMMON) + int(self.size in _USUAL)
 
-def find_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) -> list[SizeFound]:
-    """Sizes that the projector may have by the codes in x and y: the most likely, or all that are equally so."""
-    possible = [found for size in _COMMON if (found := _fit(candidate, size, extents, given))]
-    if not possible and all(each.ends for each in extents) and not _shows_any_scale(candidate):
-        found = _fit(candidate, _measured(candidate, extents), extents, given)
-        possible = [replace(found, usual=False)] if found else []
-    most = max((found.total for found in possible), default=0)
-    best = [found for found in possible if found.total == most]
-    # A projector with half as many pixels may show the same; measured in its pixels, everything is consistent.
-    return best[:1] if best and all(best[0].reached) else best
+    @property
+    def reason(self) -> str:
+        """Why it is among several."""
+        sold = ("is no usual size", "is rare", "is usual")[self.rank]
+        width, height = self.size
+        return f"{width} × {height} {sold}" + (f", with cells of {self.enlarged} px" if self.enlarged > 1 else "")
+
+
+def possible_sizes(candidate: Candidate, extents: Sequence[Extent], given: Given) -> list[PossibleSize]:
+    """Sizes that the projector may have by the codes in x and y: the likeliest, or all that are equally so, the most
+    usual first; several where a multiple is sold more often.
+    """
+    possible = [fit for size in _COMMON if (fit := _fit(candidate, size, extents, given))]
+    if not possible and all(extent.ends for extent in extents) and not _shows_any_scale(candidate):
+        fit = _fit(candidate, _measured(candidate, extents), extents, given)
+        possible = [fit] if fit else []
+    most = max((fit.total for fit in possible), default=0)
+    best = [fit for fit in possible if fit.total == most]
+    if best and all(best[0].reached):
+        best = [best[0], *(fit for fit in best[1:] if fit.rank > best[0].rank)]
+    if given.cell is not None:
+        return best
+    every = {fit.size: fit for smallest in reversed(best) for fit in _multiples(candidate, smallest)}
+    usual = max((fit.rank for fit in every.values()), default=0)
+    return best if len(best) == 1 and best[0].rank >= usual else sorted(every.values(), key=_most_usual_first)
+
+
+def _most_usual_first(fit: PossibleSize) -> tuple[int, int]:
+    return -fit.rank, fit.enlarged
+
+
+def _multiples(candidate: Candidate, smallest: PossibleSize) -> list[PossibleSize]:
+    """The same codes on projectors of one, two and four times the size; of a size that nobody sells, also with a code
+    more in x or in y, since the last one may be hidden.
+    """
+    (width, height), cells = smallest.size, [_code_of(smallest.patterns, axis).cell for axis in (0, 1)]
+    more = (0, 1) if smallest.rank == 0 else (0,)
+    sizes = [smallest.size, *((width + dx * cells[0], height + dy * cells[1]) for dx in more for dy in more)]
+    multiples = {smallest.size: smallest}
+    for (across, down), times in product(sizes, _ENLARGED):
+        size = across * times, down * times
+        if size in _COMMON and size not in multiples:
+            patterns = tuple(_enlarged(pattern, times) for pattern in candidate.for_size((across, down)))
+            multiples[size] = replace(smallest, size=size, patterns=patterns, enlarged=times)
+    return list(multiples.values())
+
+
+def _enlarged(pattern: Pattern, times: int) -> Pattern:
+    if isinstance(pattern, Gray):
+        return replace(pattern, cell=pattern.cell * times, offset=pattern.offset * times)
+    return replace(pattern, period=pattern.period * times) if isinstance(pattern, Phase) else pattern
 
 
 def extents_of(candidate: Candidate, matches: Matches, camera_size: Size) -> tuple[Extent, Extent]:
@@ -104,7 +163,7 @@ def _numbers(patterns: Sequence[Pattern], axis: int, projector_px: Floats) -> Fl
     return np.floor((projector_px[:, axis] + 0.5 + code.offset) / code.cell)
 
 
-def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> SizeFound | None:
+def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Given) -> PossibleSize | None:
     """Whether the codes are possible on a projector of this size."""
     patterns, reached = candidate.for_size(size), [0, 0]
     if len(patterns) != len(candidate.files):
@@ -116,7 +175,7 @@ def _fit(candidate: Candidate, size: Size, extents: Sequence[Extent], given: Giv
         if code.bits != provisional.bits or not seen.allows(first, last) or not right_count:
             return None
         reached[axis] = seen.reaches(first, last)
-    return SizeFound(size, (reached[0], reached[1]))
+    return PossibleSize(size, patterns, (reached[0], reached[1]))
 
 
 def _shows_any_scale(candidate: Candidate) -> bool:

@@ -1,20 +1,22 @@
 """Whose order of frames is it? Every order that is long enough is tried on the images."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from calib.geometry import Matches
 from calib.refusal import RefusalError
-from scanner.decoding import Decoder
+from scanner.decoding import Decoder, MaskReason
 from scanner.errors import InputError
 from scanner.importing.continuity import broken_order
 from scanner.importing.frame_files import FrameFiles
 from scanner.importing.incomplete import MISSING_ENDS, without_duplicates
 from scanner.importing.layout import MOST_FRAMES, Candidate, Given, Layout, Size, candidates
 from scanner.importing.plausibility import best_fitting, objection, share_on_epipolar_lines
-from scanner.importing.projector_size import extents_of, find_sizes
+from scanner.importing.projector_size import extents_of, possible_sizes
 from scanner.importing.samples import Samples, take_lines
 from scanner.io import read_image
 from scanner.patterns import Axis, Gray, Pattern, Phase
@@ -22,6 +24,8 @@ from scanner.ui import Progress
 
 # Coordinates from few steps may err by more than the limit; in a wrong order, a few hundredths fit by chance.
 _LEAST_ON_LINES = 0.3
+# Of the pixels with a code; stray light decodes to some codes that a projector does not have.
+_MOST_BEYOND = 0.1
 _OPTIONS = {"projector_size": "--projector", "cell": "--cell"}
 
 
@@ -30,7 +34,7 @@ class Recognised:
     """A layout that fits: the pattern that each of the `files` shows, on a projector of (width, height). `how`: the
     reason.
 
-    `likely`: whether such projectors are usual, and how many ends of their codes were seen.
+    `likely`: whether such projectors are sold, and how many ends of their codes were seen.
     """
 
     layout: Layout
@@ -119,7 +123,7 @@ def _tried(
             best = best_fitting(look(), [candidate.patterns for candidate in fitting])
             fitting = [fitting[number] for number in best]
         results = [judge.judge(layout, candidate, known, look().camera_size) for candidate in fitting]
-        good = [result for result in results if isinstance(result, Recognised)]
+        good = [recognised for result in results if not isinstance(result, Rejected) for recognised in result]
         bad = [result for result in results if isinstance(result, Rejected)]
         if good:
             found += good
@@ -141,11 +145,13 @@ class _Judge:
     def __init__(self, progress: Progress, *, lenient: bool) -> None:
         self._progress = progress
         self._lenient = lenient
-        self._found: dict[tuple[tuple[Pattern, ...], Size], Matches | str] = {}
+        self._found: dict[tuple[tuple[Pattern, ...], Size], tuple[Matches, float] | str] = {}
         self._lines: dict[tuple[tuple[Path, ...], Axis], Samples] = {}
 
-    def judge(self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size) -> Recognised | Rejected:
-        """Whether the frames decode in this order, and the projector."""
+    def judge(
+        self, layout: Layout, candidate: Candidate, given: Given, camera_size: Size
+    ) -> list[Recognised] | Rejected:
+        """Whether the frames decode in this order, and the projectors that may have shown them."""
         if layout.lacks(given):
             options = " and ".join(_OPTIONS[name] for name in layout.needs)
             return Rejected(
@@ -157,24 +163,32 @@ class _Judge:
         decoded = self._decoded(candidate)
         if isinstance(decoded, str):
             if self._lenient and candidate.size_known:
-                return _recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")
+                return [_recognised(layout, candidate, candidate.projector_size, f"not checked: {decoded}")]
             all_the_same = f"--from {layout.name} and --projector accept it nevertheless"
             return Rejected(layout, f"looks right, but {decoded}; {all_the_same}", lacking=True)
-        share = share_on_epipolar_lines(decoded.camera_px, decoded.projector_px)
-        how = f"{len(decoded):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
+        matches, beyond = decoded
+        share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
+        how = f"{len(matches):,} matches, {share:.0%} of them on the lines of one epipolar geometry"
+        if candidate.size_known and beyond > _MOST_BEYOND:
+            size = _shown(candidate.projector_size)
+            why = f"decodes, but {beyond:.0%} of the pixels see codes that a projector of {size} does not have: the"
+            return Rejected(layout, f"{why} size is another, and without it what fits is listed", lacking=True)
         if candidate.size_known:
-            return _recognised(layout, candidate, candidate.projector_size, how)
-        extents = x, y = extents_of(candidate, decoded, camera_size)
+            return [_recognised(layout, candidate, candidate.projector_size, how)]
+        extents = x, y = extents_of(candidate, matches, camera_size)
         seen = f"codes from {x.low} to {x.high} in x, from {y.low} to {y.high} in y"
-        sizes = find_sizes(candidate, extents, given)
-        if len(sizes) != 1:
-            possible = ", or ".join(_shown(found.size) for found in sizes) or "none that is usual"
-            why = f"decodes, but the projector's size is not clear, {possible} ({seen}): give --projector"
+        sizes = possible_sizes(candidate, extents, given)
+        if not sizes:
+            why = f"decodes, but the projector's size is not clear, none that is usual fits ({seen}): give --projector"
             return Rejected(layout, why, lacking=True)
-        found = _recognised(layout, candidate, sizes[0].size, f"{how}; {seen}")
-        return replace(found, likely=(sizes[0].usual, sizes[0].total))
+        likely = sizes[0].rank > 0, sizes[0].total
+        reasons = [f"; {fit.reason}" if len(sizes) > 1 else "" for fit in sizes]
+        return [
+            Recognised(layout, candidate.files, fit.patterns, fit.size, f"{how}; {seen}{reason}", likely)
+            for fit, reason in zip(sizes, reasons, strict=True)
+        ]
 
-    def _by_one_axis(self, layout: Layout, candidate: Candidate, axis: Axis) -> Recognised | Rejected:
+    def _by_one_axis(self, layout: Layout, candidate: Candidate, axis: Axis) -> list[Recognised] | Rejected:
         if (candidate.files, axis) not in self._lines:
             self._lines[candidate.files, axis] = take_lines(candidate.files, axis)
         broken = broken_order(self._lines[candidate.files, axis], candidate.patterns, axis)
@@ -185,29 +199,31 @@ class _Judge:
             return Rejected(layout, why, lacking=True, certain=True)
         coded = any(isinstance(pattern, Gray) for pattern in candidate.patterns)
         how = "neighbouring pixels are in neighbouring cells" if coded else "no second axis to check it by"
-        return _recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")
+        return [_recognised(layout, candidate, candidate.projector_size, f"one axis, {how}")]
 
-    def _decoded(self, candidate: Candidate) -> Matches | str:
-        """The matches, or the reason why there are none."""
+    def _decoded(self, candidate: Candidate) -> tuple[Matches, float] | str:
+        """The matches, and the share of pixels with codes beyond the projector's; or the reason why there are none."""
         key = candidate.patterns, candidate.projector_size
         if key not in self._found:
             self._found[key] = self._decode(candidate)
         return self._found[key]
 
-    def _decode(self, candidate: Candidate) -> Matches | str:
+    def _decode(self, candidate: Candidate) -> tuple[Matches, float] | str:
         try:
             decoder = Decoder(candidate.patterns, candidate.projector_size)
             for path in self._progress.track(candidate.files, len(candidate.files), "Decoding"):
                 decoder.add(read_image(path))
-            matches = decoder.finish().matches
+            decoding = decoder.finish()
         except (InputError, RefusalError) as error:
             return f"does not decode: {error}"
+        matches = decoding.matches
         if not len(matches):
             return "decodes to no matches"
         share = share_on_epipolar_lines(matches.camera_px, matches.projector_px)
         if share < _LEAST_ON_LINES:
             return f"decodes, but only {share:.0%} of the matches obey one epipolar geometry"
-        return matches
+        beyond = np.count_nonzero(decoding.reasons == MaskReason.OUTSIDE)
+        return matches, beyond / (beyond + np.count_nonzero(decoding.reasons == MaskReason.KEPT))
 
 
 def _recognised(layout: Layout, candidate: Candidate, size: Size, how: str) -> Recognised:

@@ -11,11 +11,11 @@ from scanner.commands import main
 from scanner.patterns import Axis, Black, Pattern, Phase, White
 from tests.support.foreign_captures import ENDS, bits, deep, in_colour, named, steps
 
-# The smallest projector that is sold, so that its size is recognised.
-CAMERA, PROJECTOR = (459, 384), (640, 360)
-AXES: tuple[tuple[Axis, int], ...] = (("x", 640), ("y", 360))
+# A small projector that is sold, and of which no other has two or four times the pixels: its size is recognised.
+CAMERA, PROJECTOR = (459, 384), (640, 480)
+AXES: tuple[tuple[Axis, int], ...] = (("x", 640), ("y", 480))
 PAIRS = [*bits("x", 10), *bits("y", 9)]
-CENTRED = [*bits("x", 9, 2, 192), *bits("y", 9, 1, 76)]  # (1024 − 640) / 2 and (512 − 360) / 2 pixels before the first
+CENTRED = [*bits("x", 9, 2, 192), *bits("y", 9, 1, 16)]  # (1024 − 640) / 2 and (512 − 480) / 2 pixels before the first
 QUARTERS, MINUS_COSINE = (0.0, 0.25, 0.5, 0.75), (0.5, 0.3, 0.1, -0.1, -0.3)
 THIRDS, BACKWARDS = (-1 / 3, 0.0, 1 / 3), (0.0, -1 / 3, -2 / 3)
 FRINGES = [shown for axis, _ in AXES for period in (80 / 3, 40.0) for shown in steps(axis, period, THIRDS)]
@@ -51,7 +51,7 @@ SHIFTED = [  # a code of 20 cells, and again half a cell further
         *bits(axis, 5, length // 20, length // 40, inverses=False),
     )
 ]
-KNOWN = ("--projector", "640x360")
+KNOWN = ("--projector", "640x480")
 
 
 def sltk() -> Iterator[str]:

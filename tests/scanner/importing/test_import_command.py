@@ -61,10 +61,10 @@ def test_photographs_are_recognised_whose_tone_curve_brightens_blurred_stripes(
     brighter = np.rint(255 * np.linspace(0, 1, 256) ** (1 / 2.2)).astype(np.uint8)
 
     def developed(image: Image) -> Image:
-        return brighter[cv2.GaussianBlur(image, (0, 0), 1.0)]
+        return brighter[cv2.GaussianBlur(image, (0, 0), 0.8)]
 
     source = camera.write(tmp_path / "frames", patterns, named("{}.png"), developed)
-    assert imported(source, "--projector", "640x360", "--out", tmp_path / "out") == 0
+    assert imported(source, "--projector", "640x480", "--out", tmp_path / "out") == 0
     assert list(open_capture(tmp_path / "out").patterns) == patterns
 
 
@@ -164,7 +164,7 @@ def test_periods_that_contradict_the_frames_are_refused(
     folder: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], periods: str, names: str
 ) -> None:
     source = folder("heterodyne")
-    chosen = ("--from", "heterodyne", "--projector", "640x360", "--periods", periods)
+    chosen = ("--from", "heterodyne", "--projector", "640x480", "--periods", periods)
     assert imported(source, *chosen, "--out", tmp_path / "capture") == 2
     assert names in capsys.readouterr().err
     assert not (tmp_path / "capture").exists()
@@ -175,7 +175,7 @@ def test_the_origin_of_two_close_periods_must_be_given(
 ) -> None:
     patterns = [p for count in (20, 21) for p in steps("x", 640 / count, (0.25, 0.0, -0.25, -0.5))]
     source = camera.write(tmp_path / "frames", patterns, named("{}.png"))
-    chosen = ("--from", "heterodyne", "--projector", "640x360", "--periods", "20,21")
+    chosen = ("--from", "heterodyne", "--projector", "640x480", "--periods", "20,21")
     assert imported(source, *chosen) == 2
     (number,) = re.findall(r"(\d)\. heterodyne: .*shifted from 0.25 cycles back", capsys.readouterr().err)
     assert imported(source, *chosen, "--order", number, "--out", tmp_path / "capture", "--quiet") == 0
@@ -207,7 +207,7 @@ def test_missing_numbers_and_sub_folders_do_not_matter(folder: Callable[[str], P
 
 @pytest.mark.parametrize(
     ("codes", "code"),
-    [("320 360\n\n# width height\n", 0), ("300 360\n", 2), ("not ours", 0)],
+    [("320 480\n\n# width height\n", 0), ("300 480\n", 2), ("not ours", 0)],
     ids=["told", "contradicted", "no numbers"],
 )
 def test_projector_info_is_read(folder: Callable[[str], Path], tmp_path: Path, codes: str, code: int) -> None:
@@ -219,7 +219,7 @@ def test_projector_info_is_read(folder: Callable[[str], Path], tmp_path: Path, c
 
 def test_config_xml_tells_projector_and_step(folder: Callable[[str], Path], tmp_path: Path) -> None:
     source = folder("phase-shifting")
-    text = "<disp_width>640</disp_width><disp_height>360</disp_height><step>80</step>"
+    text = "<disp_width>640</disp_width><disp_height>480</disp_height><step>80</step>"
     (source / "config.xml").write_text(f'<?xml version="1.0"?>\n<opencv_storage>{text}</opencv_storage>\n')
     assert imported(source, "--out", tmp_path / "capture", "--quiet") == 0
     assert all(map(same, open_capture(tmp_path / "capture").patterns, FOREIGN["phase-shifting"].patterns))
@@ -230,7 +230,7 @@ def test_without_out_the_order_is_only_reported(
 ) -> None:
     assert imported(folder("3dunderworld")) == 0
     said = capsys.readouterr().out
-    assert "projector 640 × 360" in said
+    assert "projector 640 × 480" in said
     rows = [line.split() for line in said.splitlines() if line.startswith(" ")]
     lines = {row[0]: row[1] for row in rows if len(row) > 2}
     assert lines["3dunderworld"] == "yes"

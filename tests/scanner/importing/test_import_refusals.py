@@ -1,5 +1,6 @@
 """Folders that are no capture or are ambiguous, and wrong arguments."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from calib.numerics import Image
 from scanner.capture import open_capture
 from scanner.errors import InputError
 from scanner.io import read_image, write_png
-from tests.support.foreign_captures import ENDS, Photographer, bits, named
-from tests.support.foreign_folders import KNOWN, PAIRS, PROJECTOR, imported
+from tests.support.foreign_captures import ENDS, Photographer, bits, named, photographer
+from tests.support.foreign_folders import CAMERA, KNOWN, PAIRS, PROJECTOR, imported
 
 pytestmark = pytest.mark.xdist_group("importing")
 
@@ -77,10 +78,35 @@ def test_an_unseen_projector_size_is_asked_for(
     """If the camera sees only the middle of the picture, several projectors are possible."""
     source = camera.write(tmp_path / "frames", [*PAIRS, *ENDS], named("graycode_{:02d}.png"), middle)
     error = refused(capsys, source)
-    assert "the projector's size is not clear, 640 × 360, or 640 × 480" in error
-    assert "give --projector" in error
+    sizes = re.findall(r"^  \d\. opencv: projector (\d+ × \d+)", error, re.MULTILINE)
+    assert {"640 × 360", "640 × 480", "1280 × 720"} <= set(sizes)
+    assert sizes.index("1280 × 720") < sizes.index("640 × 360")  # the more usual first, with cells of two
+    assert "choose one with --order and its number, --from or --projector" in error
     assert imported(source, *KNOWN, "--out", tmp_path / "capture", "--quiet") == 0
     assert open_capture(tmp_path / "capture").projector_size == PROJECTOR
+
+
+def test_cells_of_several_pixels_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Codes of 640 × 360 are those of 1280 × 720 with cells of two, and nothing in the frames tells which."""
+    camera = photographer(CAMERA, (1280, 720))
+    shown = [*bits("x", 10, 2), *bits("y", 9, 2), *ENDS]
+    source = camera.write(tmp_path / "frames", shown, named("{:02d}.png"))
+    error = refused(capsys, source)
+    sizes = re.findall(r"^  \d\. opencv: projector (\d+ × \d+)", error, re.MULTILINE)
+    assert sizes == ["1280 × 720", "640 × 360", "2560 × 1440"]
+    assert "1280 × 720 is usual, with cells of 2 px" in error
+    assert "640 × 360 is rare" in error
+    for number, chosen in enumerate([("--order", "1"), ("--projector", "1280x720")]):
+        assert imported(source, *chosen, "--out", tmp_path / str(number), "--quiet") == 0
+        recording = open_capture(tmp_path / str(number))
+        assert (recording.projector_size, list(recording.patterns)) == ((1280, 720), shown)
+
+
+def test_a_projector_without_the_codes_that_are_seen_is_refused(
+    folder: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = refused(capsys, folder("opencv"), "--projector", "520x400")
+    assert re.search(r"\d+% of the pixels see codes that a projector of 520 × 400 does not have", error)
 
 
 def test_a_named_order_is_accepted_although_it_does_not_decode(
